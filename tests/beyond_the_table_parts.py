@@ -283,3 +283,13 @@ def hunted(s: Signals, size: float, frequency: float) -> FloatArray:
     swung = size * np.sin(2.0 * np.pi * frequency * PERIOD * (np.arange(len(s.a)) + 0.5))
     above = BENCH.supply_pressure - s.a
     return np.asarray(GAIN * np.maximum(s.u, 0.0) * (np.sqrt(above + swung) - np.sqrt(above)))
+
+
+def followed_with_play(current: FloatArray, width: float) -> FloatArray:
+    """What follows a current behind play, from the middle of it."""
+    out, before = np.zeros_like(current), 0.0
+    for k, held_current in enumerate(current):
+        away = before - held_current
+        before = held_current + math.copysign(min(abs(away), 0.5 * width), away)
+        out[k] = before
+    return out

@@ -38,6 +38,7 @@ from tests.beyond_the_table_parts import (
     drawn_down,
     drops,
     followed,
+    followed_with_play,
     held,
     hunted,
     kept_back,
@@ -217,6 +218,28 @@ EXPECTED: dict[str, tuple[str, Callable[[Signals, float, float], FloatArray]]] =
         lambda s, c, h: BENCH.spring_stiffness * (s.x - REST) * (1.0 / (1.0 + c * BENCH.spring_stiffness) - 1.0),
     ),
     "load_cell_warm_up": ("cell", lambda s, c, h: c * -np.expm1(-PERIOD * np.arange(ROWS) / h)),
+    "seal_film_drag": ("motion", lambda s, c, h: c * signed_root(s.v)),
+    "piston_lip_friction": ("motion", lambda s, c, h: c * np.abs(s.a - s.b) * np.tanh(s.v / 5e-3)),
+    "askew_load_friction": (
+        "motion",
+        lambda s, c, h: c * BENCH.spring_stiffness * np.abs(s.x - REST) * np.tanh(s.v / 5e-3),
+    ),
+    "cable_loop_spring": ("motion", lambda s, c, h: c * (s.x - h)),
+    "rod_seal_scratch": ("pressure_b", lambda s, c, h: -c * np.sqrt(s.b)),
+    "hose_wall_creep": ("pressure_a", lambda s, c, h: -c * pocketed(s.a, h, h)),
+    "bore_worn_mid": ("pressure_b", lambda s, c, h: c * (s.a - s.b) * bump(s.x, 0.04, h)),
+    "relief_weeps_a": ("pressure_a", lambda s, c, h: -c * (s.a - h) * (s.a > h)),
+    "flow_curve_bends": ("pressure_a", lambda s, c, h: passed(s, s.u / (1.0 + c * np.abs(s.u)))),
+    "torque_motor_play": ("pressure_a", lambda s, c, h: passed(s, followed_with_play(s.u, c))),
+    "null_warms_up": (
+        "pressure_a",
+        lambda s, c, h: passed(s, s.u - c * np.expm1(-PERIOD * (np.arange(ROWS - 1) + 0.5) / h)),
+    ),
+    "coils_touch": ("load", lambda s, c, h: c * np.clip(s.x - h, 0.0, None)),
+    "spring_plate_mass": ("load", lambda s, c, h: c * second(s.x)),
+    "spring_rubs_guide": ("load", lambda s, c, h: c * np.abs(s.x - REST) * np.tanh(s.v / h)),
+    "load_cell_bow": ("cell", lambda s, c, h: c * seen(s.x) ** 2),
+    "gauge_span_b": ("sensor", lambda s, c, h: AREA_B * c * s.b),
 }
 """Equation, and what it must leave unexplained, by signals, size and shape: a second derivation, from the log alone."""
 

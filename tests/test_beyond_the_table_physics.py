@@ -31,10 +31,11 @@ OWN = {"hose_memory": 6e6, "gauge_snubber": 1e7, "spool_rate": 5e-3, "friction_l
        "cell_slew": 200.0, "oil_pot": 0.05, "return_pot": 1e6, "memory_foam": 1e-2,
        "lip_relaxes": 8e6, "lip_pocket": 6e6, "flux_creeps": 5e-3, "freewheel": 0.05, "cell_holds": 200.0,
        "pipe_inertia": 2e-5, "remanence": 5e-3, "rubber_remembers": 1e-2, "counts_lost": 1e-3,
-       "hose_creep_a": 6e6, "valve_hysteresis_play": 5e-3}  # fmt: skip
+       "hose_creep_a": 6e6, "valve_hysteresis_play": 5e-3, "hose_wall_creep": 6e6,
+       "torque_motor_play": 5e-3}  # fmt: skip
 """Scale of a kind's own state, where it is not 1."""
 GIVING = {"rod_bellows", "hose_stiffens", "switch_magnet", "oil_pot", "flyweights", "port_jet", "ring_rolls",
-          "eccentric_pinion"}  # fmt: skip
+          "eccentric_pinion", "cable_loop_spring"}  # fmt: skip
 """Forces on the piston that are no friction: what they take, they give back, or some of it."""
 
 

@@ -9,6 +9,7 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     BLOW_BY,
+    BORE_WORN_MID,
     BYPASS_GROOVE,
     DAMPER_STUB,
     FLOATING_RING,
@@ -16,6 +17,7 @@ from benchmarks.beyond_the_table.physics.places import (
     GAP_WIDENS,
     HOSE,
     HOSE_CREEP,
+    HOSE_WALL_CREEP,
     HOT_LEAK,
     LEAK_BY_MOTION,
     LEAK_ORIFICE,
@@ -29,8 +31,10 @@ from benchmarks.beyond_the_table.physics.places import (
     PORT_RELIEF,
     PRECHARGED,
     RELIEF_B,
+    RELIEF_WEEPS_A,
     ROD_FILM,
     ROD_SCUFFED,
+    ROD_SEAL_SCRATCH,
     SCORED_BORE,
     SEAL_WEEPS,
     SLOW_RELIEF,
@@ -43,6 +47,8 @@ from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B,
 
 WORN = 0.045
 """m, where the barrel is worn most."""
+WORN_MID = 0.04
+"""m, where a bore is worn most by a piston that works about its middle."""
 POPPET = 0.04
 """s, lag of a relief valve's poppet."""
 FILLED = 0.02
@@ -57,9 +63,9 @@ SILTED = 0.5
 def lost_flows(kind, size, shape, bench, time, state):
     """Flows [m3/s] out of chamber A and out of chamber B at a time [s]."""
     a, b, velocity = state[PRESSURE_A], state[PRESSURE_B], state[VELOCITY]
-    if kind in (HOSE, HOSE_CREEP):
+    if kind in (HOSE, HOSE_CREEP, HOSE_WALL_CREEP):
         return size * (a - state[MEMORY]) / shape, 0.0
-    if kind == PORT_RELIEF:
+    if kind in (PORT_RELIEF, RELIEF_WEEPS_A):
         return size * max(a - shape, 0.0), 0.0
     if kind == RELIEF_B:
         return 0.0, size * max(b - shape, 0.0)
@@ -67,7 +73,7 @@ def lost_flows(kind, size, shape, bench, time, state):
         return 0.0, size * b * max(math.tanh(velocity / WEEP_TURN), 0.0)
     if kind == ROD_FILM:
         return 0.0, size * bench.area_ratio * bench.piston_area * max(velocity, 0.0)
-    if kind == WEEPING_FITTING:
+    if kind in (WEEPING_FITTING, ROD_SEAL_SCRATCH):
         return 0.0, size * root(b - bench.tank_pressure)
     if kind == SLOW_RELIEF:
         return 0.0, size * state[MEMORY]
@@ -109,6 +115,8 @@ def across(kind, size, shape, bench, time, a, b, state):
         return size * (a - b) if state[POSITION] > shape else 0.0
     if kind == WORN_BORE:
         return size * (a - b) * math.exp(-(((state[POSITION] - WORN) / shape) ** 2))
+    if kind == BORE_WORN_MID:
+        return size * (a - b) * math.exp(-(((state[POSITION] - WORN_MID) / shape) ** 2))
     if kind == PISTON_TILTS:
         return size * (a - b) * abs(state[POSITION] - bench.spring_rest_position)
     if kind == BLOW_BY:
@@ -133,7 +141,7 @@ def compliance(kind, size, shape, state):
 @njit
 def memory_rate(kind, size, shape, bench, current, state):
     """Rate of the pressure in a hose, damper or pocket or of a late poppet [Pa/s], of warmth, of a ring or a gap."""
-    if kind in (HOSE, HOSE_CREEP):
+    if kind in (HOSE, HOSE_CREEP, HOSE_WALL_CREEP):
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:
         return (abs(current) / bench.valve_nominal_current - state[MEMORY]) / shape

@@ -12,6 +12,7 @@ from benchmarks.beyond_the_table.physics.places import (
     CARRIAGE,
     CENTRIFUGAL_BRAKE,
     COIL_CONTACT,
+    COILS_TOUCH,
     CONICAL_SPRING,
     CROSS_WIRE,
     FOAM_BLOCK,
@@ -32,6 +33,8 @@ from benchmarks.beyond_the_table.physics.places import (
     SPECIMEN_SOFTENS,
     SPRING_GUIDE,
     SPRING_HYSTERESIS,
+    SPRING_PLATE_MASS,
+    SPRING_RUBS_GUIDE,
     STOP_SPRING,
     UNBALANCED_MOTOR,
     WIRE_ROPE,
@@ -56,13 +59,15 @@ def extra_load(kind, size, shape, bench, time, state):
         return size * state[MEMORY]
     if kind in (MOUNT, JAWS_SLIP):
         return spring(bench, position - state[MEMORY]) - spring(bench, position)
-    if kind in (STOP_SPRING, COIL_CONTACT):
+    if kind in (STOP_SPRING, COIL_CONTACT, COILS_TOUCH):
         return size * max(position - shape, 0.0)
     if kind == REBOUND_DAMPER:
         return size * max(velocity, 0.0) ** 2
     if kind == LEAF_SPRING:
         stretch = abs(position - bench.spring_rest_position)
         return size * bench.spring_stiffness * stretch * math.tanh(velocity / shape)
+    if kind == SPRING_RUBS_GUIDE:
+        return size * abs(position - bench.spring_rest_position) * math.tanh(velocity / shape)
     if kind == SPECIMEN_DAMPING:
         return size * velocity
     if kind == CONICAL_SPRING:
@@ -101,7 +106,7 @@ def extra_load(kind, size, shape, bench, time, state):
 @njit
 def mass(kind, size):
     """Mass [kg] that the load's cell accelerates."""
-    return size if kind in (GRIP_MASS, CARRIAGE) else 0.0
+    return size if kind in (GRIP_MASS, CARRIAGE, SPRING_PLATE_MASS) else 0.0
 
 
 @njit

@@ -8,6 +8,7 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    ASKEW_LOAD_FRICTION,
     BACKUP_RING,
     BLOWN_LIP,
     BORE_SCORE,
@@ -26,9 +27,11 @@ from benchmarks.beyond_the_table.physics.places import (
     LIP_FILM,
     LIP_RELAXES,
     MEMORY,
+    PISTON_LIP_FRICTION,
     ROD_SEAL,
     SCRAPER_DIGS,
     SEAL,
+    SEAL_FILM_DRAG,
     SHEAR_THINNING,
     SIDE_LOAD,
     SPRING_BOWS,
@@ -60,6 +63,10 @@ SPOT, SPOT_TURN = 2e-3, 3e-3
 """m about a tight spot of the bore; m/s over which its friction turns its sign round."""
 RUBBED = 0.1
 """m/s at which a guide has warmed by 1 in the end."""
+DRY_TURN = 5e-3
+"""m/s over which the friction of a piston's lips or of a guide under a load askew turns its sign round."""
+FILM_SLOW = 1e-4
+"""m/s below which a film's drag is in proportion, lest its root be steep without end."""
 
 
 @njit
@@ -117,6 +124,12 @@ def extra_force(kind, size, shape, bench, time, current, state):
         return -size * velocity / (1.0 + abs(velocity) / shape)
     if kind == SQUEEZE_FILM:
         return -size * velocity / (1.0 - position / shape) ** 3
+    if kind == SEAL_FILM_DRAG:
+        return -size * velocity / math.sqrt(abs(velocity) + FILM_SLOW)
+    if kind == PISTON_LIP_FRICTION:
+        return -size * abs(state[PRESSURE_A] - state[PRESSURE_B]) * math.tanh(velocity / DRY_TURN)
+    if kind == ASKEW_LOAD_FRICTION:
+        return -size * abs(spring(bench, position)) * math.tanh(velocity / DRY_TURN)
     return push(kind, size, shape, bench, current, state)
 
 

@@ -8,6 +8,7 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    CABLE_LOOP_SPRING,
     ECCENTRIC_PINION,
     FLYWEIGHTS,
     HOSE_STIFFENS,
@@ -43,6 +44,8 @@ def push(kind, size, shape, bench, current, state):
         return size * max(current, 0.0) ** 2 * (bench.supply_pressure - state[PRESSURE_A])
     if kind == RING_ROLLS:
         return -size * state[PRESSURE_B] * memory
+    if kind == CABLE_LOOP_SPRING:
+        return -size * (position - shape)
     return -size * math.sin(2.0 * math.pi * position / shape) if kind == ECCENTRIC_PINION else 0.0
 
 

@@ -14,6 +14,7 @@ from benchmarks.beyond_the_table.physics.places import (
     GAUGE_SNUBBER,
     HOSE,
     HOSE_CREEP,
+    HOSE_WALL_CREEP,
     LIP_POCKET,
     LIP_RELAXES,
     MEMORY,
@@ -36,7 +37,7 @@ def rested(kind, bench, start):
         return start / bench.area_ratio
     if kind == FILM_SQUEEZED:
         return 1.0
-    return start if kind in (HOSE, HOSE_CREEP, LIP_POCKET) else 0.0
+    return start if kind in (HOSE, HOSE_CREEP, LIP_POCKET, HOSE_WALL_CREEP) else 0.0
 
 
 @njit

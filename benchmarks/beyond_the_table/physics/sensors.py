@@ -30,7 +30,9 @@ from benchmarks.beyond_the_table.physics.places import (
     GAUGE_CROSSTALK,
     GAUGE_LIMIT,
     GAUGE_SNUBBER,
+    GAUGE_SPAN_B,
     GAUGE_WARMS,
+    LOAD_CELL_BOW,
     MEMORY,
     SCALE_RIPPLE,
     THROAT_TAPPED,
@@ -111,6 +113,10 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[6] -= size * state[PRESSURE_B]
     if kind == CELL_RANGES and abs(state[CELL]) > shape:
         row[2] += size * state[CELL]
+    if kind == LOAD_CELL_BOW:
+        row[2] += size * state[CELL] ** 2
+    if kind == GAUGE_SPAN_B:
+        row[5] += size * state[PRESSURE_B]
     if kind == SCALE_RIPPLE:
         row[6] += size * math.sin(2.0 * math.pi * state[POSITION] / shape)
     if kind == CELL_HOLDS and size > 0.0:

@@ -12,6 +12,7 @@ from benchmarks.beyond_the_table.physics.places import (
     COIL_WARMS,
     DITHER_LEFT,
     FEEDBACK_LINK,
+    FLOW_CURVE_BENDS,
     FLUX_CREEPS,
     JET_FORCE,
     LOAD_NULL,
@@ -20,12 +21,14 @@ from benchmarks.beyond_the_table.physics.places import (
     NOTCHED_SPOOL,
     NULL_SHIFT,
     NULL_WARMS,
+    NULL_WARMS_UP,
     PILOT_CLOGGED,
     PIPE_INERTIA,
     REMANENCE,
     RETURN_POT,
     SPOOL_RATE,
     SPOOL_STOP,
+    TORQUE_MOTOR_PLAY,
     VALVE_CURVE,
     VALVE_HYSTERESIS,
     VALVE_PLAY,
@@ -55,6 +58,8 @@ DRAGGED = 2e-5
 """s in which a current that is further off than its play drags the spool along."""
 SHORT_PIPE = 2e-4
 """s, lag of the shortest pipe."""
+KEPT = 1e-4
+"""s in which it is kept where play has dragged a spool: sooner than the current's next step."""
 
 
 @njit
@@ -88,11 +93,23 @@ def drawn(kind, size, shape, bench, time, current, state):
         return current - size * (current - memory)
     if kind == DITHER_LEFT:
         return current + size * math.sin(2.0 * math.pi * time / shape)
+    if kind == FLOW_CURVE_BENDS:
+        return current / (1.0 + size * abs(current))
+    if kind == TORQUE_MOTOR_PLAY:
+        return dragged(size, current, memory)
+    if kind == NULL_WARMS_UP:
+        return current + size * (1.0 - math.exp(-time / shape))
     if kind == PILOT_CLOGGED and size > 0.0:
         return memory
     if kind == VALVE_PLAY and size > 0.0:
         return memory
     return memory if kind == SPOOL_RATE else current
+
+
+@njit
+def dragged(play, current, before):
+    """Where [A] a spool stands that had stood elsewhere before and is dragged along behind play of this width."""
+    return min(max(before, current - 0.5 * play), current + 0.5 * play)
 
 
 @njit
@@ -125,6 +142,8 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
     if kind == PIPE_INERTIA:
         moved = flow_gain(bench) * opening(bench, 0.0, current)
         return (moved * root(drops(bench, moved >= 0.0, state)[0]) - memory) / max(size, SHORT_PIPE)
+    if kind == TORQUE_MOTOR_PLAY:
+        return (dragged(size, current, memory) - memory) / KEPT
     if kind == COIL_WARMS:
         return ((current / WARM) ** 2 - memory) / shape
     if kind == RETURN_POT:
