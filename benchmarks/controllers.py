@@ -31,8 +31,8 @@ from typing import Annotated, Any
 import numpy as np
 import yaml
 
+from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
-from benchmarks.drawn_truths import drawn_truths
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.files.settings_file import from_mapping
 from hydro_bridge.serial.frames import BoxLaw
@@ -48,7 +48,7 @@ from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box import reference
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.emulator.truth.config import TruthConfig, load_truth
+from hydro_sim.emulator.truth.config import TruthConfig, load_truth, truth_from_mapping
 
 PAPER_GAINS = (90.0, 15.0)
 ROBUST_GAINS = (30.0, 10.0)
@@ -231,20 +231,24 @@ def main() -> None:
         prog="python -m benchmarks.controllers", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
     )  # fmt: skip
-    parser.add_argument("--truths", type=Path, metavar="FOLDER", help="truth files, *.yaml")
+    parser.add_argument("--truths", type=Path, required=True, metavar="FOLDER", help="truth files, *.yaml")
+    parser.add_argument("--draw", type=int, default=0, metavar="COUNT", help="write so many drawn truths there first")
+    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
     parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
     parser.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
     parser.add_argument("--robust", action="store_true", help="find robust_fixed's gains on 40 drawn truths, and end")
     add_json_argument(parser)
     asked = parser.parse_args()
     if asked.robust:
-        print(f"best: {robust_gains(drawn_truths(40, seed=7).values())}")
+        print(f"best: {robust_gains(map(truth_from_mapping, drawn_truths(40, seed=7).values()))}")
         return
-    truths = sorted(asked.truths.glob("*.yaml")) if asked.truths else []
+    if asked.draw:
+        asked.truths.mkdir(parents=True, exist_ok=True)
+        for name, contents in drawn_truths(asked.draw, asked.seed).items():
+            (asked.truths / f"{name}.yaml").write_text(yaml.safe_dump(contents))
+    truths = sorted(asked.truths.glob("*.yaml"))
     if not truths:
-        raise SettingsError(
-            "--truths FOLDER must hold truth files, *.yaml (python -m benchmarks.drawn_truths makes some)"
-        )
+        raise SettingsError(f"{asked.truths} holds no truth files, *.yaml; --draw 40 writes some")
     cases = load_cases(asked.references)
     kept = Path(asked.json or asked.truths / "controllers.json").with_suffix(".rows")
     rows = complete(truths, asked.controllers, cases, kept)

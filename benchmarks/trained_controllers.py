@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What training on the bench adds, on the emulated bench and on benches that changed: results.md's tables of many seeds.
+"""What training on the bench adds, on the emulated one and on benches that changed: results.md's tables of many seeds.
 
 Everything runs on the emulator's plant without clock or serial line: the same samples to the bit, many times as fast.
 
