@@ -43,7 +43,7 @@ test: lint setup  ## all checks and all tests but the studies: those of the grap
 	@$(SOURCED) .venv/bin/python -m pytest -m "graph and not study" $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 	@$(SOURCED) .venv/bin/python -m pytest -m "not graph and not study" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
-test-slow: setup  ## the studies among the tests: minutes of computing each
+test-slow: setup  ## before a release: the studies among the tests, and the tests of the benchmarks
 	@$(SOURCED) .venv/bin/python -m pytest -m "study and graph and not exhaustive" $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 	@$(SOURCED) .venv/bin/python -m pytest -m "study and not graph and not exhaustive" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 

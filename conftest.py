@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from typing import Any
 
 import pytest
 
@@ -31,3 +33,20 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     """Where tests are shared out, then by file: a file's fixtures are made once. Graph tests stay together."""
     group = "graph" if item.get_closest_marker("graph") else item.path.name
     item.add_marker(pytest.mark.xdist_group(group))
+
+
+@pytest.fixture
+def each() -> Callable[..., None]:
+    """Check all cases in one test: what fails is named together in the end."""
+
+    def check_each(cases: Iterable[Any], check: Callable[..., None], name: Callable[[Any], object] = str) -> None:
+        listed, wrong = list(cases), []
+        for case in listed:
+            try:
+                check(case)
+            except (Exception, pytest.fail.Exception) as error:
+                wrong.append(f"{name(case)}: {error!r}")
+        assert listed, "no case"
+        assert not wrong, f"{len(wrong)} of {len(listed)} fail\n" + "\n".join(wrong)
+
+    return check_each

@@ -39,11 +39,11 @@ def test_labels_are_unique() -> None:
     assert len(labels) == len(set(labels))
 
 
-@pytest.mark.parametrize("effect", ADAPTED, ids=lambda effect: effect.label)
-def test_probes_lie_inside_the_bounds(effect: Effect) -> None:
-    for one in effect.parameters:
-        assert one.low <= one.neutral <= one.high
-        assert all(one.low < probe < one.high for probe in one.probes)
+def test_probes_lie_inside_the_bounds() -> None:
+    for effect in ADAPTED:
+        for one in effect.parameters:
+            assert one.low <= one.neutral <= one.high, effect.label
+            assert all(one.low < probe < one.high for probe in one.probes), effect.label
 
 
 @pytest.mark.parametrize("effect", [e for e in ADAPTED if not e.needs], ids=lambda effect: effect.label)

@@ -33,6 +33,7 @@ from hydro_sim.files.recordings import Run
 from hydro_sim.neural.network_model import NetworkModel
 
 STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
+pytestmark = pytest.mark.study
 SCALE = np.array([150.0, 1500.0, 150.0, 1500.0, 7e5, 7e5, 7e-3, 7e-2])
 
 
