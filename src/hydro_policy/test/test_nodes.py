@@ -61,6 +61,8 @@ from hydro_sim.model.bench import Bench
 
 pytestmark = pytest.mark.graph
 
+AT_ONCE = 0.5
+"""s from arming to the first gains: a tick and a policy step are 0.06 s, the rest is for a busy machine."""
 ENVIRONMENT = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
@@ -105,6 +107,12 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     recording = read_bag(folder.bag)
     assert not recording.state["flags"][-1] & Flag.ARMED
     assert len(recording["/hydro/gains"]) >= 500
+    armed = np.flatnonzero(recording.state["flags"] & Flag.ARMED)[0]
+    assert armed > 0, "the recorder has seen the plant disarmed"
+    before = recording.state["flags"][max(0, armed - 200) : armed]
+    assert np.mean((before & Flag.FILTER_STALE) == 0) > 0.5, "the filter's corrections reached the plant already"
+    acted = recording["/hydro/gains"]["time"][0] - recording.state["time"][armed]
+    assert -0.05 < acted < AT_ONCE, "learner, policy and recorder were ready"
     assert recording["/hydro/training"]["updates"].max() > 0  # how many is the machine's affair
     gains, steps = recording["/hydro/gains"], recording["/hydro/policy"]
     drawn = dict(zip(gains["step"].tolist(), gains["delta_kp"].tolist(), strict=True))
