@@ -93,7 +93,7 @@ def test_an_update_is_owed_for_every_transition_after_the_warm_up() -> None:
     assert pretraining.sac.updates == 4 * 60 - 40
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_minute_of_pretraining_learns() -> None:
     """From an untrained agent's 1.39 of the RMSE of (90, 15), gains near the middle of their range, a good way down.
 
