@@ -53,8 +53,9 @@ def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) 
     assert all(state.flags & Flag.ARMED for state in states)
 
 
+@pytest.mark.parametrize("tools", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_second_nodes_are_told_and_leave_the_first_alone_and_a_second_plant_disarms_it(
-    graph: Defended, tmp_path: Path
+    graph: Defended, tmp_path: Path, tools: bool
 ) -> None:
-    found = beside(graph, tmp_path)
+    found = beside(graph, tmp_path, tools=tools)
     assert found.held, found

@@ -290,12 +290,9 @@ def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--bench", "nowhere.yaml"], "nowhere.yaml"),
+        (["--model", "nowhere.safetensors"], "nowhere.safetensors"),
         (["--bench", "b.yaml", "--model", "shipped"], "a bench of its own"),
         (["--bench", "b.yaml", "--model", "c.yaml"], "which of them is simulated?"),
-        (["--model", "nowhere.yaml"], "nowhere.yaml"),
-        (["--model", "nowhere.safetensors"], "nowhere.safetensors"),
-        (["--benches", "0"], "benches must be within"),
         (["--episodes", "0"], "episodes must be within"),
     ],
 )
