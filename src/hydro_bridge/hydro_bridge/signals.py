@@ -99,6 +99,20 @@ class CorrectionStatus(IntEnum):
     MISMATCH = 7
 
 
+class Law(IntEnum):
+    """Force laws of a box (`hydro_sim.box.force_law`): the paper's, and the one with a compensated reference."""
+
+    PAPER = 0
+    COMPENSATED = 1
+
+
+Coefficients = tuple[float, float, float, float]
+"""a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] of the compensated reference f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3."""
+
+NEUTRAL: Coefficients = (1.0, 0.0, 0.0, 0.0)
+"""Coefficients with which f_c = f_r."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReferenceSignal:
     """The force that the box generates and tracks."""
@@ -128,6 +142,14 @@ class Command:
     """A, added to the nominal valve current before saturation."""
     reference: ReferenceSignal = ReferenceSignal()
     """The force to track."""
+    law: Law = Law.PAPER
+    """Force law to run, taken up at arming; while armed, a command for another law leaves the safe record in force."""
+    coefficients: Coefficients = NEUTRAL
+    """Of the compensated reference; the box ramps to them."""
+    velocity_compensation: float = 1.0
+    """C_1 [-], share of h that the law compensates."""
+    valve_gain_scale: float = 1.0
+    """C_2 [-], factor on g."""
     corrects: int = 0
     """Sequence of the sample that `delta_u` was computed from."""
     filter_fresh: bool = False

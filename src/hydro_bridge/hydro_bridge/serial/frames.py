@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from math import inf
 from typing import NamedTuple
 
-from hydro_bridge.signals import Command
+from hydro_bridge.signals import NEUTRAL, Coefficients, Command
 
 VERSION_MIN = 1
 """Lowest supported protocol version."""
@@ -111,6 +112,56 @@ class BoxDetails:
     """s, lag of its differentiated forces at low frequency."""
     velocity_age: float = 0.0
     """s, lag of its differentiated position at low frequency."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxLaw:
+    """A box's compensated law, from protocol version 3 on: one record, absolute limits, its own safe state.
+
+    Without commands the law's base gains, base C_1 and C_2, and `NEUTRAL` coefficients hold.
+    """
+
+    base_kp: float = 400.0
+    """1/s, proportional gain to which `delta_kp` is added."""
+    base_ki: float = 15.0
+    """1/s^2, integral gain to which `delta_ki` is added."""
+    delta_kp_min: float = -385.0
+    """1/s."""
+    delta_kp_max: float = 0.0
+    """1/s."""
+    delta_ki_min: float = -10.0
+    """1/s^2."""
+    delta_ki_max: float = 15.0
+    """1/s^2."""
+    velocity_compensation: float = 0.3
+    """C_1 [-] of the safe state."""
+    velocity_compensation_min: float = 0.0
+    """C_1 is never below."""
+    velocity_compensation_max: float = 0.5
+    """C_1 is never above."""
+    valve_gain_scale: float = 1.0
+    """C_2 [-] of the safe state."""
+    valve_gain_scale_min: float = 0.8
+    """C_2 is never below."""
+    valve_gain_scale_max: float = 3.0
+    """C_2 is never above."""
+    scale_rate: float = 1.0
+    """1/s, fastest change of C_1 and C_2."""
+    reference_max: float = 700.0
+    """N, magnitude at which f_c is cut off."""
+    coefficient_min: Coefficients = (0.8, -0.02, -0.001, -60.0)
+    """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N]."""
+    coefficient_max: Coefficients = (1.25, 0.15, 0.004, 60.0)
+    """Upper limits."""
+    coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 100.0)
+    """Fastest changes [1/s], [-], [s], [N/s]."""
+
+
+PAPER_LAW = BoxLaw(
+    velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,
+    valve_gain_scale_max=1.0, reference_max=inf, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
+)  # fmt: skip
+"""What the paper's law makes of the same record: nothing to shape. Its gains are those of `BoxInfo`."""
 
 
 class Hello(NamedTuple):

@@ -17,13 +17,13 @@ person or the trainer must arm anew. Outcomes: the failure table of failures.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, field, fields, replace
 from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS, BoxDetails, BoxInfo
+from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim.box import kernel
@@ -82,6 +82,8 @@ class BoxConfig:
     """Force in the tracking error; the paper writes `hydraulic` once, its objective is `load`."""
     integral: Integral = "bumpless"
     """What the law's integrator carries: `bumpless` K_i e, so that new gains change its slope, `paper` e alone."""
+    compensated: BoxLaw = field(default_factory=BoxLaw)
+    """The compensated law. The gains above are the paper's."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -91,8 +93,11 @@ class BoxConfig:
     def constants(self, bench: Bench) -> npt.NDArray[np.void]:
         """Return the settings for the compiled box: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""
         record = np.zeros(1, kernel.SETTINGS_DTYPE)
-        for name in set(record.dtype.names or ()) & {entry.name for entry in fields(self)}:
+        for name in (set(record.dtype.names or ()) & {entry.name for entry in fields(self)}) - {"compensated"}:
             record[name] = getattr(self, name)
+        record["compensated"] = astuple(self.compensated)
+        own = {entry.name: getattr(self, entry.name) for entry in fields(BoxLaw) if hasattr(self, entry.name)}
+        record["paper"] = astuple(replace(PAPER_LAW, **own))
         record["integral_form"] = INTEGRAL_FORMS.index(self.integral)
         rest = hydraulics.rest_state(bench.constants()[0])
         still = hydraulics.input_gain(bench.constants()[0], rest[2], rest[0], rest[1], 1.0)
@@ -179,4 +184,6 @@ def fill_command(record: npt.NDArray[np.void], command: Command) -> None:
     """Write a command into one record of `kernel.COMMAND_DTYPE`, shape (1,)."""
     signal = command.reference
     reference = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
-    record[0] = (command.arm, command.filter_fresh, command.delta_kp, command.delta_ki, command.delta_u, reference)
+    gains = (command.delta_kp, command.delta_ki, command.delta_u)
+    shaping = (command.coefficients, command.velocity_compensation, command.valve_gain_scale)
+    record[0] = (command.arm, command.filter_fresh, *gains, reference, command.law, shaping)

@@ -52,7 +52,9 @@ def values(bench: Bench, config: BoxConfig, sensors: Sensors, name: str) -> dict
     """Configuration of a box with these settings, by the fields of `hydro_config`, without the bench's."""
     believed, settings = bench.constants()[0], config.constants(bench)[0]
     result: dict[str, Any] = {field: float(believed[field]) for field in BENCH_FIELDS}
-    result |= {field: float(settings[field]) for field in REAL_FIELDS if field != "force_range"}
+    gains = settings["paper"]
+    own = {field: gains if field in gains.dtype.names else settings for field in REAL_FIELDS if field != "force_range"}
+    result |= {field: float(record[field]) for field, record in own.items()}
     result |= {"low": [float(x) for x in settings["low"]], "high": [float(x) for x in settings["high"]]}
     result["force_range"] = result["high"][int(settings["feedback_channel"])]
     result |= {"force_rate_age": sensors.force_rate_age, "velocity_age": sensors.velocity_age}
