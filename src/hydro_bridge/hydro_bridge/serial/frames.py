@@ -8,7 +8,7 @@ from enum import IntEnum
 from math import inf
 from typing import NamedTuple
 
-from hydro_bridge.signals import NEUTRAL, Coefficients, Command
+from hydro_bridge.signals import NEUTRAL, Coefficients, Command, Law
 
 VERSION_MIN = 1
 """Lowest supported protocol version."""
@@ -162,6 +162,21 @@ PAPER_LAW = BoxLaw(
     valve_gain_scale_max=1.0, reference_max=inf, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
 )  # fmt: skip
 """What the paper's law makes of the same record: nothing to shape. Its gains are those of `BoxInfo`."""
+
+
+class LawState(NamedTuple):
+    """Force law of a box as it acts in one sample, from version 3 on; f_c is the force itself while disarmed."""
+
+    law: Law
+    compensated_reference: float
+    """f_c [N]."""
+    compensated_reference_rate: float
+    """f_c' [N/s]."""
+    coefficients: Coefficients
+    velocity_compensation: float
+    """C_1."""
+    valve_gain_scale: float
+    """C_2."""
 
 
 class Hello(NamedTuple):

@@ -23,9 +23,9 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw
+from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
 from hydro_bridge.settings import SettingsError, check, quantity
-from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
+from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_sim.box import kernel
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
@@ -178,6 +178,14 @@ def box_details(bench: Bench, config: BoxConfig, ages: Sensors, epoch: int) -> B
         force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age,
         **{name: getattr(config, name) for name in names},
     )  # fmt: skip
+
+
+def law_state(state: np.void) -> LawState:
+    """Force law as it acted in the last sample, of a record of `kernel.STATE_DTYPE`."""
+    a_0, a_1, a_2, a_3 = state["acting"]["coefficients"].tolist()
+    scales = float(state["acting"]["velocity_compensation"]), float(state["acting"]["valve_gain_scale"])
+    reference = float(state["compensated_reference"]), float(state["compensated_reference_rate"])
+    return LawState(Law(int(state["law"])), *reference, (a_0, a_1, a_2, a_3), *scales)
 
 
 def fill_command(record: npt.NDArray[np.void], command: Command) -> None:
