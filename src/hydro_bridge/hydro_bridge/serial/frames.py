@@ -12,7 +12,7 @@ from hydro_bridge.signals import NEUTRAL, Coefficients, Command, Law
 
 VERSION_MIN = 1
 """Lowest supported protocol version."""
-VERSION = 2
+VERSION = 3
 """Highest supported protocol version."""
 
 
@@ -24,6 +24,8 @@ class FrameType(IntEnum):
     COMMAND = 3
     DETAILS = 4
     """From version 2 on."""
+    LAW = 5
+    """From version 3 on."""
 
 
 class MalformedError(ValueError):
@@ -92,6 +94,8 @@ class BoxDetails:
     """Digest of the bench file used by its force law, 12 hexadecimal digits."""
     feedback: str = ""
     """Force that its law follows, one of `FEEDBACKS`."""
+    laws: int = 0
+    """Force laws that it offers, bit n for the `Law` n; 0, and before version 3: the paper's alone."""
     load_force_limit: float = 0.0
     """N, magnitude of the load force beyond which it trips while armed."""
     force_range: float = 0.0
@@ -192,7 +196,8 @@ class Hello(NamedTuple):
 class State(NamedTuple):
     """One sample: `values` in STATE_FIELDS order, flags, and the sequence number of the box's latest command.
 
-    From version 2 on also the numbers of values and of references that the box refused since its power-on.
+    From version 2 on also the numbers of values and of references that the box refused since its power-on, from
+    version 3 on its force law.
     """
 
     sequence: int
@@ -202,6 +207,7 @@ class State(NamedTuple):
     last_command: int
     refused: int | None = None
     refused_references: int | None = None
+    law_state: LawState | None = None
 
 
 class Details(NamedTuple):
@@ -212,6 +218,15 @@ class Details(NamedTuple):
     details: BoxDetails
 
 
+class LawFrame(NamedTuple):
+    """The LAW frame: a law that the box offers beside the paper's."""
+
+    sequence: int
+    time_us: int
+    law: Law
+    record: BoxLaw
+
+
 class CommandFrame(NamedTuple):
     """A command as the box receives it."""
 
@@ -220,4 +235,4 @@ class CommandFrame(NamedTuple):
     command: Command
 
 
-Frame = Hello | State | Details | CommandFrame
+Frame = Hello | State | Details | LawFrame | CommandFrame
