@@ -46,8 +46,8 @@ MISMATCHED = "the filter says that its model is not this bench's: no correction,
 
 def safe_command(law: BoxLaw) -> LawCommand:
     """Return the safe record of a compensated law."""
-    scales = {"velocity_compensation": law.velocity_compensation, "valve_gain_scale": law.valve_gain_scale}
-    return LawCommand(law=Law.COMPENSATED, **scales)
+    c_1, c_2 = law.velocity_compensation, law.valve_gain_scale
+    return LawCommand(law=Law.COMPENSATED, velocity_compensation=c_1, valve_gain_scale=c_2)
 
 
 @dataclass(kw_only=True)

@@ -199,13 +199,12 @@ class GraphNode(Node):
 
     def compensate(self, compensation: LiveCompensation) -> None:
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
+
+        def take(message: LawState) -> None:
+            compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
+
         FreezeService(self, compensation, self.warn)
-        self.create_subscription(
-            LawState,
-            LAW_STATE,
-            lambda message: compensation.on_law_state(message.sequence, message.law, message.compensated_reference),
-            LAW_STATE_QOS,
-        )
+        self.create_subscription(LawState, LAW_STATE, take, LAW_STATE_QOS)
 
     def tell_steps(self) -> None:
         """Publish the policy's result of each step on /hydro/policy from now on."""
