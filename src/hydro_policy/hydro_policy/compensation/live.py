@@ -4,7 +4,8 @@
     /hydro/law_state  f_c, as it acted ──┐ by sequence   ten samples of a policy step     Compensator
     /hydro/state      f, flags ──────────┴──────────────> complete, and all of them good ────────────> a_0 to a_3
 
-A policy step with a sample that is missing, or not good, holds the coefficients.
+A policy step with a sample that is missing, or not good, holds the coefficients: disarmed, saturated, tripped, another
+law, or commands that came late (FILTER_STALE says so under this law).
 """
 
 from __future__ import annotations
@@ -16,12 +17,7 @@ import numpy as np
 from hydro_bridge.safety.guard import safe_command
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawCommand
-from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
-
-HOLDS = (
-    Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.FILTER_STALE
-)  # fmt: skip
-"""Flags under which f does not show what f_c does. FILTER_STALE: under this law, that its commands came late."""
+from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
 
 RECENT = 50
 """Samples for which the last message about the law holds; there is none while the paper's law acts."""
@@ -49,17 +45,15 @@ class LiveCompensation:
     ----------
     law
         The box's compensated law.
-    settings
-        Of the estimator.
+    settings, cell
+        See `Compensator`.
     """
 
-    def __init__(self, law: BoxLaw, settings: CompensatorSettings | None = None) -> None:
+    def __init__(self, law: BoxLaw, settings: CompensatorSettings | None = None, cell: LoadCell | None = None) -> None:
         self.law = law
-        self.frozen = False
-        """Whether a person holds the coefficients."""
         self.held = 0
-        """Policy steps in which the coefficients held, frozen ones aside."""
-        self._estimator = Compensator(1, settings, law)
+        """Policy steps whose samples did not count."""
+        self._estimator = Compensator(1, settings, law, cell)
         self._safe = safe_command(law)
         self._steps: dict[int, _Step] = {}
         self._taken, self._told, self._seen = -1, -1, -1
@@ -68,6 +62,15 @@ class LiveCompensation:
         """Begin anew, at neutral coefficients."""
         self._estimator.reset()
         self._steps.clear()
+
+    @property
+    def frozen(self) -> bool:
+        """Whether a person holds the coefficients; set it to hold or to release them."""
+        return bool(self._estimator.frozen[0])
+
+    @frozen.setter
+    def frozen(self, frozen: bool) -> None:
+        self._estimator.frozen[:] = frozen
 
     @property
     def acting(self) -> Law:
@@ -85,12 +88,10 @@ class LiveCompensation:
     def health(self) -> dict[str, object]:
         """Condition of the estimator for /diagnostics."""
         values = self._estimator.coefficients[0]
-        ends = zip(values, self.law.coefficient_min, self.law.coefficient_max, strict=True)
-        stops = [f"a_{i}" for i, (a, low, high) in enumerate(ends) if min(a - low, high - a) < 1e-3 * (high - low)]
         return {
             **{f"a_{i}": float(value) for i, value in enumerate(values)},
             "excitation": float(self._estimator.excitation[0]),
-            "at a bound": ", ".join(stops) or "no",
+            "at a bound": "yes" if self._estimator.at_bound[0] else "no",
             "frozen": "yes, by a person" if self.frozen else "no",
             "policy steps held": self.held,
         }
@@ -108,7 +109,7 @@ class LiveCompensation:
         self._seen = sequence
         step, index = self._step(sequence)
         step.measured[index] = force
-        step.good &= bool(flags & Flag.ARMED) and not flags & HOLDS and not holds
+        step.good &= flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
         self._look(sequence)
 
     def _step(self, sequence: int) -> tuple[_Step, int]:
@@ -128,8 +129,8 @@ class LiveCompensation:
         if number != self._taken + 1:  # samples are missing: what is filtered begins anew
             self._take(step, good=False)
         self._taken = number
-        self._take(step, good=step.good and not self.frozen)
+        self._take(step, good=step.good)
 
     def _take(self, step: _Step, *, good: bool) -> None:
-        self.held += not good and not self.frozen
+        self.held += not good
         self._estimator.step(step.commanded[np.newaxis], step.measured[np.newaxis], np.array([good]))
