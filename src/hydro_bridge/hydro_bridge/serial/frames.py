@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from math import inf
 from typing import NamedTuple
 
 from hydro_bridge.signals import NEUTRAL, Coefficients, Command, Law
@@ -163,7 +162,7 @@ class BoxLaw:
 
 PAPER_LAW = BoxLaw(
     velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,
-    valve_gain_scale_max=1.0, reference_max=inf, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
+    valve_gain_scale_max=1.0, reference_max=1e30, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
 )  # fmt: skip
 """What the paper's law makes of the same record: nothing to shape. Its gains are those of `BoxInfo`."""
 
