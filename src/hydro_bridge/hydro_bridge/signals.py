@@ -114,6 +114,20 @@ NEUTRAL: Coefficients = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
+class LawCommand:
+    """The force law that a controller asks for, and what shapes it."""
+
+    law: Law = Law.PAPER
+    """Force law to run, taken up at arming; while armed, a command for another law leaves the safe record in force."""
+    coefficients: Coefficients = NEUTRAL
+    """Of the compensated reference; the box ramps to them."""
+    velocity_compensation: float = 1.0
+    """C_1 [-], share of h that the law compensates."""
+    valve_gain_scale: float = 1.0
+    """C_2 [-], factor on g."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ReferenceSignal:
     """The force that the box generates and tracks."""
 
@@ -129,7 +143,7 @@ class ReferenceSignal:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(LawCommand):
     """The command sent to the box each millisecond; the defaults are the safe command."""
 
     arm: bool = False
@@ -142,14 +156,6 @@ class Command:
     """A, added to the nominal valve current before saturation."""
     reference: ReferenceSignal = ReferenceSignal()
     """The force to track."""
-    law: Law = Law.PAPER
-    """Force law to run, taken up at arming; while armed, a command for another law leaves the safe record in force."""
-    coefficients: Coefficients = NEUTRAL
-    """Of the compensated reference; the box ramps to them."""
-    velocity_compensation: float = 1.0
-    """C_1 [-], share of h that the law compensates."""
-    valve_gain_scale: float = 1.0
-    """C_2 [-], factor on g."""
     corrects: int = 0
     """Sequence of the sample that `delta_u` was computed from."""
     filter_fresh: bool = False
