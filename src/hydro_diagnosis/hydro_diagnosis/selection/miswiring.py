@@ -32,6 +32,8 @@ STEP = 0.02
 """s by which a channel is moved to see which way it is late."""
 REACH = 0.15
 """s, the longest delay that is looked for."""
+DOWNHILL = 5
+"""Parabolas at most on the way to a delay."""
 PHYSICS = {
     "valve_current": (-0.02, 0.0),
     "piston_position": (-0.01, 0.02),
@@ -100,13 +102,15 @@ class _Trial:
         self._problem, self._claims, self._segments = problem, claims, segments
         self._channels = set.intersection(*(set(segment.channels) for segment in segments))
         self._before = left(self._built(segments), claims)
-        self._known: dict[Repair, float] = {}
+        self._known: dict[Repair, Left] = {}
 
     def gain(self, repair: Repair) -> float:
         """Log of the factor by which less is left after it."""
+        return gain(self._before, self._left(repair))
+
+    def _left(self, repair: Repair) -> Left:
         if repair not in self._known:
-            after = left(self._built(self.segments(repair)), self._claims)
-            self._known[repair] = gain(self._before, after)
+            self._known[repair] = left(self._built(self.segments(repair)), self._claims)
         return self._known[repair]
 
     def segments(self, repair: Repair) -> list[Segment]:
@@ -143,17 +147,23 @@ class _Trial:
         return whole if self.gain(whole) > self.gain(best) - ALIKE else best
 
     def _delays(self, field: str) -> Iterator[Advance]:
-        """The delay at the vertex of the parabola through what is left at three of them, where no cause makes it."""
-        early, late = (left(self._built(self.segments(advance(field, by))), self._claims) for by in (-STEP, STEP))
-        low, high = (
-            sum(found[name][0] / found[name][1] / self._before[name][0] * self._before[name][1] for name in found)
-            for found in (early, late)
-        )
-        bend = low + high - 2.0 * len(self._before)
-        delay = 0.5 * STEP * (low - high) / bend if bend > 0.0 else 0.0
-        delay = float(np.clip(delay, -REACH, REACH))
-        if not PHYSICS[field][0] <= delay <= PHYSICS[field][1]:
-            yield advance(field, delay)
+        """The delay that leaves least, about, where no cause makes it: downhill by parabolas through three delays."""
+        at, moved = 0.0, REACH
+        for _ in range(DOWNHILL):
+            low, middle, high = (self._squares(advance(field, at + by)) for by in (-STEP, 0.0, STEP))
+            bend = low + high - 2.0 * middle
+            vertex = 0.5 * STEP * (low - high) / bend if bend > 0.0 else REACH * float(np.sign(low - high))
+            moved = float(np.clip(at + np.clip(vertex, -2.0 * STEP, 2.0 * STEP), -REACH, REACH)) - at
+            at += moved
+            if abs(moved) < 0.5 * STEP:
+                break
+        if not PHYSICS[field][0] <= at <= PHYSICS[field][1]:
+            yield advance(field, at)
+
+    def _squares(self, repair: Repair) -> float:
+        """What is left after a repair, each channel's over what was left before."""
+        found = self._left(repair)
+        return sum(squares / count / self._before[name][0] for name, (squares, count) in found.items())
 
     def _built(self, segments: Sequence[Segment]) -> Problem:
         problem = self._problem
