@@ -2,8 +2,7 @@
 """Training of the metric: samples from windows, Adam on shuffled batches, early stopping, checkpoints.
 
 A, B and K do not depend on the metric and are in the windows already; M' comes from the network's own derivative
-along x'. An epoch is then matrix products and eigenvalues of 8 by 8 (`benchmarks.metric_training` measures it against
-finite differences).
+along x'. An epoch is then matrix products and eigenvalues of 8 by 8.
 """
 
 from __future__ import annotations
