@@ -99,6 +99,34 @@ class CorrectionStatus(IntEnum):
     MISMATCH = 7
 
 
+class Law(IntEnum):
+    """Force laws of a box (`hydro_sim.box.force_law`): the paper's, and the one with a compensated reference."""
+
+    PAPER = 0
+    COMPENSATED = 1
+
+
+Coefficients = tuple[float, float, float, float]
+"""a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] of the compensated reference f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3."""
+
+NEUTRAL: Coefficients = (1.0, 0.0, 0.0, 0.0)
+"""Coefficients with which f_c = f_r."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawCommand:
+    """The force law that a controller asks for, and what shapes it."""
+
+    law: Law = Law.PAPER
+    """Force law to run, taken up at arming; while armed, a command for another law leaves the safe record in force."""
+    coefficients: Coefficients = NEUTRAL
+    """Of the compensated reference; the box ramps to them."""
+    velocity_compensation: float = 1.0
+    """C_1 [-], share of h that the law compensates."""
+    valve_gain_scale: float = 1.0
+    """C_2 [-], factor on g."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReferenceSignal:
     """The force that the box generates and tracks."""
@@ -115,7 +143,7 @@ class ReferenceSignal:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(LawCommand):
     """The command sent to the box each millisecond; the defaults are the safe command."""
 
     arm: bool = False

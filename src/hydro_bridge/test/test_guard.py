@@ -8,9 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.safety.guard import MISMATCHED, CommandGuard, GuardSettings, narrowed
-from hydro_bridge.serial.frames import BoxInfo
-from hydro_bridge.signals import Command, CorrectionStatus, ReferenceSignal, Waveform
+from hydro_bridge.safety.guard import (
+    KEPT_WHILE_ARMED,
+    MISMATCHED,
+    NOT_OFFERED,
+    STALE_LAW,
+    CommandGuard,
+    GuardSettings,
+    narrowed,
+    safe_command,
+)  # fmt: skip
+from hydro_bridge.serial.frames import BoxInfo, BoxLaw
+from hydro_bridge.signals import NEUTRAL, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
 LIMITS = GuardSettings()
@@ -280,3 +289,121 @@ def test_no_correction_asks_for_more_than_the_valves_current():
         guard.note_sample(sequence, nominal)
         guard.set_correction(asked, CorrectionStatus.MODIFIED, sequence, 0.0)
         assert guard.command(0.0).delta_u == pytest.approx(goes_down)
+
+
+OFFERED = BoxLaw()
+SHAPED = LawCommand(
+    law=Law.COMPENSATED, coefficients=(1.05, 0.03, 1e-4, -5.0), velocity_compensation=0.2, valve_gain_scale=1.5
+)
+
+
+def compensated(**settings: object) -> CommandGuard:
+    guard = CommandGuard(settings=GuardSettings(**settings))  # type: ignore[arg-type]
+    guard.offer(OFFERED)
+    guard.set_law(SHAPED, 0.0)
+    guard.set_gains(-100.0, 5.0, 0.0)
+    guard.set_arm(True)
+    guard.set_gains(-100.0, 5.0, 0.0)
+    guard.take_events()
+    return guard
+
+
+def shaping(command: Command) -> LawCommand:
+    return LawCommand(**{name: getattr(command, name) for name in vars(SHAPED)})
+
+
+def test_the_compensated_law_goes_through_with_its_own_gains_and_without_a_filter():
+    command = compensated().command(0.1)
+    assert shaping(command) == SHAPED
+    assert (command.delta_kp, command.delta_ki, command.delta_u) == (-100.0, 5.0, 0.0) and command.filter_fresh
+
+
+def test_no_correction_acts_under_the_compensated_law():
+    guard = compensated()
+    guard.set_correction(0.01, CorrectionStatus.MODIFIED, 77, 0.0)
+    assert guard.command(0.001).delta_u == 0.0
+
+
+@pytest.mark.parametrize("silent", ["gains", "law"])
+def test_stale_gains_or_coefficients_give_the_safe_record_of_the_compensated_law(silent):
+    guard = compensated()
+    if silent == "gains":
+        guard.set_law(SHAPED, 0.25)
+    else:
+        guard.set_gains(-100.0, 5.0, 0.25)
+    for now in (0.25, 0.26):
+        command = guard.command(now)
+        assert shaping(command) == safe_command(OFFERED) and command.coefficients == NEUTRAL
+        assert (command.delta_kp, command.delta_ki) == (0.0, 0.0) and command.arm
+        assert command.filter_fresh == (silent == "gains")  # what is not commanded is shown by FILTER_STALE
+    assert guard.take_events() == [STALE_LAW] and guard.counts.stale_law == 2
+    guard.set_law(SHAPED, 0.3)
+    guard.set_gains(-100.0, 5.0, 0.3)
+    assert shaping(guard.command(0.3)) == SHAPED
+
+
+def test_mismatch_leaves_the_base_gains_of_the_compensated_law_and_its_coefficients():
+    guard = compensated()
+    guard.set_correction(0.0, CorrectionStatus.MISMATCH, 77, 0.0)
+    command = guard.command(0.001)
+    assert (command.delta_kp, command.delta_ki) == (0.0, 0.0) and shaping(command) == SHAPED
+
+
+@given(st.lists(anything, min_size=6, max_size=6), anything, anything)
+def test_whatever_law_command_comes_in_what_goes_down_is_finite_and_within_the_laws_limits(numbers, kp, ki):
+    guard = compensated()
+    wanted = LawCommand(
+        law=Law.COMPENSATED, coefficients=tuple(numbers[:4]), velocity_compensation=numbers[4],
+        valve_gain_scale=numbers[5],
+    )  # fmt: skip
+    guard.set_law(wanted, 0.1)
+    guard.set_gains(kp, ki, 0.1)
+    command = guard.command(0.1)
+    if not all(map(isfinite, numbers)):
+        assert shaping(command) == SHAPED  # dropped: the last one holds, and ages
+        assert shaping(guard.command(0.25)) == safe_command(OFFERED)
+    for a, low, high in zip(command.coefficients, OFFERED.coefficient_min, OFFERED.coefficient_max, strict=True):
+        assert low <= a <= high
+    for name in ("velocity_compensation", "valve_gain_scale", "delta_kp", "delta_ki"):
+        assert getattr(OFFERED, f"{name}_min") <= getattr(command, name) <= getattr(OFFERED, f"{name}_max")
+
+
+def test_a_coefficient_out_of_range_is_clamped_and_told_once():
+    guard = compensated()
+    for _ in range(3):
+        guard.set_law(replace(SHAPED, coefficients=(2.0, 0.03, 1e-4, -5.0)), 0.1)
+    assert guard.command(0.1).coefficients == (OFFERED.coefficient_max[0], 0.03, 1e-4, -5.0)
+    assert guard.take_events() == ["a_0 is outside [0.8, 1.25]: clamped"]
+
+
+@pytest.mark.parametrize("first", list(Law))
+def test_another_law_is_refused_while_armed_and_taken_once_disarmed(first):
+    guard = CommandGuard()
+    guard.offer(OFFERED)
+    commands = {Law.PAPER: LawCommand(), Law.COMPENSATED: SHAPED}
+    other = Law(1 - first)
+    guard.set_law(commands[first], 0.0)
+    guard.set_arm(True)
+    guard.set_law(commands[other], 0.01)
+    assert guard.command(0.02).law is first and KEPT_WHILE_ARMED in guard.take_events()
+    guard.set_arm(False)
+    guard.set_gains(50.0, 5.0, 0.03)
+    guard.set_law(commands[other], 0.03)
+    command = guard.command(0.03)
+    assert command.law is other and (command.delta_kp, command.delta_ki) == (0.0, 0.0)  # they were the other law's
+
+
+def test_a_box_without_the_compensated_law_refuses_it_and_names_the_protocol_version():
+    guard = CommandGuard()
+    guard.set_law(SHAPED, 0.0)
+    guard.set_law(SHAPED, 0.01)
+    assert guard.command(0.01) == Command() and guard.counts.laws_refused == 2
+    assert guard.take_events() == [NOT_OFFERED] and "version 3" in NOT_OFFERED
+
+
+def test_every_box_and_every_holder_begins_with_the_papers_law():
+    for forget in (lambda guard: guard.offer(None), lambda guard: guard.offer(OFFERED), CommandGuard.release_law):
+        guard = compensated()
+        guard.set_arm(False)
+        forget(guard)
+        assert guard.command(0.01) == Command()

@@ -30,6 +30,8 @@ from hydro_bridge.ros import (  # noqa: E402
     CORRECTION_QOS,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
+    LAW_STATE,
+    LAW_STATE_QOS,
     STATE,
     STATE_QOS,
     Companion,
@@ -49,7 +51,7 @@ from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
 from hydro_filter.controller.loop_filter import LoopFilterSettings  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
 from hydro_filter.validation.plants import ChangingPlant, modified_truth  # noqa: E402
-from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
+from hydro_msgs.msg import BoxInfo, Correction, LawState  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
 from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
@@ -192,6 +194,25 @@ def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> No
     assert source.corrections[0].certificate_before > 0.0
     source.wait(lambda: any("BYPASSED" in status.message for status in source.diagnostics))
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+
+
+def test_under_the_compensated_law_every_answer_is_bypassed_and_under_the_papers_as_ever(
+    started: Callable[..., Source], still: FloatArray
+) -> None:
+    source = started(*CONSTANT)
+    laws = source.node.create_publisher(LawState, LAW_STATE, LAW_STATE_QOS)
+    source.wait(lambda: laws.get_subscription_count() > 0)
+    sample = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
+    for sequence in range(200):
+        if 20 <= sequence < 60:
+            laws.publish(LawState(sequence=sequence, law=1))
+            source.executor.spin_once(timeout_sec=0.002)  # before the sample, as a plant does
+        source.publish(sequence, sample)
+        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
+    statuses = [message.status for message in source.corrections]
+    assert set(statuses[:20]) == {CorrectionStatus.MODIFIED} == set(statuses[120:])
+    assert set(statuses[25:100]) == {CorrectionStatus.BYPASSED}
+    assert all(message.delta_u == 0.0 for message in source.corrections[25:100])
 
 
 def test_every_tenth_sample_is_a_hundred_hertz(started: Callable[..., Source], still: FloatArray) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
+from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.arming import HOW_TO_ARM
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, PlantSupervisor
@@ -25,6 +25,9 @@ class Heard:
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         raise AssertionError("a watch sends no gains")
+
+    def command_law(self, command: LawCommand, step: int) -> None:
+        raise AssertionError("a watch commands no law")
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         raise AssertionError("a watch does not learn")

@@ -13,7 +13,10 @@ from hydro_bridge.bags.recording import messages
 from hydro_bridge.settings import SettingsError
 
 _STAMP = Struct("<iI")
-_STAMPED = ("BenchState", "BoxInfo", "Correction", "Gains", "TrainingStatus", "DiagnosticArray")
+_STAMPED = {
+    "BenchState", "BoxInfo", "BoxLaw", "Correction", "Gains", "LawCommand", "LawState", "TrainingStatus",
+    "DiagnosticArray",
+}  # fmt: skip
 
 
 def restamp(data: bytes, time_ns: int) -> bytes:

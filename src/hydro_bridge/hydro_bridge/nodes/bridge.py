@@ -105,6 +105,7 @@ class BridgeNode(PlantNode):
             self._thread.join(2.0)
 
     def _publish(self, sample: State, stamp_ns: int, flags: int) -> None:
+        self.publish_law_state(stamp_ns, sample.sequence, sample.law_state)
         self.publish_state(stamp_ns, sample.sequence, sample.values, flags)
 
     def _on_box(self, info: BoxInfo) -> None:
@@ -114,7 +115,7 @@ class BridgeNode(PlantNode):
             self.get_logger().warning(
                 f"this box is not what was expected: {self.link.foreign}: give the bridge its own bench.yaml by --bench"
             )
-        self.publish_box(known_box(info, self._bench, "bridge", self.link.details))
+        self.publish_box(known_box(info, self._bench, "bridge", self.link.details), self.link.law)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -168,11 +168,12 @@ class Gate:
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
-        """Reset the plant when its holder changes: no reference, and after a silent holder no armed plant, remains."""
+        """Begin anew with another holder: no reference or law, and after a silent holder no armed plant, remains."""
         if succeeds and self._plant.guard.armed:
             self._plant.arm(False)
         with self._plant.lock:
             self._plant.guard.set_reference(ReferenceSignal())
+            self._plant.guard.release_law()
         self._follow()
 
     def _look(self) -> None:

@@ -3,9 +3,9 @@
 
 ::
 
-    /hydro/gains, /hydro/correction, /hydro/reference ──> guard ─┐
-    /hydro/claim, /hydro/arm ─────────────────────────> gate     ├─ PlantSide (a serial line, a simulation)
-    /hydro/state, /hydro/box <────── publish_state, publish_box ──┘
+    /hydro/gains, /hydro/law, /hydro/correction, /hydro/reference ──> guard ─┐
+    /hydro/claim, /hydro/arm ─────────────────────────────────────> gate     ├─ PlantSide (serial line, simulation)
+    /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law <── publish_… ──┘
 
 The gate decides whose commands are accepted. While two nodes publish one of these topics the status is ERROR, nothing
 can be armed, and an armed plant is disarmed.
@@ -25,11 +25,17 @@ from rclpy.node import Node
 from hydro_bridge.nodes.gate import Gate
 from hydro_bridge.ros import (
     BOX,
+    BOX_LAW,
+    BOX_LAW_QOS,
     BOX_QOS,
     CORRECTION,
     CORRECTION_QOS,
     GAINS,
     GAINS_QOS,
+    LAW,
+    LAW_QOS,
+    LAW_STATE,
+    LAW_STATE_QOS,
     REFERENCE,
     REFERENCE_QOS,
     STATE,
@@ -39,13 +45,19 @@ from hydro_bridge.ros import (
     StateMessage,
     Status,
     box_to_message,
+    fill_law_state,
+    law_command_from_message,
+    law_to_message,
     reference_from_message,
     with_publisher_conflicts,
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.signals import Flag, flag_names
-from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, ReferenceSignal
+from hydro_bridge.serial.frames import BoxLaw, LawState
+from hydro_bridge.signals import Flag, Law, flag_names
+from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, LawCommand, ReferenceSignal
+from hydro_msgs.msg import BoxLaw as BoxLawMessage
+from hydro_msgs.msg import LawState as LawStateMessage
 
 
 class PlantSide(Protocol):
@@ -68,7 +80,7 @@ class PlantSide(Protocol):
 
 
 class PlantNode(Node):
-    """Publishes /hydro/state and /hydro/box; receives gains, corrections, reference and arming.
+    """Publishes state and box, and its force law; receives gains, law, corrections, reference and arming.
 
     Call `connect` once the plant's side exists; nothing is subscribed before.
     """
@@ -77,7 +89,11 @@ class PlantNode(Node):
         super().__init__(name)
         self._publisher = self.create_publisher(BenchState, STATE, STATE_QOS)
         self._state = StateMessage()
+        self._law_publisher = self.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
+        self._law_state = LawStateMessage()
+        self._law_state.header.frame_id = self._state.message.header.frame_id
         self._box_publisher = self.create_publisher(BoxInfo, BOX, BOX_QOS)
+        self._box_law_publisher = self.create_publisher(BoxLawMessage, BOX_LAW, BOX_LAW_QOS)
         self._flags, self._tripped = 0, False
 
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
@@ -92,7 +108,8 @@ class PlantNode(Node):
         gains = self.create_subscription(Gains, GAINS, self._on_gains, GAINS_QOS)
         correction = self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
         reference = self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
-        for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference)):
+        law = self.create_subscription(LawCommand, LAW, self._on_law, LAW_QOS)
+        for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference), (LAW, law)):
             self.gate.listen(topic, heard)  # no callback runs before the node is spun
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = DiagnosticsPublisher(self, self._status)
@@ -102,9 +119,21 @@ class PlantNode(Node):
         self._flags = flags
         self._publisher.publish(self._state.fill(stamp_ns, sequence, values, flags))
 
-    def publish_box(self, box: KnownBox) -> None:
-        """Publish the box's identity and assumed bench: at the start, and whenever it may be another box."""
-        self._box_publisher.publish(box_to_message(box, self.get_clock().now().to_msg()))
+    def publish_law_state(self, stamp_ns: int, sequence: int, state: LawState | None) -> None:
+        """Publish the force law of a sample, before the sample itself; the paper's law is not worth a message."""
+        if state is not None and state.law is not Law.PAPER:
+            self._law_publisher.publish(fill_law_state(self._law_state, stamp_ns, sequence, state))
+
+    def publish_box(self, box: KnownBox, law: BoxLaw | None) -> None:
+        """Publish the box's identity, assumed bench and compensated law, None: it has none, and offer it to the guard.
+
+        At the start, and whenever it may be another box.
+        """
+        with self.side.lock:
+            self.side.guard.offer(law)
+        now = self.get_clock().now().to_msg()
+        self._box_law_publisher.publish(law_to_message(law, now))
+        self._box_publisher.publish(box_to_message(box, now))
 
     def gained(self) -> None:
         """Hook, called when gains have been accepted."""
@@ -115,6 +144,16 @@ class PlantNode(Node):
         with self.side.lock:
             self.side.guard.set_gains(message.delta_kp, message.delta_ki, self._now())
         self.gained()
+
+    def _on_law(self, message: LawCommand) -> None:
+        if not self.gate.admits(LAW, message.epoch):
+            return
+        wanted = law_command_from_message(message)
+        if wanted is None:
+            self.get_logger().warning(f"unknown force law {message.law}: refused", throttle_duration_sec=5.0)
+            return
+        with self.side.lock:
+            self.side.guard.set_law(wanted, self._now())
 
     def _on_correction(self, message: Correction) -> None:
         if not self.gate.admits(CORRECTION, message.epoch):

@@ -23,8 +23,10 @@ from hydro_bridge.cli.console import command
 from hydro_bridge.ros import (
     ARM_SERVICE,
     BOX,
+    BOX_LAW,
     CLAIM_SERVICE,
     GRAPH,
+    LAW_STATE,
     STATE,
     DiagnosticsPublisher,
     Status,
@@ -106,7 +108,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     parser.add_argument("--keep-stamps", action="store_true", help="leave the stamps as they were recorded")
-    parser.add_argument("--topics", nargs="+", default=[STATE, BOX], metavar="TOPIC", help=f"default: {STATE} {BOX}")
+    usual = [STATE, BOX, LAW_STATE, BOX_LAW]
+    parser.add_argument(
+        "--topics", nargs="+", default=usual, metavar="TOPIC", help=f"default, as far as recorded: {' '.join(usual)}"
+    )
     return parser
 
 

@@ -15,7 +15,7 @@ from rclpy.service import Service
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from hydro_bridge.ros.messages import reference_to_message
+from hydro_bridge.ros.messages import fill_law_command, reference_to_message
 from hydro_bridge.ros.topics import (
     AUTHORITY,
     AUTHORITY_QOS,
@@ -23,11 +23,14 @@ from hydro_bridge.ros.topics import (
     END_SERVICE,
     GAINS,
     GAINS_QOS,
+    LAW,
+    LAW_QOS,
     REFERENCE,
     REFERENCE_QOS,
 )
-from hydro_bridge.signals import ReferenceSignal
+from hydro_bridge.signals import LawCommand, ReferenceSignal
 from hydro_msgs.msg import Authority, Gains
+from hydro_msgs.msg import LawCommand as LawMessage
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import Claim
 
@@ -65,6 +68,8 @@ class Commander:
         self._gains = Gains()
         self._gains_publisher: Publisher | None = None
         self._reference_publisher: Publisher | None = None
+        self._law = LawMessage()
+        self._law_publisher: Publisher | None = None  # from the first command of a law on
         self._words = node.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
 
     @property
@@ -99,6 +104,17 @@ class Commander:
         if self._gains_publisher is not None:
             self._gains_publisher.publish(message)
         return message
+
+    def law(self, command: LawCommand, step: int = 0) -> None:
+        """Publish the force law to run if this node may; without this, it is the paper's."""
+        if not self.held:
+            return
+        if self._law_publisher is None:
+            self._law_publisher = self._node.create_publisher(LawMessage, LAW, LAW_QOS)
+        message = fill_law_command(self._law, command)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.step, message.epoch = step, self._epoch
+        self._law_publisher.publish(message)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track; without the authority, as soon as it is granted."""
@@ -160,10 +176,10 @@ class Commander:
     def _lose(self, why: str) -> None:
         self._claim = self._epoch = 0
         self._answer = self._reference = None
-        for publisher in (self._gains_publisher, self._reference_publisher):
+        for publisher in (self._gains_publisher, self._reference_publisher, self._law_publisher):
             if publisher is not None:
                 self._node.destroy_publisher(publisher)
-        self._gains_publisher = self._reference_publisher = None
+        self._gains_publisher = self._reference_publisher = self._law_publisher = None
         if self._end_service is not None:
             self._node.destroy_service(self._end_service)
         self._end_service = None

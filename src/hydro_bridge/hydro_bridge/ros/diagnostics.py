@@ -33,10 +33,13 @@ class Status:
 
 
 class DiagnosticsPublisher:
-    """Publishes the status that `collect` returns, once a second of the steady clock."""
+    """Publishes the status that `collect` returns, once a second of the steady clock, by default in the node's name."""
 
-    def __init__(self, node: Node, collect: Callable[[], Status], *, hardware_id: str = "hydro") -> None:
+    def __init__(
+        self, node: Node, collect: Callable[[], Status], *, hardware_id: str = "hydro", name: str = ""
+    ) -> None:
         self._node, self._collect, self._hardware_id = node, collect, hardware_id
+        self._name = name or node.get_name()
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, DIAGNOSTICS_QOS)
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -48,7 +51,7 @@ class DiagnosticsPublisher:
         array.status = [
             DiagnosticStatus(
                 level=bytes([status.level]),
-                name=self._node.get_name(),
+                name=self._name,
                 message=status.message,
                 hardware_id=self._hardware_id,
                 values=[KeyValue(key=key, value=_shown(value)) for key, value in status.values.items()],

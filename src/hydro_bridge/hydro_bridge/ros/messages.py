@@ -8,10 +8,13 @@ from dataclasses import fields
 from typing import Any
 
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.serial.frames import BoxInfo
-from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
+from hydro_bridge.serial.frames import BoxInfo, BoxLaw, LawState
+from hydro_bridge.signals import STATE_FIELDS, Law, LawCommand, ReferenceSignal, Waveform
 from hydro_msgs.msg import BenchState
 from hydro_msgs.msg import BoxInfo as BoxMessage
+from hydro_msgs.msg import BoxLaw as BoxLawMessage
+from hydro_msgs.msg import LawCommand as LawCommandMessage
+from hydro_msgs.msg import LawState as LawStateMessage
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 
 
@@ -90,3 +93,55 @@ def box_from_message(message: BoxMessage) -> KnownBox:
     info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
     texts = {name: getattr(message, name) for name in ("plant", "bench_digest", "bench")}
     return KnownBox(info=info, **texts)
+
+
+_LAW_NUMBERS = tuple(entry.name for entry in fields(BoxLaw))
+
+
+def law_to_message(law: BoxLaw | None, stamp: Any) -> BoxLawMessage:
+    """Return the message of a box's compensated law, None: it has none; `stamp` is a builtin_interfaces/Time."""
+    numbers = {} if law is None else {name: getattr(law, name) for name in _LAW_NUMBERS}
+    message = BoxLawMessage(offered=law is not None, **numbers)
+    message.header.stamp = stamp
+    return message
+
+
+def law_from_message(message: BoxLawMessage) -> BoxLaw | None:
+    """Return a box's compensated law from its message; None: it has none."""
+    if not message.offered:
+        return None
+    numbers: dict[str, Any] = {name: getattr(message, name) for name in _LAW_NUMBERS}
+    return BoxLaw(**{name: value if isinstance(value, float) else tuple(value) for name, value in numbers.items()})
+
+
+def fill_law_command(message: LawCommandMessage, command: LawCommand) -> LawCommandMessage:
+    """Write a command into a message, all but its stamp, step and epoch; returns it."""
+    message.law = int(command.law)
+    message.a_0, message.a_1, message.a_2, message.a_3 = command.coefficients
+    message.velocity_compensation = command.velocity_compensation
+    message.valve_gain_scale = command.valve_gain_scale
+    return message
+
+
+def law_command_from_message(message: LawCommandMessage) -> LawCommand | None:
+    """Return the plain command of a force law; None for an unknown law."""
+    if message.law not in tuple(Law):
+        return None
+    return LawCommand(
+        law=Law(message.law),
+        coefficients=(message.a_0, message.a_1, message.a_2, message.a_3),
+        velocity_compensation=message.velocity_compensation,
+        valve_gain_scale=message.valve_gain_scale,
+    )
+
+
+def fill_law_state(message: LawStateMessage, stamp_ns: int, sequence: int, state: LawState) -> LawStateMessage:
+    """Write the force law of sample `sequence` into a message, which runs at 1 kHz; returns it."""
+    stamp = message.header.stamp
+    stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    message.sequence, message.law = sequence, int(state.law)
+    message.compensated_reference = state.compensated_reference
+    message.compensated_reference_rate = state.compensated_reference_rate
+    message.a_0, message.a_1, message.a_2, message.a_3 = state.coefficients
+    message.velocity_compensation, message.valve_gain_scale = state.velocity_compensation, state.valve_gain_scale
+    return message

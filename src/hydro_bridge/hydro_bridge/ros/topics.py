@@ -13,8 +13,11 @@ from hydro_msgs.msg import (
     Authority,
     BenchState,
     BoxInfo,
+    BoxLaw,
     Correction,
     Gains,
+    LawCommand,
+    LawState,
     PolicyStep,
     ReferenceSignal,
     TrainingStatus,
@@ -23,6 +26,9 @@ from hydro_msgs.msg import (
 STATE = "/hydro/state"
 GAINS = "/hydro/gains"
 BOX = "/hydro/box"
+LAW = "/hydro/law"
+LAW_STATE = "/hydro/law_state"
+BOX_LAW = "/hydro/box_law"
 AUTHORITY = "/hydro/authority"
 CORRECTION = "/hydro/correction"
 REFERENCE = "/hydro/reference"
@@ -37,6 +43,7 @@ ARM_SERVICE = "/hydro/arm"
 CLAIM_SERVICE = "/hydro/claim"
 OVERRIDE_SERVICE = "/hydro/override"
 END_SERVICE = "/hydro/end"
+FREEZE_SERVICE = "/hydro/freeze_compensation"
 
 
 def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
@@ -52,7 +59,10 @@ STATE_QOS = _qos(200, reliable=False)
 """Best effort, since an old sample has no value; the queue holds 200 ms of samples for a delayed reader."""
 CORRECTION_QOS = _qos(50, reliable=False)
 GAINS_QOS = _qos(10, reliable=True)
+LAW_QOS = GAINS_QOS
+LAW_STATE_QOS = STATE_QOS
 BOX_QOS = _qos(1, reliable=True, latched=True)
+BOX_LAW_QOS = BOX_QOS
 AUTHORITY_QOS = _qos(1, reliable=True, latched=True)
 REFERENCE_QOS = _qos(1, reliable=True, latched=True)
 TRAINING_QOS = _qos(10, reliable=True)
@@ -64,9 +74,12 @@ LOG_QOS = _qos(1000, reliable=True, latched=True)
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     STATE: (BenchState, STATE_QOS),
     BOX: (BoxInfo, BOX_QOS),
+    BOX_LAW: (BoxLaw, BOX_LAW_QOS),
+    LAW_STATE: (LawState, LAW_STATE_QOS),
     AUTHORITY: (Authority, AUTHORITY_QOS),
     CORRECTION: (Correction, CORRECTION_QOS),
     GAINS: (Gains, GAINS_QOS),
+    LAW: (LawCommand, LAW_QOS),
     REFERENCE: (ReferenceSignal, REFERENCE_QOS),
     TRAINING: (TrainingStatus, TRAINING_QOS),
     POLICY: (PolicyStep, POLICY_QOS),
@@ -75,5 +88,5 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
 }
 """Type and quality of service of every topic."""
 
-COMMANDS = (GAINS, REFERENCE, CORRECTION)
+COMMANDS = (GAINS, REFERENCE, CORRECTION, LAW)
 """Topics that command a plant: one publisher each, or nothing is armed."""

@@ -6,6 +6,9 @@ safe value (base gains, no correction); each case is counted, and each change is
 (`take_events`). If the filter reports that its model is not this bench's (MISMATCH), no correction passes, and only
 gains within the narrow range. If no gains arrive any more it gives the plant up: reference 0 N, disarmed. Source:
 failure table of failures.md.
+
+The compensated law has limits and a safe record of its own (`BoxLaw`), and no filter knows it: its gains pass without
+one, and no correction does. It is taken up and left only while the plant is disarmed.
 """
 
 from __future__ import annotations
@@ -14,7 +17,8 @@ from dataclasses import dataclass, field
 from math import inf, isfinite
 
 from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
-from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
 
@@ -27,7 +31,23 @@ MISMATCH that nothing may rely on it."""
 _KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
 
+NOT_OFFERED = (
+    "the compensated law is refused: this box does not offer it; a box needs protocol version 3 for it (protocol.md)"
+)
+KEPT_WHILE_ARMED = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
+UNFILTERED_LAW = (
+    "compensated law: its gains pass without the filter, which does not know it, within the law's own limits "
+    "(guard.require_filter is about the paper's law)"
+)
+STALE_LAW = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
+
 MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
+
+
+def safe_command(law: BoxLaw) -> LawCommand:
+    """Return the safe record of a compensated law."""
+    c_1, c_2 = law.velocity_compensation, law.valve_gain_scale
+    return LawCommand(law=Law.COMPENSATED, velocity_compensation=c_1, valve_gain_scale=c_2)
 
 
 @dataclass(kw_only=True)
@@ -52,6 +72,10 @@ class GuardCounts:
     """Commands for which the correction was stale."""
     stale_gains: int = 0
     """Commands for which the gains were stale."""
+    laws_refused: int = 0
+    """Commands of a force law that the box does not offer, or for another law while armed."""
+    stale_law: int = 0
+    """Commands for which gains, coefficients and scales of the compensated law were stale."""
     given_up: int = 0
     """Disarmings by the guard, see `CommandGuard.give_up`."""
 
@@ -67,6 +91,10 @@ class CommandGuard:
     counts: GuardCounts = field(default_factory=GuardCounts)
     valve_current_max: float = inf
     """A, valve limit of the box: no correction demands more, since no certificate does."""
+    offered: BoxLaw | None = None
+    """The box's compensated law; None: it has the paper's alone."""
+    _law: LawCommand = field(default_factory=LawCommand)
+    _law_at: float = -inf
     _gains: tuple[float, float] = (0.0, 0.0)
     _gains_at: float = -inf
     _delta_u: float = 0.0
@@ -122,12 +150,71 @@ class CommandGuard:
         if not good:
             self.counts.not_finite += 1
             return
-        limits = self.settings
+        limits = self.offered if self.compensated and self.offered else self.settings
         self._gains = (
             self._clamp("delta_kp", delta_kp, limits.delta_kp_min, limits.delta_kp_max),
             self._clamp("delta_ki", delta_ki, limits.delta_ki_min, limits.delta_ki_max),
         )
         self._gains_at, self._gained = now, True
+
+    @property
+    def compensated(self) -> bool:
+        """Whether the compensated law is in force."""
+        return self._law.law is Law.COMPENSATED
+
+    def set_law(self, wanted: LawCommand, now: float) -> None:
+        """Set the force law, its coefficients and scales; non-finite ones are dropped, and the last ones keep ageing.
+
+        A law that the box does not offer is refused, and another law than the present one while the plant is armed.
+        """
+        changes = wanted.law is not self._law.law
+        missing = wanted.law is Law.COMPENSATED and self.offered is None
+        self._tell("law offered", missing, NOT_OFFERED, "the force law is one that the box offers again")
+        self._tell("law armed", changes and self._arm, KEPT_WHILE_ARMED, "the present force law is commanded again")
+        if missing or (changes and self._arm):
+            self.counts.laws_refused += 1
+            return
+        numbers = (*wanted.coefficients, wanted.velocity_compensation, wanted.valve_gain_scale)
+        good = all(map(isfinite, numbers))
+        self._tell("law", not good, "coefficients are not finite: dropped, the last hold", "coefficients are finite")
+        if not good:
+            self.counts.not_finite += 1
+            return
+        if changes:
+            self._gains, self._gains_at = (0.0, 0.0), -inf  # they were added to another law's base gains
+            self._events.append(UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again")
+        self._law, self._law_at = self._within_limits(wanted), now
+
+    def offer(self, law: BoxLaw | None) -> None:
+        """Take a box's compensated law, None if it has none, and begin with the paper's."""
+        self.offered = law
+        self.release_law()
+
+    def release_law(self) -> None:
+        """Return to the paper's law, with which every holder and every box begins; it acts once disarmed."""
+        self._law, self._law_at, self._gains, self._gains_at = LawCommand(), -inf, (0.0, 0.0), -inf
+
+    def _within_limits(self, wanted: LawCommand) -> LawCommand:
+        limits = self.offered
+        if wanted.law is Law.PAPER or limits is None:
+            return LawCommand()
+        ranges = zip(wanted.coefficients, limits.coefficient_min, limits.coefficient_max, strict=True)
+        a_0, a_1, a_2, a_3 = (self._clamp(f"a_{i}", *entry) for i, entry in enumerate(ranges))
+        c_1, low, high = (
+            wanted.velocity_compensation,
+            limits.velocity_compensation_min,
+            limits.velocity_compensation_max,
+        )
+        c_1 = self._clamp("velocity_compensation", c_1, low, high)
+        c_2 = self._clamp(
+            "valve_gain_scale", wanted.valve_gain_scale, limits.valve_gain_scale_min, limits.valve_gain_scale_max
+        )
+        coefficients = (a_0, a_1, a_2, a_3)
+        return LawCommand(law=wanted.law, coefficients=coefficients, velocity_compensation=c_1, valve_gain_scale=c_2)
+
+    def law_fresh(self, now: float) -> bool:
+        """Return whether the force law was commanded within `gains_age_max`; the paper's law needs no command."""
+        return not self.compensated or now - self._law_at <= self.settings.gains_age_max
 
     def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
         """Set the filter's correction [A] for sample `sequence`; without a decision, the last one keeps ageing."""
@@ -197,8 +284,11 @@ class CommandGuard:
         return True
 
     def correction_fresh(self, now: float) -> bool:
-        """Return whether the filter decided within `correction_age_max`, and its model is this bench's."""
-        return self._answered(now) and not self._mismatched
+        """Return whether the filter decided within `correction_age_max`, and its model is this bench's.
+
+        Under the compensated law, which has no filter: whether the law is commanded. Otherwise FILTER_STALE is shown.
+        """
+        return self.law_fresh(now) if self.compensated else self._answered(now) and not self._mismatched
 
     def _answered(self, now: float) -> bool:
         return now - self._correction_at <= self.settings.correction_age_max
@@ -217,6 +307,8 @@ class CommandGuard:
         """Return the command that may be sent at time `now`."""
         if self._arm and self._gained and now - self._gains_at > self.settings.abandoned_after:
             self.give_up(f"no gains for {self.settings.abandoned_after:g} s, whoever chose them is gone")
+        if self.compensated:
+            return self._compensated_command(now)
         answered, gained = self._answered(now), self.gains_fresh(now)
         self.counts.commands += 1
         self.counts.stale_correction += not answered
@@ -237,6 +329,32 @@ class CommandGuard:
             reference=self._reference,
             corrects=self._corrects,
             filter_fresh=answered and not self._mismatched,
+        )
+
+    def _compensated_command(self, now: float) -> Command:
+        """Return the command under the compensated law: gains, coefficients and scales are fresh or safe together."""
+        safe = self.offered or BoxLaw()
+        gained, fresh = self.gains_fresh(now), self.law_fresh(now)
+        self.counts.commands += 1
+        self.counts.stale_gains += not gained
+        self.counts.stale_law += not (gained and fresh)
+        self._tell(
+            "stale law",
+            self._arm and self._gained and not (gained and fresh),
+            STALE_LAW,
+            "the compensated law is commanded",
+        )
+        shaping, gains = self._law, (0.0, 0.0) if self._mismatched else self._gains
+        if not (gained and fresh):
+            gains, shaping = (0.0, 0.0), safe_command(safe)
+        return Command(
+            arm=self._arm,
+            delta_kp=gains[0],
+            delta_ki=gains[1],
+            reference=self._reference,
+            corrects=self._corrects,
+            filter_fresh=fresh,
+            **vars(shaping),
         )
 
     def take_events(self) -> list[str]:

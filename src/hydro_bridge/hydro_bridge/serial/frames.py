@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from hydro_bridge.signals import Command
+from hydro_bridge.signals import NEUTRAL, Coefficients, Command, Law
 
 VERSION_MIN = 1
 """Lowest supported protocol version."""
-VERSION = 2
+VERSION = 3
 """Highest supported protocol version."""
 
 
@@ -23,6 +23,8 @@ class FrameType(IntEnum):
     COMMAND = 3
     DETAILS = 4
     """From version 2 on."""
+    LAW = 5
+    """From version 3 on."""
 
 
 class MalformedError(ValueError):
@@ -91,6 +93,8 @@ class BoxDetails:
     """Digest of the bench file used by its force law, 12 hexadecimal digits."""
     feedback: str = ""
     """Force that its law follows, one of `FEEDBACKS`."""
+    laws: int = 0
+    """Force laws that it offers, bit n for the `Law` n; 0, and before version 3: the paper's alone."""
     load_force_limit: float = 0.0
     """N, magnitude of the load force beyond which it trips while armed."""
     force_range: float = 0.0
@@ -113,6 +117,71 @@ class BoxDetails:
     """s, lag of its differentiated position at low frequency."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BoxLaw:
+    """A box's compensated law, from protocol version 3 on: one record, absolute limits, its own safe state.
+
+    Without commands the law's base gains, base C_1 and C_2, and `NEUTRAL` coefficients hold.
+    """
+
+    base_kp: float = 400.0
+    """1/s, proportional gain to which `delta_kp` is added."""
+    base_ki: float = 15.0
+    """1/s^2, integral gain to which `delta_ki` is added."""
+    delta_kp_min: float = -385.0
+    """1/s."""
+    delta_kp_max: float = 0.0
+    """1/s."""
+    delta_ki_min: float = -10.0
+    """1/s^2."""
+    delta_ki_max: float = 15.0
+    """1/s^2."""
+    velocity_compensation: float = 0.3
+    """C_1 [-] of the safe state."""
+    velocity_compensation_min: float = 0.0
+    """C_1 is never below."""
+    velocity_compensation_max: float = 0.5
+    """C_1 is never above."""
+    valve_gain_scale: float = 1.0
+    """C_2 [-] of the safe state."""
+    valve_gain_scale_min: float = 0.8
+    """C_2 is never below."""
+    valve_gain_scale_max: float = 3.0
+    """C_2 is never above."""
+    scale_rate: float = 1.0
+    """1/s, fastest change of C_1 and C_2."""
+    reference_max: float = 700.0
+    """N, magnitude at which f_c is cut off."""
+    coefficient_min: Coefficients = (0.8, -0.02, -0.001, -60.0)
+    """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N]."""
+    coefficient_max: Coefficients = (1.25, 0.15, 0.004, 60.0)
+    """Upper limits."""
+    coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 100.0)
+    """Fastest changes [1/s], [-], [s], [N/s]."""
+
+
+PAPER_LAW = BoxLaw(
+    velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,
+    valve_gain_scale_max=1.0, reference_max=1e30, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
+)  # fmt: skip
+"""What the paper's law makes of the same record: nothing to shape. Its gains are those of `BoxInfo`."""
+
+
+class LawState(NamedTuple):
+    """Force law of a box as it acts in one sample, from version 3 on; f_c is the force itself while disarmed."""
+
+    law: Law
+    compensated_reference: float
+    """f_c [N]."""
+    compensated_reference_rate: float
+    """f_c' [N/s]."""
+    coefficients: Coefficients
+    velocity_compensation: float
+    """C_1."""
+    valve_gain_scale: float
+    """C_2."""
+
+
 class Hello(NamedTuple):
     """HELLO: identity and protocol versions; `info` is None from the host."""
 
@@ -126,7 +195,8 @@ class Hello(NamedTuple):
 class State(NamedTuple):
     """One sample: `values` in STATE_FIELDS order, flags, and the sequence number of the box's latest command.
 
-    From version 2 on also the numbers of values and of references that the box refused since its power-on.
+    From version 2 on also the numbers of values and of references that the box refused since its power-on, from
+    version 3 on its force law.
     """
 
     sequence: int
@@ -136,6 +206,7 @@ class State(NamedTuple):
     last_command: int
     refused: int | None = None
     refused_references: int | None = None
+    law_state: LawState | None = None
 
 
 class Details(NamedTuple):
@@ -146,6 +217,15 @@ class Details(NamedTuple):
     details: BoxDetails
 
 
+class LawFrame(NamedTuple):
+    """The LAW frame: a law that the box offers beside the paper's."""
+
+    sequence: int
+    time_us: int
+    law: Law
+    record: BoxLaw
+
+
 class CommandFrame(NamedTuple):
     """A command as the box receives it."""
 
@@ -154,4 +234,4 @@ class CommandFrame(NamedTuple):
     command: Command
 
 
-Frame = Hello | State | Details | CommandFrame
+Frame = Hello | State | Details | LawFrame | CommandFrame

@@ -12,6 +12,8 @@ Where the model is not this bench's every answer is MISMATCH: nothing is correct
 Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
 the filter was started for (/hydro/box).
 
+While the box runs the compensated law (/hydro/law_state), which no metric is made for, every answer is BYPASSED.
+
 Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
 """
 
@@ -36,6 +38,8 @@ from hydro_bridge.ros import (
     CLOCK,
     CORRECTION,
     CORRECTION_QOS,
+    LAW_STATE,
+    LAW_STATE_QOS,
     STATE,
     STATE_QOS,
     DiagnosticsPublisher,
@@ -58,7 +62,7 @@ from hydro_filter.controller.filter import Result
 from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
 from hydro_filter.model.sample import Sample
 from hydro_filter.nodes.options import arguments
-from hydro_msgs.msg import Authority, BenchState, Correction
+from hydro_msgs.msg import Authority, BenchState, Correction, LawState
 
 PATIENCE = 2.0
 """s after which a wait is explained to the user."""
@@ -69,6 +73,10 @@ DISCOVERY = 0.5
 FOREIGN = 1.0
 """s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
 
+ANOTHER_LAW = 50
+"""Samples for which a message of another law than the paper's holds: one of them may be lost."""
+
+BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
 
 REMEDY = "start it with --model and --metric of this bench (`learn`, `learn_metric`), or with --metric constant"
@@ -117,6 +125,8 @@ class FilterNode(Node):
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
         self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._other_law: int | None = None  # the last sample under another law than the paper's
+        self._laws = self.create_subscription(LawState, LAW_STATE, self._on_law_state, LAW_STATE_QOS)
         # last: states are queued from now on
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
 
@@ -165,11 +175,31 @@ class FilterNode(Node):
             self.filter.skip()
         stamp = seconds(message.header.stamp)
         self._age = self._now() - stamp
-        result = self._fitting(self.filter.correct(sample_of(message), self._age))
+        if self._paper_law(message.sequence):
+            result = self._fitting(self.filter.correct(sample_of(message), self._age))
+        else:
+            result = BYPASSED
         if message.sequence % self._every:
             return
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
+
+    def _on_law_state(self, message: LawState) -> None:
+        if self._other_law is None:
+            self.get_logger().warning("the box runs the compensated law, which this filter does not know: BYPASSED")
+            self._mismatch = ""
+        self._other_law = message.sequence
+
+    def _paper_law(self, sequence: int) -> bool:
+        """Return whether the paper's law acts, the only one that the metric is made for; if again, begin anew."""
+        if self._other_law is None:
+            return True
+        if (sequence - self._other_law + ANOTHER_LAW) & 0xFFFFFFFF < 2 * ANOTHER_LAW:
+            return False
+        self._other_law = None
+        self.filter.reset()
+        self.get_logger().info("the box runs the paper's law again: the filter begins anew")
+        return True
 
     def _on_box(self, box: KnownBox) -> None:
         """Process a box's description, which may announce another bench from now on."""
@@ -237,6 +267,8 @@ class FilterNode(Node):
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
+        elif self._other_law is not None:
+            level, told = Level.OK, f"BYPASSED, the box runs the compensated law; {told}"
         if self._mismatch:
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}

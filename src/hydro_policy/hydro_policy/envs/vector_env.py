@@ -25,6 +25,7 @@ from hydro_bridge.signals import (
     STATE_DTYPE,
     Command,
     FloatArray,
+    Law,
     ReferenceSignal,
     StateArray,
 )
@@ -77,6 +78,8 @@ class VectorBench:
         self.links["gain_delay"] = 1
         self.samples: StateArray = np.zeros((count, SAMPLES_PER_STEP), STATE_DTYPE)
         """Samples of the last step, shape (benches, 10); the policy acts upon the last column."""
+        self.compensated = np.zeros((count, SAMPLES_PER_STEP))
+        """Compensated references f_c [N] of the same samples."""
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -89,9 +92,14 @@ class VectorBench:
         vector_plants.replace_plant(self.rows, index, plant)
 
     def begin(
-        self, index: int, reference: ReferenceSignal, seed: int, changes: tuple[float, float] = (0.0, 0.0)
+        self,
+        index: int,
+        reference: ReferenceSignal,
+        seed: int,
+        changes: tuple[float, float] = (0.0, 0.0),
+        law: Law = Law.PAPER,
     ) -> None:
-        """Start from rest: disarm once, arm with `reference` and gain changes, take the first sample."""
+        """Start from rest: disarm once, arm with `reference`, gain changes and law, take the first sample."""
         one = slice(index, index + 1)
         vector_plants.reset_plant(self.rows, index, seed)
         kernel.reset(self.boxes[one])
@@ -105,19 +113,35 @@ class VectorBench:
                 delta_kp=changes[0],
                 delta_ki=changes[1],
                 filter_fresh=self.filters.fresh,
+                law=law,
+                velocity_compensation=float(self.settings[index][law.name.lower()]["velocity_compensation"]),
+                valve_gain_scale=float(self.settings[index][law.name.lower()]["valve_gain_scale"]),
             ),
         )
         self.links[index]["held"] = 0.0
         vector_filter.reset_memory(self.filters, index)
         box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
         _exchange(*box, self.filters, index, vector_plants.measurements(self.rows)[index], self.samples[index, -1:])
+        self.compensated[index, -1] = self.boxes[index]["compensated_reference"]
 
-    def step(self, changes: FloatArray) -> StateArray:
-        """Advance ten samples with gain changes (delta_kp, delta_ki), shape (benches, 2); returns `samples`."""
+    def step(self, changes: FloatArray, coefficients: FloatArray | None = None) -> StateArray:
+        """Advance ten samples; returns `samples`.
+
+        Parameters
+        ----------
+        changes
+            Gain changes (delta_kp, delta_ki), shape (benches, 2).
+        coefficients
+            Of the compensated reference, shape (benches, 4); absent: as they were.
+        """
+        if coefficients is None:
+            coefficients = self.commands["shaping"]["coefficients"]
         box = self.benches, self.settings, self.boxes, self.commands
         noise = vector_plants.noise(self.rows, SAMPLES_PER_STEP)
         step = _step if type(self.rows.arrays).__module__.startswith("hydro_policy.") else _step_foreign
-        step(*box, self.filters, self.rows.arrays, self.links, np.ascontiguousarray(changes), noise, self.samples)
+        actions = np.ascontiguousarray(changes), np.array(coefficients)
+        outputs = self.samples, self.compensated
+        step(*box, self.filters, self.rows.arrays, self.links, *actions, noise, *outputs)
         return self.samples
 
 
@@ -131,7 +155,9 @@ def _exchange(bench, settings, box, command, filters, i, measurement, sample):
 
 
 @njit
-def _step(benches, settings, boxes, commands, filters, plants, links, changes, noise, samples):
+def _step(
+    benches, settings, boxes, commands, filters, plants, links, changes, coefficients, noise, samples, compensated
+):  # fmt: skip
     count, length = samples.shape
     for i in range(count):
         one, link = slice(i, i + 1), links[i]
@@ -140,10 +166,12 @@ def _step(benches, settings, boxes, commands, filters, plants, links, changes, n
             vector_plants.advance(plants, i, noise[i, k], _delayed(link, current))
             if k == link.gain_delay - 1:
                 commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
+                for j in range(4):
+                    commands[i].shaping.coefficients[j] = coefficients[i, j]
             sample = samples[i, k : k + 1]
             measurement = vector_plants.measurement(plants, i)
             _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, measurement, sample)
-            current = sample[0].valve_current
+            current, compensated[i, k] = sample[0].valve_current, boxes[i].compensated_reference
 
 
 # Kinds defined elsewhere (in a benchmark): the cache's index would name a module that others cannot import.

@@ -6,12 +6,14 @@ The protocol is that of `evaluation.session`: start from rest, settling, then wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, StateArray
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law, StateArray
+from hydro_policy.compensation.estimator import ADAPTS, Compensator
 from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.sac.policy import Policy
 from hydro_policy.task.cases import Case, EvaluationSettings
@@ -42,37 +44,53 @@ def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
     return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTIONS))
 
 
+@dataclass(frozen=True)
+class Step:
+    """What ten samples of all benches gave."""
+
+    samples: StateArray
+    """Shape (n, 10); overwritten by the next step."""
+    counted: npt.NDArray[np.bool_]
+    """Which of them are measured, behind settling and within the run, shape (n, 10)."""
+
+
 def rmse(
-    fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
+    fleet: VectorBench,
+    cases: Sequence[Case],
+    choose: Chooser,
+    settings: EvaluationSettings,
+    seed: int = 0,
+    compensator: Compensator | None = None,
 ) -> FloatArray:
     """Return the force RMSE [N] of each run, shape (n,), where bench i runs `cases[i]`; NaN if the box tripped."""
-    return _run(fleet, cases, choose, settings, seed, keep=False)[0]
+    squares, count, tripped = np.zeros(len(fleet)), np.zeros(len(fleet)), np.zeros(len(fleet), bool)
+    for step in run(fleet, cases, choose, settings, seed, compensator):
+        error = np.where(step.counted, step.samples["reference_force"] - step.samples["load_force"], 0.0)
+        squares += np.sum(error * error, axis=1)
+        count += step.counted.sum(axis=1)
+        tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
+    return np.where(tripped, np.nan, np.sqrt(squares / count))
 
 
-def record(
-    fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
-) -> tuple[FloatArray, StateArray]:
-    """Return the result of `rmse` and all samples after the first, shape (n, samples)."""
-    return _run(fleet, cases, choose, settings, seed, keep=True)
-
-
-def _run(
-    fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int, *, keep: bool
-) -> tuple[FloatArray, StateArray]:
+def run(
+    fleet: VectorBench,
+    cases: Sequence[Case],
+    choose: Chooser,
+    settings: EvaluationSettings,
+    seed: int = 0,
+    compensator: Compensator | None = None,
+) -> Iterator[Step]:
+    """Run `cases[i]` on bench i, step by step; with a compensator the boxes run the compensated law."""
+    law = Law.PAPER if compensator is None else Law.COMPENSATED
     for index, case in enumerate(cases):
-        fleet.begin(index, case.signal, seed)
+        fleet.begin(index, case.signal, seed, law=law)
     ends = np.array([round(settings.length(case) / SAMPLE_PERIOD) for case in cases])
     first = round(settings.settle / SAMPLE_PERIOD)
-    squares, tripped = np.zeros(len(fleet)), np.zeros(len(fleet), bool)
-    kept: list[StateArray] = []
     for start in range(1, int(ends.max()), SAMPLES_PER_STEP):
-        samples = fleet.step(choose(records(fleet.samples[:, -1], STATE_FIELDS)))
+        changes = choose(records(fleet.samples[:, -1], STATE_FIELDS))
+        samples = fleet.step(changes, None if compensator is None else compensator.coefficients)
+        if compensator is not None:
+            active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
+            compensator.step(fleet.compensated, samples["load_force"], active)
         number = start + np.arange(SAMPLES_PER_STEP)
-        counted = (number >= first) & (number < ends[:, np.newaxis])
-        error = np.where(counted, samples["reference_force"] - samples["load_force"], 0.0)
-        squares += np.sum(error * error, axis=1)
-        tripped |= np.any(samples["flags"] & Flag.TRIPPED, axis=1)
-        if keep:
-            kept.append(samples.copy())
-    errors = np.where(tripped, np.nan, np.sqrt(squares / (ends - first)))
-    return errors, np.concatenate(kept, axis=1) if keep else fleet.samples
+        yield Step(samples, (number >= first) & (number < ends[:, np.newaxis]))

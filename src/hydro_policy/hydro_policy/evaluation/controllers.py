@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers of an evaluation: a trained policy, or fixed gains."""
+"""Controllers of an evaluation: a trained policy, fixed gains, or fixed gains under the compensated law."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import FloatArray, LawCommand
+from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
@@ -29,6 +30,10 @@ class Controller(Protocol):
     @property
     def reach(self) -> GainRange:
         """Range of the gain changes that it may request."""
+
+    @property
+    def law(self) -> LawCommand:
+        """Force law that it needs, as of now."""
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """Return (delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
@@ -57,6 +62,11 @@ class FixedGains:
         kp, ki = self.proportional - self.base[0], self.integral - self.base[1]
         return GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
 
+    @property
+    def law(self) -> LawCommand:
+        """The paper's."""
+        return LawCommand()
+
     def reset(self) -> None:
         """Do nothing: there is no state."""
 
@@ -65,8 +75,42 @@ class FixedGains:
         return self.proportional - self.base[0], self.integral - self.base[1]
 
 
+class Compensated:
+    """Base gains of the compensated law, whose coefficients follow the bench.
+
+    Parameters
+    ----------
+    compensation
+        Estimator of the coefficients.
+    base
+        Base gains of the paper's law, to which `reach` is relative as any controller's.
+    """
+
+    name = "compensated"
+
+    def __init__(self, compensation: LiveCompensation, base: tuple[float, float] = BASE) -> None:
+        self._compensation, law = compensation, compensation.law
+        self.proportional, self.integral = law.base_kp, law.base_ki
+        self.reach = FixedGains(law.base_kp, law.base_ki, base).reach
+
+    @property
+    def law(self) -> LawCommand:
+        """The compensated law with the present coefficients."""
+        return self._compensation.command
+
+    def reset(self) -> None:
+        """Begin with neutral coefficients."""
+        self._compensation.reset()
+
+    def gains(self, sample: FloatArray) -> tuple[float, float]:
+        """See `Controller`."""
+        return 0.0, 0.0
+
+
 class PolicyController:
     """Mean action of a trained policy."""
+
+    law = LawCommand()
 
     def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
         self.name, self.reach = name, gains

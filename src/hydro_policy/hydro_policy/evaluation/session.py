@@ -2,7 +2,8 @@
 """Evaluation session: force RMSE of controllers, run by run on a live plant, without ROS.
 
 run       a new reference, 2 s to settle, then whole periods of at least 3 s in total over which e = f_r - f_l counts
-order     repeat, case, controller: controllers follow each other closely, so that drift of the bench affects all alike
+order     repeat, case, controller: controllers follow each other closely, so that drift of the bench affects all alike;
+          those of the compensated law last, since the plant is disarmed for another law
 failure   the box trips, or the monitor requests a stop: the run counts as stopped, and a second of calm follows. If the
           plant is lost, or a person takes the gains, the run is restarted
 """
@@ -15,18 +16,22 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydro_bridge.safety.readiness import Requirement
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
+from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_policy.task.mdp import LOAD_FORCE
 from hydro_policy.task.scoring import Score, Trace, score
 from hydro_policy.task.step_aggregator import HELD, StepClock
 
 HELD_MAX = 0.01
 """Share of a run's samples for which the box may hold base gains."""
+
+ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed anew with that"
 
 __all__ = ["EvaluationSession", "EvaluationSettings", "Score", "Trace"]
 
@@ -65,6 +70,8 @@ class EvaluationSession:
         Number of repeats of a run in which the box held base gains for too long (`HELD_MAX`).
     requirements
         Requirements before arming, besides plant and filter.
+    compensation
+        Estimator of the controller under the compensated law, if there is one.
     lead
         s that each controller's first run settles longer; then each controller makes all its runs before the next.
     """
@@ -82,6 +89,7 @@ class EvaluationSession:
         monitor: SafetyMonitor | None = None,
         retries: int = 0,
         requirements: Sequence[Requirement] = (),
+        compensation: LiveCompensation | None = None,
         lead: float = 0.0,
     ) -> None:
         if not controllers:
@@ -91,7 +99,8 @@ class EvaluationSession:
         self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
         if lead:
             self.plan.sort(key=lambda run: controllers.index(run[2]))
-        self._lead = lead
+        self.plan.sort(key=lambda run: run[2].law.law)
+        self._lead, self.compensation = lead, compensation
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
@@ -131,6 +140,8 @@ class EvaluationSession:
         self.watch.on_sample(flags, now)
         if self.finished:
             return False
+        if self.compensation is not None:
+            self._follow_law(self.compensation, sequence, sample, flags)
         if not flags & Flag.ARMED:
             if flags & Flag.TRIPPED:
                 self._on_trip()
@@ -139,17 +150,39 @@ class EvaluationSession:
         held = self.override.gains(now)
         if held is not None:
             self._run = None
-            return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
+            return self._publish(self._in_law(held)) if sequence % SAMPLES_PER_STEP == 0 else False
         if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
             self._run = None  # restarted once the filter fits
             self.watch.acted(now)
-            return self._publish(FALLBACK) if sequence % SAMPLES_PER_STEP == 0 else False
+            return self._publish(self._in_law(FALLBACK)) if sequence % SAMPLES_PER_STEP == 0 else False
         if self._run is None:
             if not self.watch.may_begin(now):
                 return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))
             self._run = self._begin(sequence)
         self.watch.acted(now)
         return self._advance(self._run, sequence, sample, flags)
+
+    def _follow_law(self, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int) -> None:
+        """Command the law of the present controller, or the next; a plant armed with another is disarmed first."""
+        law = self._controller.law
+        holds = self._run is None or law.law is Law.PAPER or self.watch.mismatched
+        compensation.on_sample(sequence, float(sample[LOAD_FORCE]), flags, holds=holds)
+        if flags & Flag.ARMED and compensation.acting is not law.law:
+            self._run = None
+            self.watch.spoil(ANOTHER_LAW)
+        elif sequence % SAMPLES_PER_STEP == 0:
+            self._outputs.command_law(law, self._steps)
+
+    def _in_law(self, gains: tuple[float, float]) -> tuple[float, float]:
+        """Return changes [1/s], [1/s^2] of the paper's base gains as changes of those of the present law."""
+        if self.compensation is None or self._controller.law.law is Law.PAPER:
+            return gains
+        base, law = self.override.base, self.compensation.law
+        return base[0] + gains[0] - law.base_kp, base[1] + gains[1] - law.base_ki
+
+    @property
+    def _controller(self) -> Controller:
+        return self.plan[len(self.scores)][2]
 
     def on_tick(self, now: float) -> None:
         """Handle a tick, some twenty times a second."""

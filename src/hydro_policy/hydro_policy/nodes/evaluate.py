@@ -3,6 +3,7 @@
 
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --fixed 15 5
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --grid --multisine --steps --repeats 5
+ros2 run hydro_policy evaluate --plant emulator --law compensated
 """
 
 from __future__ import annotations
@@ -38,6 +39,13 @@ def parser() -> argparse.ArgumentParser:
         action="append",
         metavar=("KP", "KI"),
         help="fixed gains (default: 90 15 and 15 5)",
+    )
+    what.add_argument(
+        "--law",
+        choices=("paper", "compensated"),
+        default="paper",
+        help="compensated: the box's compensated law with its base gains, too, its coefficients fitted meanwhile; each "
+        "run begins with neutral ones (default: the paper's law alone)",
     )
     what.add_argument(
         "--grid",

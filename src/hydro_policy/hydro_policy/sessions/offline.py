@@ -13,16 +13,25 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal
+from hydro_bridge.signals import (
+    SAMPLE_PERIOD,
+    STATE_FIELDS,
+    CorrectionStatus,
+    FloatArray,
+    Law,
+    LawCommand,
+    ReferenceSignal,
+)
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Corrector
+from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, SaveRequest
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.snapshot import dump
 from hydro_policy.sessions.session import Session
 from hydro_policy.supervision.outputs import Outputs
-from hydro_sim.box.box import Box, BoxConfig
+from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
@@ -117,6 +126,7 @@ class OfflineGraph(Outputs):
         self.corrector, self.answer = corrector, PASSED
         self.box, self.plant, self.time = Box(bench, config), plant, 0.0
         self.guard = CommandGuard(settings=guard or GuardSettings())
+        self.guard.offer(self.box.config.compensated)
         self.sentences: list[str] = []
         self.gains_published: list[tuple[float, float, int]] = []
         self.steps: list[tuple[int, tuple[float, float], float, int]] = []
@@ -127,6 +137,10 @@ class OfflineGraph(Outputs):
         """See `Outputs`."""
         self.gains_published.append((delta_kp, delta_ki, step))
         self.guard.set_gains(delta_kp, delta_ki, self.time)
+
+    def command_law(self, command: LawCommand, step: int) -> None:
+        """See `Outputs`."""
+        self.guard.set_law(command, self.time)
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """See `Outputs`."""
@@ -157,14 +171,23 @@ class OfflineGraph(Outputs):
         self.time += SAMPLE_PERIOD
         return output
 
-    def run(self, session: Session, seconds: float, learner: InlineLearner | None = None) -> None:
-        """Drive `session` until it is finished or `seconds` of bench time are over."""
+    def run(
+        self,
+        session: Session,
+        seconds: float,
+        learner: InlineLearner | None = None,
+        compensation: LiveCompensation | None = None,
+    ) -> None:
+        """Drive `session` until it is finished or `seconds` of bench time are over; `compensation` hears the law."""
         end = self.time + seconds - 0.5 * SAMPLE_PERIOD
         tick = 0
         while self.time < end and not session.finished:
             record = self.sample()
             values = np.array([record[name] for name in STATE_FIELDS])
             session.on_correction(self.answer.after, self.answer.status)
+            law = law_state(self.box.state[0])
+            if compensation is not None and law.law is not Law.PAPER:
+                compensation.on_law_state(int(record["sequence"]), law.law, law.compensated_reference)
             if (
                 session.on_sample(int(record["sequence"]), values, int(record["flags"]), self.time)
                 and learner is not None

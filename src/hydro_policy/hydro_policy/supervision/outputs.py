@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from hydro_bridge.signals import ReferenceSignal
+from hydro_bridge.signals import LawCommand, ReferenceSignal
 
 
 class Outputs(Protocol):
@@ -13,6 +13,9 @@ class Outputs(Protocol):
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """Publish gains [1/s], [1/s^2]."""
+
+    def command_law(self, command: LawCommand, step: int) -> None:
+        """Publish the force law to run; a plant of which none is asked runs the paper's."""
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """Report a learning policy's result of `step`, once its gains are sent; see `PolicyStep.msg`.

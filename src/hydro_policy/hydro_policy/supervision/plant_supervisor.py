@@ -146,6 +146,10 @@ class PlantSupervisor:
             return f"{waited}: it is disarmed, so that the force law begins anew"
         return self._spoilt
 
+    def spoil(self, why: str) -> None:
+        """Let no controller begin until the plant has been disarmed and armed anew; `why` is reported."""
+        self._spoilt = self._spoilt or why
+
     @property
     def calming(self) -> bool:
         """Whether the force is still recovering from a stop, which requires base gains."""

@@ -17,19 +17,22 @@ person or the trainer must arm anew. Outcomes: the failure table of failures.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, field, fields, replace
 from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS, BoxDetails, BoxInfo
+from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
 from hydro_bridge.settings import SettingsError, check, quantity
-from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
+from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_sim.box import kernel
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
+
+_LAW_TOLD = np.dtype([(name, np.float32, kernel.LAW_DTYPE[name].shape) for name in kernel.LAW_DTYPE.names or ()])
+"""The compensated law as LAW tells it: a host that keeps to the limits that it was told never exceeds them."""
 
 RATE_RANGE = 1e8
 """Largest magnitude [N/s] of a differentiated force: a load cell's full range within a tenth of a sample."""
@@ -39,6 +42,9 @@ VELOCITY_RANGE = 10.0
 
 Integral = Literal["bumpless", "paper"]
 """Forms of the force law's integral (`hydro_sim.box.force_law`)."""
+
+LAWS = 1 << Law.PAPER | 1 << Law.COMPENSATED
+"""Laws of this box, as DETAILS has them."""
 
 EMULATED_BOX = "hydro emulator"
 """Name of the emulator's box on the line: no person stands beside that one."""
@@ -82,6 +88,8 @@ class BoxConfig:
     """Force in the tracking error; the paper writes `hydraulic` once, its objective is `load`."""
     integral: Integral = "bumpless"
     """What the law's integrator carries: `bumpless` K_i e, so that new gains change its slope, `paper` e alone."""
+    compensated: BoxLaw = field(default_factory=BoxLaw)
+    """The compensated law. The gains above are the paper's."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -91,8 +99,11 @@ class BoxConfig:
     def constants(self, bench: Bench) -> npt.NDArray[np.void]:
         """Return the settings for the compiled box: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""
         record = np.zeros(1, kernel.SETTINGS_DTYPE)
-        for name in set(record.dtype.names or ()) & {entry.name for entry in fields(self)}:
+        for name in (set(record.dtype.names or ()) & {entry.name for entry in fields(self)}) - {"compensated"}:
             record[name] = getattr(self, name)
+        record["compensated"] = np.array(astuple(self.compensated), _LAW_TOLD)
+        own = {entry.name: getattr(self, entry.name) for entry in fields(BoxLaw) if hasattr(self, entry.name)}
+        record["paper"] = astuple(replace(PAPER_LAW, **own))
         record["integral_form"] = INTEGRAL_FORMS.index(self.integral)
         rest = hydraulics.rest_state(bench.constants()[0])
         still = hydraulics.input_gain(bench.constants()[0], rest[2], rest[0], rest[1], 1.0)
@@ -168,15 +179,25 @@ def box_details(bench: Bench, config: BoxConfig, ages: Sensors, epoch: int) -> B
     """The DETAILS of a box with these settings; `ages` of its rates, `epoch` of its power-on."""
     names = ("feedback", "load_force_limit", "force_range", "pressure_min", "pressure_max", "hold_timeout")
     return BoxDetails(
-        epoch=epoch, bench_digest=bench.digest, trip_timeout=config.trip_timeout,
+        epoch=epoch, bench_digest=bench.digest, laws=LAWS, trip_timeout=config.trip_timeout,
         position_min=-config.position_margin, position_max=bench.stroke + config.position_margin,
         force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age,
         **{name: getattr(config, name) for name in names},
     )  # fmt: skip
 
 
+def law_state(state: np.void) -> LawState:
+    """Force law as it acted in the last sample, of a record of `kernel.STATE_DTYPE`."""
+    a_0, a_1, a_2, a_3 = state["acting"]["coefficients"].tolist()
+    scales = float(state["acting"]["velocity_compensation"]), float(state["acting"]["valve_gain_scale"])
+    reference = float(state["compensated_reference"]), float(state["compensated_reference_rate"])
+    return LawState(Law(int(state["law"])), *reference, (a_0, a_1, a_2, a_3), *scales)
+
+
 def fill_command(record: npt.NDArray[np.void], command: Command) -> None:
     """Write a command into one record of `kernel.COMMAND_DTYPE`, shape (1,)."""
     signal = command.reference
     reference = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
-    record[0] = (command.arm, command.filter_fresh, command.delta_kp, command.delta_ki, command.delta_u, reference)
+    gains = (command.delta_kp, command.delta_ki, command.delta_u)
+    shaping = (command.coefficients, command.velocity_compensation, command.valve_gain_scale)
+    record[0] = (command.arm, command.filter_fresh, *gains, reference, command.law, shaping)

@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The feedback-linearising force law (paper eq. q24, with the policy's gains eq. fl_rl).
+"""The feedback-linearising force law (paper eq. q24, with the policy's gains eq. fl_rl), and its compensated form.
 
-    u_nom = ( f_r' + K_p e + I  -  h(x_p, x_p') ) / g(x_p, p_a, p_b, sign u)
+    u_nom = ( f_c' + K_p e_c + I  -  C_1 h(x_p, x_p') ) / ( C_2 g(x_p, p_a, p_b, sign u) )        e_c = f_c - f
+    f_c   = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3                                                  f_c' with a', too
 
-    bumpless    I = int K_i e dt       the integrator carries a force rate: a new K_i changes its slope, not its value
-    paper       I = K_i int e dt       the integrator carries int e dt: a new K_i is a step of u_nom
+    PAPER           f_c = f_r, C_1 = C_2 = 1
+    COMPENSATED     a follows the measured force (`hydro_policy.compensation`); C_1 is below 1, since full compensation
+                    of the velocity is the unstable side where the valve has more gain than believed
+
+The integral has two forms:
+
+    bumpless    I = int K_i e_c dt     the integrator carries a force rate: a new K_i changes its slope, not its value
+    paper       I = K_i int e_c dt     the integrator carries int e_c dt: a new K_i is a step of u_nom
 
 Both are the same for a constant K_i (docs/decisions/0031-bumpless-integral.md). On the nominal bench with perfect
 sensors e' = -K_p e - I (eq. q25). g is positive, so u has the sign of the numerator and the branch of g needs no
@@ -22,7 +29,10 @@ BUMPLESS = INTEGRAL_FORMS.index("bumpless")
 
 
 @njit
-def nominal_current(bench, measurement, error, integral_action, reference_rate, proportional_gain, gain_floor):
+def nominal_current(
+    bench, measurement, error, integral_action, reference_rate, proportional_gain, gain_floor,
+    velocity_compensation=1.0, valve_gain_scale=1.0,
+):  # fmt: skip
     """u_nom [A] before correction and saturation.
 
     Parameters
@@ -32,21 +42,23 @@ def nominal_current(bench, measurement, error, integral_action, reference_rate, 
     measurement
         x, shape (8,), finite.
     error
-        e = f_r - feedback [N].
+        e_c = f_c - feedback [N].
     integral_action
         I [N/s] of `integral_action`.
     reference_rate
-        f_r' [N/s].
+        f_c' [N/s].
     proportional_gain
         K_p + delta K_p [1/s].
     gain_floor
         Smallest g that is believed [N/s/A], above zero: near a chamber's limits g vanishes and the law would call for
         any current.
+    velocity_compensation, valve_gain_scale
+        C_1, C_2.
     """
     position = min(max(measurement[6], 0.0), bench.stroke)
     wanted_rate = reference_rate + proportional_gain * error + integral_action
-    driven_rate = wanted_rate - hydraulics.velocity_term(bench, position, measurement[7])
-    gain = hydraulics.input_gain(bench, position, measurement[4], measurement[5], driven_rate)
+    driven_rate = wanted_rate - velocity_compensation * hydraulics.velocity_term(bench, position, measurement[7])
+    gain = valve_gain_scale * hydraulics.input_gain(bench, position, measurement[4], measurement[5], driven_rate)
     return driven_rate / max(gain, gain_floor)
 
 

@@ -7,41 +7,57 @@ The same compiled functions serve the call per millisecond and the offline loop:
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, Waveform
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag, Law, Waveform
 from hydro_sim.box import force_law, reference
 from hydro_sim.jit import njit
 
 ARMED, SATURATED, WATCHDOG = int(Flag.ARMED), int(Flag.SATURATED), int(Flag.WATCHDOG)
 TRIPPED, SENSOR_FAULT = int(Flag.TRIPPED), int(Flag.SENSOR_FAULT)
 FORCE_LIMIT, FILTER_STALE = int(Flag.FORCE_LIMIT), int(Flag.FILTER_STALE)
+PAPER, COMPENSATED = int(Law.PAPER), int(Law.COMPENSATED)
 LAST_WAVEFORM = int(max(Waveform))
 
-_LIMITS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max", "delta_u_max")
-_TIMES = ("load_force_limit", "hold_timeout", "trip_timeout", "gain_floor")
+LAW_DTYPE = np.dtype(
+    [(entry.name, np.float64, (4,) if entry.name.startswith("coefficient") else ()) for entry in fields(BoxLaw)]
+)
+"""`BoxLaw` for compiled code."""
+
+_LIMITS = ("delta_u_max", "load_force_limit", "hold_timeout", "trip_timeout", "gain_floor")
 SETTINGS_DTYPE = np.dtype(
-    [(name, np.float64) for name in _LIMITS + _TIMES]
+    [(name, np.float64) for name in _LIMITS]
     + [("feedback_channel", np.int64), ("integral_form", np.int64)]
-    + [("low", np.float64, (8,)), ("high", np.float64, (8,))]
+    + [("low", np.float64, (8,)), ("high", np.float64, (8,)), ("paper", LAW_DTYPE), ("compensated", LAW_DTYPE)]
 )
 """`BoxConfig` for compiled code; `integral_form` is its number in `serial.frames.INTEGRAL_FORMS`, `low` and
 `high` bound each entry of the measurement."""
 
 _COMMANDED = [("delta_kp", np.float64), ("delta_ki", np.float64), ("delta_u", np.float64)]
+SHAPING_DTYPE = np.dtype(
+    [("coefficients", np.float64, (4,)), ("velocity_compensation", np.float64), ("valve_gain_scale", np.float64)]
+)
+"""What shapes the compensated law: a_0 to a_3, C_1, C_2."""
 COMMAND_DTYPE = np.dtype(
-    [("arm", np.bool_), ("filter_fresh", np.bool_), *_COMMANDED, ("reference", reference.SIGNAL_DTYPE)], align=True
+    [("arm", np.bool_), ("filter_fresh", np.bool_), *_COMMANDED, ("reference", reference.SIGNAL_DTYPE)]
+    + [("law", np.int64), ("shaping", SHAPING_DTYPE)],
+    align=True,
 )
 STATE_DTYPE = np.dtype(
     [("sequence", np.uint32), ("faults", np.uint32), ("refused", np.int64), ("refused_references", np.int64)]
     + [(name, np.bool_) for name in ("arm_wanted", "disarm_seen", "armed", "tripped", "filter_fresh")]
     + [*_COMMANDED, ("received_at", np.float64), ("integral", np.float64), ("reference", reference.REFERENCE_DTYPE)]
-    + [("armed_at", np.float64), ("excess", np.float64)],
+    + [("armed_at", np.float64), ("excess", np.float64), ("law", np.int64), ("law_wanted", np.int64)]
+    + [("wanted", SHAPING_DTYPE), ("acting", SHAPING_DTYPE)]
+    + [("compensated_reference", np.float64), ("compensated_reference_rate", np.float64)],
     align=True,
 )
 """State of the box; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
-faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed."""
+faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed.
+`law` is the one that acts, `acting` its shaping of the last sample, with f_c [N] and f_c' [N/s] beside it."""
 
 CORRECTION_HOLD = 3.5e-3
 """Time [s] for which a command's correction acts: decided for one sample, an impulse if held (decision 64)."""
@@ -65,6 +81,17 @@ def reset(states):
     state.reference.wanted.waveform, state.reference.wanted.amplitude, state.reference.wanted.offset = 0, 0.0, 0.0
     state.reference.wanted.frequency, state.reference.wanted.phase = 1.0, 0.0
     reference.begin(state.reference, 0.0, 0.0)
+    state.law = state.law_wanted = PAPER
+    state.compensated_reference = state.compensated_reference_rate = 0.0
+    for shaping in (state.wanted, state.acting):
+        shaping.velocity_compensation = shaping.valve_gain_scale = shaping.coefficients[0] = 1.0
+        shaping.coefficients[1:] = 0.0
+
+
+@njit
+def law_of(limits, law):
+    """Record of `LAW_DTYPE` of a law by its number."""
+    return limits.compensated if law == COMPENSATED else limits.paper
 
 
 @njit
@@ -76,9 +103,15 @@ def receive(settings, states, commands, time):
     if not command.arm:
         state.disarm_seen = True
     state.filter_fresh = command.filter_fresh
-    state.delta_kp = _admitted(state, command.delta_kp, limits.delta_kp_min, limits.delta_kp_max)
-    state.delta_ki = _admitted(state, command.delta_ki, limits.delta_ki_min, limits.delta_ki_max)
-    state.delta_u = _admitted(state, command.delta_u, -limits.delta_u_max, limits.delta_u_max)
+    if command.law == PAPER or command.law == COMPENSATED:
+        state.law_wanted = command.law
+    else:
+        state.refused += 1
+    law = law_of(limits, state.law_wanted)
+    state.delta_kp = _admitted(state, command.delta_kp, 0.0, law.delta_kp_min, law.delta_kp_max)
+    state.delta_ki = _admitted(state, command.delta_ki, 0.0, law.delta_ki_min, law.delta_ki_max)
+    _admit_shaping(state, law, command.shaping)
+    state.delta_u = _admitted(state, command.delta_u, 0.0, -limits.delta_u_max, limits.delta_u_max)
     if _playable(command.reference, limits.high[limits.feedback_channel]):
         reference.copy_signal(command.reference, state.reference.wanted)
         if command.reference.waveform == reference.HOLD:
@@ -89,12 +122,25 @@ def receive(settings, states, commands, time):
 
 
 @njit
-def _admitted(state, value, low, high):
-    """The value clamped, or zero if it is not finite; either is counted."""
+def _admitted(state, value, safe, low, high):
+    """The value clamped, or the safe one if it is not finite; either is counted."""
     if low <= value <= high:
         return value
     state.refused += 1
-    return min(max(value, low), high) if math.isfinite(value) else 0.0
+    return min(max(value, low), high) if math.isfinite(value) else safe
+
+
+@njit
+def _admit_shaping(state, law, shaping):
+    """Take in a command's coefficients and scales, each within the law's limits."""
+    for i in range(4):
+        low, high = law.coefficient_min[i], law.coefficient_max[i]
+        neutral = 1.0 if i == 0 else 0.0
+        state.wanted.coefficients[i] = _admitted(state, shaping.coefficients[i], neutral, low, high)
+    safe, low, high = law.velocity_compensation, law.velocity_compensation_min, law.velocity_compensation_max
+    state.wanted.velocity_compensation = _admitted(state, shaping.velocity_compensation, safe, low, high)
+    safe, low, high = law.valve_gain_scale, law.valve_gain_scale_min, law.valve_gain_scale_max
+    state.wanted.valve_gain_scale = _admitted(state, shaping.valve_gain_scale, safe, low, high)
 
 
 @njit
@@ -118,10 +164,11 @@ def tick(bench, settings, states, measurement, time, outputs):
     _follow_disarm(state)
     _check(state, limits, measurement, time)
     _follow_arm(state, limits, measurement, time)
+    held = late or state.law != state.law_wanted
     output.time, output.sequence = time, state.sequence
     _show_measurement(measurement, output)
-    _show_gains(state, limits, late, output)
-    saturated = _control(bench[0], limits, state, measurement, late, time, output)
+    _show_gains(state, limits, held, output)
+    saturated = _control(bench[0], limits, state, measurement, late, held, time, output)
     output.flags = _flags(state, late, saturated)
     state.sequence = np.uint32(state.sequence + 1)
 
@@ -141,6 +188,7 @@ def _follow_disarm(state):
     """A disarm that was seen ends a trip and forgets its causes; if one is still there, `_check` finds it again."""
     if not state.arm_wanted:
         state.armed = False
+        state.law = state.law_wanted
         if state.disarm_seen:
             state.tripped = False
             state.faults = np.uint32(0)
@@ -175,25 +223,66 @@ def _follow_arm(state, limits, measurement, time):
     elif state.arm_wanted and not state.armed:
         state.armed, state.tripped = state.disarm_seen, not state.disarm_seen
         state.disarm_seen = False
-        state.integral = 0.0
+        state.integral, state.law = 0.0, state.law_wanted
+        _begin_shaping(state.acting, law_of(limits, state.law))
         beyond = abs(measurement[2]) - limits.load_force_limit
         state.armed_at, state.excess = time, beyond + RECOVERY_MARGIN if beyond > 0.0 else 0.0
         reference.begin(state.reference, measurement[limits.feedback_channel], time)
 
 
 @njit
-def _control(bench, limits, state, measurement, late, time, output):
+def _begin_shaping(shaping, law):
+    """Begin with the law's safe state."""
+    shaping.coefficients[0], shaping.coefficients[1:] = 1.0, 0.0
+    shaping.velocity_compensation, shaping.valve_gain_scale = law.velocity_compensation, law.valve_gain_scale
+
+
+@njit
+def _compensate(state, law, held, wave):
+    """f_c [N] and f_c' [N/s] of the reference and its derivatives; coefficients and scales come nearer by one sample.
+
+    Where f_c is cut off at its limit, f_c' is zero.
+    """
+    acting, wanted = state.acting, state.wanted
+    scales = law.scale_rate * SAMPLE_PERIOD
+    c_1 = law.velocity_compensation if held else wanted.velocity_compensation
+    c_2 = law.valve_gain_scale if held else wanted.valve_gain_scale
+    acting.velocity_compensation += min(max(c_1 - acting.velocity_compensation, -scales), scales)
+    acting.valve_gain_scale += min(max(c_2 - acting.valve_gain_scale, -scales), scales)
+    value, rate = 0.0, 0.0
+    for i in range(4):
+        neutral = 1.0 if i == 0 else 0.0
+        target, step = neutral if held else wanted.coefficients[i], law.coefficient_rate[i] * SAMPLE_PERIOD
+        change = min(max(target - acting.coefficients[i], -step), step)
+        acting.coefficients[i] += change
+        shape = wave[i] if i < 3 else 1.0
+        slope = wave[i + 1] if i < 3 else 0.0
+        value += acting.coefficients[i] * shape
+        rate += acting.coefficients[i] * slope + change / SAMPLE_PERIOD * shape
+    if abs(value) > law.reference_max:
+        return math.copysign(law.reference_max, value), 0.0
+    return value, rate
+
+
+@njit
+def _control(bench, limits, state, measurement, late, held, time, output):
     """Reference, force law and saturation into `output`; whether the current stands at its limit."""
     force = measurement[limits.feedback_channel]
     output.valve_current = output.nominal_valve_current = 0.0
     output.reference_force, output.reference_force_rate = force, 0.0
+    state.compensated_reference, state.compensated_reference_rate = force, 0.0
     if not state.armed:
+        _begin_shaping(state.acting, law_of(limits, state.law))
         return False
-    wanted, wanted_rate = reference.advance(state.reference, time)
+    wave = reference.advance(state.reference, time)
+    wanted, wanted_rate = _compensate(state, law_of(limits, state.law), held, wave)
     error = wanted - force
     k_p, k_i = output.proportional_gain, output.integral_gain
     action = force_law.integral_action(limits.integral_form, state.integral, k_i)
-    nominal = force_law.nominal_current(bench, measurement, error, action, wanted_rate, k_p, limits.gain_floor)
+    nominal = force_law.nominal_current(
+        bench, measurement, error, action, wanted_rate, k_p, limits.gain_floor, state.acting.velocity_compensation,
+        state.acting.valve_gain_scale,
+    )  # fmt: skip
     if not math.isfinite(nominal):  # nothing that was admitted leads here; the valve must not depend on that
         state.armed, state.tripped = False, True
         return False
@@ -202,7 +291,8 @@ def _control(bench, limits, state, measurement, late, time, output):
     form, step = limits.integral_form, SAMPLE_PERIOD
     state.integral = force_law.integrate(form, state.integral, error, k_i, unlimited, current, step)
     output.valve_current, output.nominal_valve_current = current, nominal
-    output.reference_force, output.reference_force_rate = wanted, wanted_rate
+    output.reference_force, output.reference_force_rate = wave[0], wave[1]
+    state.compensated_reference, state.compensated_reference_rate = wanted, wanted_rate
     return current != unlimited
 
 
@@ -215,10 +305,11 @@ def _show_measurement(measurement, output):
 
 
 @njit
-def _show_gains(state, limits, late, output):
-    """The gains in force: late commands leave the base gains."""
-    output.proportional_gain = limits.base_kp if late else limits.base_kp + state.delta_kp
-    output.integral_gain = limits.base_ki if late else limits.base_ki + state.delta_ki
+def _show_gains(state, limits, held, output):
+    """The gains in force: where commands are late, or for another law, those of the law's safe state."""
+    law = law_of(limits, state.law)
+    output.proportional_gain = law.base_kp if held else law.base_kp + state.delta_kp
+    output.integral_gain = law.base_ki if held else law.base_ki + state.delta_ki
 
 
 @njit

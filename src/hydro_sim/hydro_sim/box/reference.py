@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reference force: waveforms with exact derivatives, and cross-fades without jumps in value or rate.
+"""Reference force: waveforms with three exact derivatives, and cross-fades without jumps in value or rate.
 
 A signal runs on its own time t, zero when the box takes it up; a is its amplitude, o its offset, f its frequency:
 
@@ -10,8 +10,9 @@ MULTISINE   o + a sum_i w_i sin(2 pi f r_i t + i phase), r = sqrt(1, 3, 7, 13), 
 SMOOTH_STEP o -/+ a, half a period each; the edges are raised cosines that last an eighth of a period
 =========== ==========================================================================
 
-A new signal is faded in over 0.3 s, f_r = (1 - s) old + s new with s = 3 z^2 - 2 z^3; f_r' is its exact derivative. A
-change that comes during a fade waits for its end, and only the last one counts. Arming fades in from the force.
+A new signal is faded in over 0.3 s, f_r = (1 - s) old + s new with s = 3 z^2 - 2 z^3. A change that comes during a fade
+waits for its end, and only the last one counts. Arming fades in from the force. Derivatives are exact; at the ends of
+edges and fades, where f_r'' jumps, they are those of the side that follows, without impulses.
 """
 
 from __future__ import annotations
@@ -50,39 +51,47 @@ HOLD, SINE, MULTISINE = int(Waveform.HOLD), int(Waveform.SINE), int(Waveform.MUL
 
 @njit
 def signal(parameters, time):
-    """Value [N] and rate [N/s] of one `SIGNAL_DTYPE` record at box time [s]."""
+    """f [N], f' [N/s], f'' [N/s^2], f''' [N/s^3] of one `SIGNAL_DTYPE` record at box time [s]."""
     omega = 2.0 * math.pi * parameters.frequency
     angle = omega * (time - parameters.start)
     if parameters.waveform == HOLD:
-        shape, slope = 0.0, 0.0
+        shape, slope, second, third = 0.0, 0.0, 0.0, 0.0
     elif parameters.waveform == SINE:
         shape, slope = math.sin(angle + parameters.phase), math.cos(angle + parameters.phase)
+        second, third = -shape, -slope
     elif parameters.waveform == MULTISINE:
-        shape, slope = _multisine(angle, parameters.phase)
+        shape, slope, second, third = _multisine(angle, parameters.phase)
     else:
-        shape, slope = _smooth_step(angle + parameters.phase)
-    return parameters.offset + parameters.amplitude * shape, parameters.amplitude * omega * slope
+        shape, slope, second, third = _smooth_step(angle + parameters.phase)
+    rate = parameters.amplitude * omega
+    value = parameters.offset + parameters.amplitude * shape
+    return value, rate * slope, rate * omega * second, rate * omega * omega * third
 
 
 @njit
 def _multisine(angle, phase):
-    shape, slope = 0.0, 0.0
+    shape, slope, second, third = 0.0, 0.0, 0.0, 0.0
     for i in range(4):
         inner = RATIOS[i] * angle + (i + 1) * phase
-        shape += WEIGHTS[i] * math.sin(inner)
-        slope += WEIGHTS[i] * RATIOS[i] * math.cos(inner)
-    return shape, slope
+        sine, cosine = WEIGHTS[i] * math.sin(inner), WEIGHTS[i] * RATIOS[i] * math.cos(inner)
+        shape += sine
+        slope += cosine
+        second -= RATIOS[i] * RATIOS[i] * sine
+        third -= RATIOS[i] * RATIOS[i] * cosine
+    return shape, slope, second, third
 
 
 @njit
 def _smooth_step(angle):
-    """Shape, and its slope by the angle: from -1 to 1 at angle 0, back at pi."""
+    """Shape, and its three derivatives by the angle: from -1 to 1 at angle 0, back at pi."""
     turn = (angle / (2.0 * math.pi)) % 1.0
     side = 1.0 if turn < 0.5 else -1.0
     share = (turn % 0.5) / EDGE
     if share >= 1.0:
-        return side, 0.0
-    return -side * math.cos(math.pi * share), side * math.sin(math.pi * share) / (2.0 * EDGE)
+        return side, 0.0, 0.0, 0.0
+    steep = 1.0 / (2.0 * EDGE)
+    cosine, sine = side * math.cos(math.pi * share), side * math.sin(math.pi * share)
+    return -cosine, sine / (2.0 * EDGE), steep * steep * cosine, -steep * steep * steep * sine
 
 
 @njit
@@ -114,20 +123,25 @@ def _take_up(state, time):
 
 @njit
 def advance(state, time):
-    """f_r [N] and f_r' [N/s] at box time [s]; a fade that has ended gives way to what is wanted by now."""
+    """f_r [N] and three derivatives at box time [s]; a fade that has ended gives way to what is wanted by now."""
     if time - state.fade_start >= FADE and not _same(state.wanted, state.new):
         copy_signal(state.new, state.old)
         state.old.start = state.new.start
         _take_up(state, time)
-    value, rate = signal(state.new, time)
+    value, rate, second, third = signal(state.new, time)
     share = (time - state.fade_start) / FADE
     if share >= 1.0:
-        return value, rate
-    old_value, old_rate = signal(state.old, time)
+        return value, rate, second, third
+    old_value, old_rate, old_second, old_third = signal(state.old, time)
     blend = share * share * (3.0 - 2.0 * share)
-    blend_rate = 6.0 * share * (1.0 - share) / FADE
-    rate = (1.0 - blend) * old_rate + blend * rate + blend_rate * (value - old_value)
-    return (1.0 - blend) * old_value + blend * value, rate
+    blend_1 = 6.0 * share * (1.0 - share) / FADE
+    blend_2, blend_3 = (6.0 - 12.0 * share) / (FADE * FADE), -12.0 / (FADE * FADE * FADE)
+    gap, gap_rate, gap_second = value - old_value, rate - old_rate, second - old_second
+    third = (1.0 - blend) * old_third + blend * third
+    third += 3.0 * blend_1 * gap_second + 3.0 * blend_2 * gap_rate + blend_3 * gap
+    second = (1.0 - blend) * old_second + blend * second + 2.0 * blend_1 * gap_rate + blend_2 * gap
+    rate = (1.0 - blend) * old_rate + blend * rate + blend_1 * gap
+    return (1.0 - blend) * old_value + blend * value, rate, second, third
 
 
 def sample(reference: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -142,4 +156,4 @@ def sample(reference: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, F
 @njit
 def _sample(record, times, values, rates):
     for i in range(len(times)):
-        values[i], rates[i] = signal(record[0], times[i])
+        values[i], rates[i] = signal(record[0], times[i])[:2]

@@ -101,14 +101,14 @@ class SimNode(PlantNode):
         self.connect(self.simulation, self.simulation.clock)
         info = box_info(believed, config, SIMULATED_BOX)
         guard.valve_current_max = info.valve_current_max
-        self._known = known_box(info, believed.to_mapping(), self.get_name())
+        self._known, self._law = known_box(info, believed.to_mapping(), self.get_name()), config.compensated
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
         self.get_logger().info(request_realtime(realtime=realtime and self.simulation.real_time))
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
 
     def begin(self) -> None:
         """Start the plant's thread, once all settings are valid."""
-        self.publish_box(self._known)
+        self.publish_box(self._known, self._law)
         self._thread.start()
 
     def close(self) -> None:
@@ -122,6 +122,7 @@ class SimNode(PlantNode):
             self._time.clock.sec, self._time.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
             self._clock_publisher.publish(self._time)
         _, sequence, *values, flags = fields
+        self.publish_law_state(stamp_ns, sequence, self.simulation.law_state)
         self.publish_state(stamp_ns, sequence, values, flags)
 
     def gained(self) -> None:

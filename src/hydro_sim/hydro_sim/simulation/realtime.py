@@ -25,9 +25,10 @@ from typing import Annotated, Any
 
 from hydro_bridge.link.clock import clock_step_message
 from hydro_bridge.safety.guard import CommandGuard
+from hydro_bridge.serial.frames import LawState
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray
-from hydro_sim.box.box import Box
+from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.lockstep import LockStep
 from hydro_sim.simulation.pacing import Pacer, exact_timers
@@ -106,6 +107,12 @@ class Simulation:
     def refused(self) -> int:
         """Number of values in commands that the box altered."""
         return self._box.refused
+
+    @property
+    def law_state(self) -> LawState | None:
+        """Force law as it acted in the present sample, for `on_state` alone; None: the paper's."""
+        state = self._box.state[0]
+        return law_state(state) if state["law"] else None
 
     def clock(self) -> float:
         """The guard's clock [s]."""

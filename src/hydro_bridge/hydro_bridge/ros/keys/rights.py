@@ -14,14 +14,18 @@ from hydro_bridge.ros.topics import (
     ARM_SERVICE,
     AUTHORITY,
     BOX,
+    BOX_LAW,
     CLAIM_SERVICE,
     CLOCK,
     COMMANDS,
     CORRECTION,
     DIAGNOSTICS,
     END_SERVICE,
+    FREEZE_SERVICE,
     GAINS,
     GRAPH,
+    LAW,
+    LAW_STATE,
     LOG,
     OVERRIDE_SERVICE,
     POLICY,
@@ -72,7 +76,9 @@ def node(name: str, rights: Rights) -> Rights:
 
 _ARMING = (ARM_SERVICE, CLAIM_SERVICE)
 """Services of a plant. Our own programs call the second, under their names; the first is open to all."""
-_PLANT = Rights(publishes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING)
+_PLANT = Rights(
+    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING
+)
 
 RIGHTS: Mapping[str, Mapping[str, Rights]] = {
     "bridge": {"bridge": node("bridge", _PLANT)},
@@ -82,19 +88,21 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
             Rights(publishes=(*_PLANT.publishes, CLOCK), subscribes=_PLANT.subscribes, answers=_PLANT.answers),
         ),
     },
-    "replayer": {"replayer": node("replayer", Rights(publishes=(STATE, BOX, DIAGNOSTICS), answers=_ARMING))},
+    "replayer": {
+        "replayer": node("replayer", Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING))
+    },
     "filter": {
         "filter": node(
-            "filter", Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, BOX, AUTHORITY, CLOCK))
+            "filter", Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY, CLOCK))
         ),
     },
     "trainer": {
         "trainer": node(
             "trainer",
             Rights(
-                publishes=(GAINS, REFERENCE, TRAINING, POLICY, DIAGNOSTICS),
-                subscribes=(STATE, BOX, AUTHORITY, CORRECTION, DIAGNOSTICS),
-                answers=(OVERRIDE_SERVICE, END_SERVICE),
+                publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS),
+                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, CORRECTION, DIAGNOSTICS),
+                answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
                 calls=(CLAIM_SERVICE,),
             ),
         ),
@@ -103,9 +111,9 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
         "evaluate": node(
             "evaluate",
             Rights(
-                publishes=(GAINS, REFERENCE),
-                subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
-                answers=(OVERRIDE_SERVICE, END_SERVICE),
+                publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
+                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
+                answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
                 calls=(CLAIM_SERVICE,),
             ),
         ),

@@ -18,8 +18,12 @@ from hydro_bridge.ros import (
     refuse_unknown_parameters,
     start_page,
 )
+from hydro_bridge.safety.guard import NOT_OFFERED
+from hydro_bridge.safety.readiness import NotReadyError
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
-from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_file
+from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains, policy_file
 from hydro_policy.evaluation.gain_search import GridSession, GridSettings
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.nodes.evaluation.options import evaluation_settings, make_controllers, required_gain_range
@@ -68,10 +72,12 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             start_plant(stack, node, options, box, wanted, run)
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())
-        if not node.wait_for_plant() or node.box is None:
+        if not node.wait_for_plant(law=options.law == "compensated") or node.box is None:
             return 130
         if options.plant == "external":  # only now it is known whether the graph has a page
             start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
+        if options.law == "compensated" and node.law is None:
+            raise NotReadyError(NOT_OFFERED)
         box = BoxIdentity.of_box(node.box)
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
@@ -94,8 +100,9 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             else:
                 node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
         results = evaluate_on(
-            node, controllers, rearm=may_rearm(options), settings=settings, after=before.watch if before else None
-        )
+            node, controllers, rearm=may_rearm(options), settings=settings, after=before.watch if before else None,
+            law=node.law if options.law == "compensated" else None,
+        )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
     notes = conditions(options, box=box.told, integral=box.integral or "not told")
@@ -156,11 +163,17 @@ def evaluate_on(
     rearm: bool,
     settings: EvaluationSettings | None = None,
     after: PlantSupervisor | None = None,
+    law: BoxLaw | None = None,
 ) -> EvaluationSession:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
-    `after` is the watch of the previous session, if there was one.
+    `after` is the watch of the previous session, if there was one; with `law`, the box's compensated law is compared,
+    too.
     """
+    compensation = None if law is None else LiveCompensation(law)
+    if compensation is not None:
+        node.compensate(compensation)
+        controllers = [*controllers, Compensated(compensation, node.override.base)]
     session = EvaluationSession(
         settings or EvaluationSettings(),
         controllers,
@@ -169,6 +182,7 @@ def evaluate_on(
         after=after,
         override=node.override,
         requirements=node.requirements,
+        compensation=compensation,
     )
     bar = EvaluationProgress(session)
     try:

@@ -20,8 +20,12 @@ from rclpy.task import Future
 
 from hydro_bridge.process import endings
 from hydro_bridge.ros import (
+    BOX_LAW,
+    BOX_LAW_QOS,
     CORRECTION,
     CORRECTION_QOS,
+    LAW_STATE,
+    LAW_STATE_QOS,
     STATE,
     STATE_QOS,
     Commander,
@@ -30,6 +34,7 @@ from hydro_bridge.ros import (
     Journal,
     RecorderWatch,
     drop_realtime,
+    law_from_message,
     listen_to_box,
     request_realtime,
     seconds,
@@ -38,11 +43,15 @@ from hydro_bridge.ros import (
 )
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
-from hydro_bridge.signals import ReferenceSignal
-from hydro_msgs.msg import BenchState, Correction, Gains
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.signals import LawCommand, ReferenceSignal
+from hydro_msgs.msg import BenchState, Correction, Gains, LawState
+from hydro_msgs.msg import BoxLaw as BoxLawMessage
+from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.nodes.graph.announcements import Announcer
 from hydro_policy.nodes.graph.authority_wait import ALONE_WITHIN, AuthorityWait
 from hydro_policy.nodes.graph.companion_watch import CompanionWatch
+from hydro_policy.nodes.graph.freeze_service import FreezeService
 from hydro_policy.nodes.graph.gain_timing import GainTiming
 from hydro_policy.nodes.graph.override_service import OverrideService
 from hydro_policy.nodes.graph.policy_steps import PolicySteps
@@ -82,6 +91,9 @@ class GraphNode(Node):
         self.override = GainOverride(say=self.warn)
         self.box: KnownBox | None = None
         """Description of the plant's box, once received."""
+        self.law: BoxLaw | None = None
+        """The box's compensated law, once received; None: not yet, or it has none."""
+        self._laws_told = False
         self.successor = ""
         """Name of the node that receives the plant at the end; empty: the first to ask."""
         self.box_fault: Callable[[KnownBox], str] = lambda box: ""
@@ -102,6 +114,7 @@ class GraphNode(Node):
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         listen_to_box(self, self._on_box)
+        self.create_subscription(BoxLawMessage, BOX_LAW, self._on_box_law, BOX_LAW_QOS)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
@@ -111,10 +124,10 @@ class GraphNode(Node):
             if recording is not None and companion.name == "recorder":
                 self.requirements.append(RecorderWatch(self, recording, companion).requirement)
 
-    def wait_for_plant(self) -> bool:
+    def wait_for_plant(self, *, law: bool = False) -> bool:
         """Wait for a plant that describes its box, and check that it is the expected one; False after a signal.
 
-        Nothing is published and nothing is armed meanwhile.
+        Nothing is published and nothing is armed meanwhile. `law`: wait for what it says about its force laws, too.
 
         Raises
         ------
@@ -125,8 +138,9 @@ class GraphNode(Node):
         """
         needed = (
             requirements.plant(lambda: self._sampled < math.inf),
-            box_info_requirement(lambda: self.box is not None),
+            box_info_requirement(lambda: self.box is not None and self._laws_told),
         )
+        self._laws_told |= not law
         self._meeting, self._done = Readiness(needed, self.warn), Future()
         if self.box is not None:
             self._on_box(self.box)
@@ -183,6 +197,15 @@ class GraphNode(Node):
         """Subscribe to the filter's corrections, a thousand a second, and pass them to the session."""
         self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
 
+    def compensate(self, compensation: LiveCompensation) -> None:
+        """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
+
+        def take(message: LawState) -> None:
+            compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
+
+        FreezeService(self, compensation, self.warn)
+        self.create_subscription(LawState, LAW_STATE, take, LAW_STATE_QOS)
+
     def tell_steps(self) -> None:
         """Publish the policy's result of each step on /hydro/policy from now on."""
         self._steps = PolicySteps(self)
@@ -196,6 +219,10 @@ class GraphNode(Node):
         """See `hydro_policy.supervision.outputs.Outputs`."""
         self._gains = self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
+
+    def command_law(self, command: LawCommand, step: int) -> None:
+        """See `hydro_policy.supervision.outputs.Outputs`."""
+        self._commander.law(command, step)
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
@@ -235,7 +262,12 @@ class GraphNode(Node):
 
     def _on_box(self, box: KnownBox) -> None:
         self.box, self._wrong_box = box, self.box_fault(box)
-        if self._meeting is not None or self._wrong_box:
+        if (self._meeting is not None and self._laws_told) or self._wrong_box:
+            self._finish()
+
+    def _on_box_law(self, message: BoxLawMessage) -> None:
+        self.law, self._laws_told = law_from_message(message), True
+        if self._meeting is not None and self.box is not None:
             self._finish()
 
     def _on_state(self, message: BenchState) -> None:

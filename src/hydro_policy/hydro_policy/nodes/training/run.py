@@ -136,7 +136,8 @@ def drive(
     wait_for(learner, node)  # a finished run that was resumed: not done yet
     session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
-    results = evaluate_on(node, paper_controllers(session, start), rearm=may_rearm(options), after=session.watch)
+    controllers = paper_controllers(session, start)
+    results = evaluate_on(node, controllers, rearm=may_rearm(options), after=session.watch, law=node.law)
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adaptive time-series compensation: coefficients of the compensated reference from the measured force.
+
+The compensated law follows f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3 in place of f_r. At the reference's frequencies
+the closed loop from f_c to the measured force f is nearly the inverse of such a polynomial
+
+    f_c = a_0 f + a_1 f' + a_2 f'' + a_3
+
+so the a of a least-squares fit of the f_c that acted on [f, f', f'', 1] make f follow f_r, whatever the bench is.
+Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Here::
+
+    f_c, f (1 kHz) --the same state-variable filter--> F_c, F, F', F''            aligned to the sample
+    100 Hz    A <- (1 - w) A + phi phi^T,  b <- (1 - w) b + phi F_c               w = dt / memory, by excitation
+              a_fit = argmin sum (F_c - phi^T a)^2 + weight |a - (1, 0, 0, 0)|^2  within the law's limits
+              a <- a + (a_fit - a) dt / settling
+
+All channels run through one filter: a derivative half a sample beside the rest is 5 % of a_1.
+
+What is forgotten follows what is learnt: without excitation nothing is forgotten, a_1 and a_2 hold, and a_0 and a_3
+return to 1 and 0.
+
+With a known amplifier of the load cell, f = f_s / (1 + 2 d s / w + s^2 / w^2), the fit is on the force f_s in front of
+it instead, F_s = F + 2 d F' / w + F'' / w^2: then the force that the specimen feels follows f_r.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.settings import quantity
+from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+
+STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD
+"""Time [s] between two updates."""
+
+ORDER = 5
+"""Of the state-variable filter: four derivatives, two of them for the load cell's amplifier."""
+
+SETTLED = 0.2
+"""Time [s] after a gap in which the filter forgets it and nothing is learnt."""
+
+ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
+"""Flags of which ARMED alone must be set for samples to count."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompensatorSettings:
+    """Settings of the estimator."""
+
+    bandwidth: Annotated[float, quantity("Hz", 1.0, 50.0)] = 10.0
+    """Of each pole of the filter that force and command run through."""
+    memory: Annotated[float, quantity("s", 0.1, 60.0)] = 2.0
+    """Time constant of forgetting under good excitation."""
+    settling: Annotated[float, quantity("s", 0.01, 10.0)] = 0.3
+    """Time constant with which the coefficients follow the fit."""
+    weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-4
+    """Of neutral coefficients in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
+    force_scale: Annotated[float, quantity("N", 0.1, 1e6)] = 300.0
+    """Usual amplitude of the force."""
+    good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
+    """Excitation above which forgetting is at its fastest; `force_scale` at 1 Hz gives 1, at 0.5 Hz 0.25."""
+    least_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
+    """Excitation below which nothing is learnt."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadCell:
+    """Amplifier of the load cell, a second-order low-pass."""
+
+    bandwidth: Annotated[float, quantity("Hz", 2.0, 2000.0)]
+    """Natural frequency."""
+    damping: Annotated[float, quantity("-", 0.3, 2.0)] = math.sqrt(0.5)
+    """Damping ratio."""
+
+
+class Compensator:
+    """Estimator for n benches at once; arrays have one row per bench.
+
+    Parameters
+    ----------
+    count
+        Number of benches n.
+    settings
+        See there.
+    law
+        Limits of the coefficients.
+    cell
+        Amplifier in front of which the force is to follow the reference; absent: the measured force follows it.
+    """
+
+    def __init__(
+        self,
+        count: int = 1,
+        settings: CompensatorSettings | None = None,
+        law: BoxLaw | None = None,
+        cell: LoadCell | None = None,
+    ) -> None:
+        self.settings, limits = settings or CompensatorSettings(), law or BoxLaw()
+        self._low, self._high = np.array(limits.coefficient_min), np.array(limits.coefficient_max)
+        omega = 2.0 * math.pi  # 1 Hz
+        self._scale = np.array((1.0, omega, omega * omega, 1.0 / self.settings.force_scale))
+        self._transition, self._input = _filter(self.settings.bandwidth)
+        self._regressors = _regressors(cell) / self._scale[:3, np.newaxis] / self.settings.force_scale
+        self.coefficients: FloatArray = np.empty((count, 4))
+        """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, shape (n, 4)."""
+        self.excitation: FloatArray = np.empty(count)
+        """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
+        self.frozen = np.zeros(count, bool)
+        """Benches whose coefficients hold on request, shape (n,)."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, at neutral coefficients."""
+        count = len(self.coefficients)
+        self.coefficients[:], self.excitation[:] = NEUTRAL, 0.0
+        self._states = np.zeros((count, 2, ORDER))  # f_c and f, filtered, with their derivatives
+        self._last = np.zeros((count, 2))
+        self._matrix, self._vector = np.zeros((count, 4, 4)), np.zeros((count, 4))
+        self._steps = np.zeros(count, np.int64)  # since the last gap
+
+    @property
+    def at_bound(self) -> npt.NDArray[np.bool_]:
+        """Benches with a coefficient at a limit of the law, shape (n,)."""
+        return np.any((self.coefficients <= self._low) | (self.coefficients >= self._high), axis=1)
+
+    def step(self, commanded: FloatArray, measured: FloatArray, active: npt.NDArray[np.bool_]) -> FloatArray:
+        """Take the samples of a policy step; return a copy of `coefficients`.
+
+        Parameters
+        ----------
+        commanded, measured
+            f_c as it acted and f [N], shape (n, 10).
+        active
+            Benches whose samples count, shape (n,). False while disarmed, saturated, tripped, or where samples are
+            missing: the coefficients hold, and the filter begins anew behind it.
+        """
+        signals = np.stack((commanded, measured), axis=1)
+        active = active & np.isfinite(signals).all(axis=(1, 2))
+        begins = active & (self._steps == 0)
+        self._states[begins], self._last[begins] = 0.0, signals[begins, :, 0]
+        self._states[begins, :, 0] = signals[begins, :, 0]
+        self._steps = np.where(active, self._steps + 1, 0)
+        samples = np.concatenate((self._last[active, :, np.newaxis], signals[active]), axis=2)
+        self._states[active] = self._states[active] @ self._transition.T + samples @ self._input.T
+        self._last[active] = signals[active, :, -1]
+        learning = (self._steps * STEP > SETTLED) & ~self.frozen
+        if learning.any():
+            self._learn(np.flatnonzero(learning))
+        return self.coefficients.copy()
+
+    def _learn(self, rows: npt.NDArray[np.int64]) -> None:
+        """Update fit and coefficients of these benches."""
+        settings, share = self.settings, STEP / self.settings.memory
+        phi = np.concatenate((self._states[rows, 1] @ self._regressors.T, np.ones((len(rows), 1))), axis=1)
+        target = self._states[rows, 0, :1] / settings.force_scale
+        self.excitation[rows] += share * (2.0 * phi[:, 1] ** 2 - self.excitation[rows])
+        excitation = self.excitation[rows, np.newaxis]
+        kept = 1.0 - share * np.minimum(excitation / settings.good_excitation, 1.0)
+        self._matrix[rows] = (
+            kept[..., np.newaxis] * self._matrix[rows] + STEP * phi[:, :, np.newaxis] * phi[:, np.newaxis]
+        )
+        self._vector[rows] = kept * self._vector[rows] + STEP * phi * target
+        prior = np.array(NEUTRAL)
+        right = self._vector[rows] + settings.weight * prior
+        fit = np.linalg.solve(self._matrix[rows] + settings.weight * np.eye(4), right[..., np.newaxis])[..., 0]
+        fit = np.clip(fit / self._scale, self._low, self._high)
+        present = self.coefficients[rows]
+        resting = np.column_stack((np.ones(len(rows)), present[:, 1:3], np.zeros(len(rows))))
+        fit = np.where(excitation >= settings.least_excitation, fit, resting)
+        self.coefficients[rows] = present + (fit - present) * STEP / settings.settling
+
+
+def _regressors(cell: LoadCell | None) -> FloatArray:
+    """Matrix from the filtered force and its derivatives to those of the force to control, shape (3, `ORDER`)."""
+    inverse = (1.0,)
+    if cell is not None:
+        omega = 2.0 * math.pi * cell.bandwidth
+        inverse = (1.0, 2.0 * cell.damping / omega, 1.0 / omega**2)
+    result = np.zeros((3, ORDER))
+    for row in range(3):
+        result[row, row : row + len(inverse)] = inverse
+    return result
+
+
+def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:
+    """State-variable filter w^n / (s + w)^n, n = `ORDER`, over one policy step, by the trapezoidal rule at 1 kHz.
+
+    Returns the transition of (F, F', ...), shape (n, n), and the input matrix for the sample before the step and the
+    ten of the step, shape (n, 11).
+    """
+    w = 2.0 * math.pi * bandwidth
+    a = np.eye(ORDER, k=1)
+    a[-1] = [-math.comb(ORDER, k) * w ** (ORDER - k) for k in range(ORDER)]
+    b = np.zeros(ORDER)
+    b[-1] = w**ORDER
+    half = 0.5 * SAMPLE_PERIOD * a
+    inverse = np.linalg.inv(np.eye(ORDER) - half)
+    one, gain = inverse @ (np.eye(ORDER) + half), inverse @ b * 0.5 * SAMPLE_PERIOD
+    transition, inputs = np.eye(ORDER), np.zeros((ORDER, SAMPLES_PER_STEP + 1))
+    for k in range(SAMPLES_PER_STEP):
+        transition, inputs = one @ transition, one @ inputs
+        inputs[:, k] += gain
+        inputs[:, k + 1] += gain
+    return transition, inputs

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator on the samples of a live bench.
+
+    /hydro/law_state  f_c, as it acted ──┐ by sequence   ten samples of a policy step     Compensator
+    /hydro/state      f, flags ──────────┴──────────────> complete, and all of them good ────────────> a_0 to a_3
+
+A policy step with a sample that is missing, or not good, holds the coefficients: disarmed, saturated, tripped, another
+law, or commands that came late (FILTER_STALE says so under this law).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hydro_bridge.safety.guard import safe_command
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawCommand
+from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
+
+RECENT = 50
+"""Samples for which the last message about the law holds; there is none while the paper's law acts."""
+
+_KEPT = 3  # policy steps under way
+
+
+@dataclass
+class _Step:
+    """Samples of one policy step."""
+
+    commanded: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
+    measured: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
+    good: bool = True
+
+    @property
+    def complete(self) -> bool:
+        return bool(np.isfinite(self.commanded).all() and np.isfinite(self.measured).all())
+
+
+class LiveCompensation:
+    """Adapts the compensated law of one box to its bench.
+
+    Parameters
+    ----------
+    law
+        The box's compensated law.
+    settings, cell
+        See `Compensator`.
+    """
+
+    def __init__(self, law: BoxLaw, settings: CompensatorSettings | None = None, cell: LoadCell | None = None) -> None:
+        self.law = law
+        self.held = 0
+        """Policy steps whose samples did not count."""
+        self._estimator = Compensator(1, settings, law, cell)
+        self._safe = safe_command(law)
+        self._steps: dict[int, _Step] = {}
+        self._taken, self._told, self._seen = -1, -1, -1
+
+    def reset(self) -> None:
+        """Begin anew, at neutral coefficients."""
+        self._estimator.reset()
+        self._steps.clear()
+
+    @property
+    def frozen(self) -> bool:
+        """Whether a person holds the coefficients; set it to hold or to release them."""
+        return bool(self._estimator.frozen[0])
+
+    @frozen.setter
+    def frozen(self, frozen: bool) -> None:
+        self._estimator.frozen[:] = frozen
+
+    @property
+    def acting(self) -> Law:
+        """Force law that acts, as last told."""
+        told = self._told >= 0 and (self._seen - self._told + RECENT) & 0xFFFFFFFF < 2 * RECENT
+        return Law.COMPENSATED if told else Law.PAPER
+
+    @property
+    def command(self) -> LawCommand:
+        """Law to command now."""
+        a_0, a_1, a_2, a_3 = self._estimator.coefficients[0].tolist()
+        return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3))
+
+    @property
+    def health(self) -> dict[str, object]:
+        """Condition of the estimator for /diagnostics."""
+        values = self._estimator.coefficients[0]
+        return {
+            **{f"a_{i}": float(value) for i, value in enumerate(values)},
+            "excitation": float(self._estimator.excitation[0]),
+            "at a bound": "yes" if self._estimator.at_bound[0] else "no",
+            "frozen": "yes, by a person" if self.frozen else "no",
+            "policy steps held": self.held,
+        }
+
+    def on_law_state(self, sequence: int, law: int, compensated_reference: float) -> None:
+        """Take the law of a sample: f_c [N]."""
+        self._told = sequence
+        step, index = self._step(sequence)
+        step.commanded[index] = compensated_reference
+        step.good &= law == Law.COMPENSATED
+        self._look(sequence)
+
+    def on_sample(self, sequence: int, force: float, flags: int, *, holds: bool = False) -> None:
+        """Take a sample: f [N] and the flags; `holds`: the coefficients hold for another reason."""
+        self._seen = sequence
+        step, index = self._step(sequence)
+        step.measured[index] = force
+        step.good &= flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
+        self._look(sequence)
+
+    def _step(self, sequence: int) -> tuple[_Step, int]:
+        number, index = divmod(sequence - 1, SAMPLES_PER_STEP)
+        if number not in self._steps:
+            self._steps = {n: step for n, step in self._steps.items() if abs(number - n) < _KEPT}
+            self._steps[number] = _Step()
+        return self._steps[number], index
+
+    def _look(self, sequence: int) -> None:
+        """Learn from the policy step of this sample once it is complete."""
+        number = (sequence - 1) // SAMPLES_PER_STEP
+        step = self._steps[number]
+        if not step.complete:
+            return
+        del self._steps[number]
+        if number != self._taken + 1:  # samples are missing: what is filtered begins anew
+            self._take(step, good=False)
+        self._taken = number
+        self._take(step, good=step.good)
+
+    def _take(self, step: _Step, *, good: bool) -> None:
+        self.held += not good
+        self._estimator.step(step.commanded[np.newaxis], step.measured[np.newaxis], np.array([good]))
