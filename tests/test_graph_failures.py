@@ -140,6 +140,18 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(training: Tr
     assert len(rows) > 50 and not np.isclose(actions, wanted, atol=1e-5).all(axis=1).any()
 
 
+def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Training) -> None:
+    probe = training.probe
+    (training.run.path / "emulator_control").write_text("unplug 1.5\n")
+    probe.wait(lambda: training.phase() == TrainingStatus.PAUSED, 5.0)
+    paused = time.time()
+    probe.wait(lambda: "paused in episode" in training.text and "no samples" in training.text, 5.0)
+    # Samples from before may still wait to be heard: a sample's stamp tells.
+    back = probe.wait_for(STATE, lambda state: seconds(state.header.stamp) > paused, 15.0)
+    assert not back.flags & Flag.ARMED, "after the replug the box waits to be armed"
+    probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
+
+
 def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
     probe, process = training.probe, training.process
     assert process is not None
@@ -162,18 +174,6 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
     assert np.diff(during["time"]).max() < 0.5
     assert len(during) == pytest.approx(300, rel=0.1)
     assert np.median(np.diff(during["step"].astype(int))) == 1
-
-
-def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Training) -> None:
-    probe = training.probe
-    (training.run.path / "emulator_control").write_text("unplug 1.5\n")
-    probe.wait(lambda: training.phase() == TrainingStatus.PAUSED, 5.0)
-    paused = time.time()
-    probe.wait(lambda: "paused in episode" in training.text and "no samples" in training.text, 5.0)
-    # Samples from before may still wait to be heard: a sample's stamp tells.
-    back = probe.wait_for(STATE, lambda state: seconds(state.header.stamp) > paused, 15.0)
-    assert not back.flags & Flag.ARMED, "after the replug the box waits to be armed"
-    probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
 
 
 def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:

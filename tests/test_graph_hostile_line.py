@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from tests.hostile_line import attack
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.study]
 
 
 def test_hostile_bytes_on_the_line_of_an_armed_plant_move_nothing(tmp_path: Path) -> None:
