@@ -47,12 +47,15 @@ void hydro_c_counts(const hydro_box *box, uint32_t counts[6])
     counts[5] = box->last_command;
 }
 
-/* Value and rate of a signal that began at 0. */
-void hydro_c_play(const hydro_signal *signal, double time, double out[2])
+/* The force law of the last sample: its number, f_c, f_c', a_0 to a_3, C_1, C_2. */
+void hydro_c_law_state(const hydro_box *box, double out[9])
 {
-    hydro_wave wave = hydro_play(signal, time);
-    out[0] = wave.value;
-    out[1] = wave.rate;
+    out[0] = box->acting.law;
+    out[1] = box->acting.reference;
+    out[2] = box->acting.reference_rate;
+    for (int i = 0; i < HYDRO_SHAPING; i++) {
+        out[3 + i] = box->acting.shaping[i];
+    }
 }
 
 size_t hydro_c_rates_size(void)

@@ -3,7 +3,7 @@
  *
  *   line --hydro_box_bytes--> greeting, newest command
  *   measurement --hydro_box_tick--> command taken in, watchdog, faults, arming, reference, force law --> valve current
- *   hydro_box_frames --> HELLO and DETAILS after a greeting, STATE
+ *   hydro_box_frames --> HELLO, DETAILS and LAW after a greeting, STATE
  */
 #ifndef HYDRO_BOX_H
 #define HYDRO_BOX_H
@@ -15,7 +15,7 @@
 #include "reference.h"
 #include "stream.h"
 
-#define HYDRO_BURST_MAX (3 * HYDRO_FRAME_MAX) /* bytes that hydro_box_frames writes at most */
+#define HYDRO_BURST_MAX (4 * HYDRO_FRAME_MAX) /* bytes that hydro_box_frames writes at most */
 
 typedef struct {
     const hydro_config *config;
@@ -24,6 +24,7 @@ typedef struct {
     hydro_arming arming;
     hydro_reference reference;
     hydro_sample sample;       /* the last one */
+    hydro_law_state acting;    /* its force law */
     hydro_real integral;       /* what the integrator carries: N/s, in the paper's form N s */
     hydro_command now, next;   /* to be taken in at the coming tick, and at the one after */
     bool has_now, has_next;
@@ -41,6 +42,7 @@ static inline void hydro_box_power_on(hydro_box *box, const hydro_config *config
     hydro_guard_reset(&box->guard);
     hydro_arming_reset(&box->arming);
     hydro_reference_reset(&box->reference);
+    box->acting.law = HYDRO_PAPER;
     box->integral = HYDRO_R(0);
     box->has_now = box->has_next = box->greeted = false;
     box->greeting = true;
@@ -53,12 +55,15 @@ static inline void hydro_box_power_on(hydro_box *box, const hydro_config *config
 /* A host greets: a new conversation, which begins with the safe command. */
 static inline void hydro_box_greet(hydro_box *box, uint32_t version_max)
 {
-    static const hydro_command safe = {.reference = {.frequency = 1.0}};
+    static const hydro_command safe = {.reference = {.frequency = 1.0}, .shaping = HYDRO_NEUTRAL};
     box->guard.heard = false;
     box->greeted = box->greeting = box->has_now = true;
     box->has_next = false;
     box->now = safe;
-    box->version = version_max >= HYDRO_VERSION_MAX ? HYDRO_VERSION_MAX : HYDRO_VERSION_MIN;
+    box->version = version_max < HYDRO_VERSION_MAX ? version_max : HYDRO_VERSION_MAX;
+    if (box->version < HYDRO_VERSION_MIN) {
+        box->version = HYDRO_VERSION_MIN;
+    }
     if (box->hellos == 0) {
         box->hellos = 1; /* an answer, no power-on */
     }
@@ -68,7 +73,7 @@ static inline void hydro_box_greet(hydro_box *box, uint32_t version_max)
 static inline void hydro_box_command(hydro_box *box, const hydro_body *body)
 {
     hydro_command command;
-    if (!hydro_decode_command(body->sequence, body->payload, &command)) {
+    if (!hydro_decode_command(body->version, body->sequence, body->payload, &command)) {
         box->stream.bad++;
     } else if (!hydro_in_order(&box->guard, command.sequence)) {
         box->stale++;
@@ -117,26 +122,33 @@ static inline void hydro_box_receive(hydro_box *box, hydro_time time)
 }
 
 /* Reference, force law and saturation into `values`; whether the current stands at its limit. */
-static inline bool hydro_box_control(hydro_box *box, const hydro_real *measurement, bool late, hydro_time time)
+static inline bool hydro_box_control(
+    hydro_box *box, const hydro_real *measurement, bool late, bool held, hydro_time time)
 {
     const hydro_config *config = box->config;
+    const hydro_law *law = &config->laws[box->acting.law];
     hydro_real *values = box->sample.values;
     hydro_real force = measurement[config->feedback], limit = config->bench.valve_current_max;
     hydro_real error, nominal, unlimited, current;
-    hydro_wave wanted;
+    hydro_wave wave;
     values[HYDRO_CURRENT] = values[HYDRO_NOMINAL] = values[HYDRO_REFERENCE_RATE] = HYDRO_R(0);
-    values[HYDRO_REFERENCE] = force;
+    values[HYDRO_REFERENCE] = box->acting.reference = force;
+    box->acting.reference_rate = HYDRO_R(0);
     if (!box->arming.armed) {
+        hydro_copy(box->acting.shaping, law->safe, sizeof law->safe);
         return false;
     }
-    wanted = hydro_advance(&box->reference, time);
-    error = wanted.value - force;
+    wave = hydro_advance(&box->reference, time);
+    hydro_compensate(&box->acting, law, held ? law->safe : box->guard.shaping, &wave);
+    error = box->acting.reference - force;
     nominal = hydro_nominal_current(
-        config, measurement, error, hydro_action(config->integral_form, box->integral, values[HYDRO_KI]), wanted.rate,
-        values[HYDRO_KP]);
+        config, measurement, error, hydro_action(config->integral_form, box->integral, values[HYDRO_KI]),
+        box->acting.reference_rate, values[HYDRO_KP], box->acting.shaping + 4);
     if (!hydro_finite(nominal)) { /* nothing that was admitted leads here; the valve must not depend on that */
         box->arming.armed = false;
         box->arming.tripped = true;
+        box->acting.reference = force;
+        box->acting.reference_rate = HYDRO_R(0);
         return false;
     }
     unlimited = late || time - box->arming.received_at > HYDRO_CORRECTION_HOLD ? nominal : nominal + box->guard.delta_u;
@@ -145,8 +157,8 @@ static inline bool hydro_box_control(hydro_box *box, const hydro_real *measureme
         config->integral_form, box->integral, error, values[HYDRO_KI], unlimited - current);
     values[HYDRO_CURRENT] = current;
     values[HYDRO_NOMINAL] = nominal;
-    values[HYDRO_REFERENCE] = wanted.value;
-    values[HYDRO_REFERENCE_RATE] = wanted.rate;
+    values[HYDRO_REFERENCE] = wave.value;
+    values[HYDRO_REFERENCE_RATE] = wave.rate;
     return current != unlimited;
 }
 
@@ -155,21 +167,29 @@ static inline hydro_real hydro_box_tick(hydro_box *box, const hydro_real *measur
 {
     const hydro_config *config = box->config;
     hydro_real *values = box->sample.values;
-    bool late, saturated;
+    const hydro_law *law;
+    bool begins, late, held, saturated;
     hydro_box_receive(box, time);
     late = hydro_watch(&box->arming, config, time);
     hydro_follow_disarm(&box->arming);
     hydro_watch_sensors(&box->arming, config, measurement, time);
-    if (hydro_follow_arm(&box->arming, config, measurement, time)) {
+    begins = hydro_follow_arm(&box->arming, config, measurement, time);
+    if (begins || !box->arming.arm_wanted) {
+        box->acting.law = box->guard.law;
+    }
+    law = &config->laws[box->acting.law];
+    if (begins) {
+        hydro_copy(box->acting.shaping, law->safe, sizeof law->safe);
         box->integral = HYDRO_R(0);
         hydro_begin(&box->reference, measurement[config->feedback], time);
     }
     box->sample.time = time;
     box->sample.sequence = box->sequence++;
     hydro_copy(values, measurement, HYDRO_MEASURED * sizeof *values);
-    values[HYDRO_KP] = late ? config->base_kp : config->base_kp + box->guard.delta_kp;
-    values[HYDRO_KI] = late ? config->base_ki : config->base_ki + box->guard.delta_ki;
-    saturated = hydro_box_control(box, measurement, late, time);
+    held = late || box->acting.law != box->guard.law; /* the law's safe state */
+    values[HYDRO_KP] = held ? law->base_kp : law->base_kp + box->guard.delta_kp;
+    values[HYDRO_KI] = held ? law->base_ki : law->base_ki + box->guard.delta_ki;
+    saturated = hydro_box_control(box, measurement, late, held, time);
     box->sample.flags = hydro_flags(&box->arming, late, saturated);
     return values[HYDRO_CURRENT];
 }
@@ -182,13 +202,17 @@ static inline size_t hydro_box_frames(hydro_box *box, uint8_t *out)
     if (box->greeting) {
         count = hydro_encode_hello(box->hellos, time_us, box->config, out);
         if (box->version > HYDRO_VERSION_MIN) {
-            count += hydro_encode_details(box->hellos, time_us, box->epoch, box->config, out + count);
+            count += hydro_encode_details(box->version, box->hellos, time_us, box->epoch, box->config, out + count);
+        }
+        if (box->version > 2u) {
+            count += hydro_encode_law(box->hellos, time_us, box->config, out + count);
         }
         box->hellos++;
         box->greeting = false;
     }
     return count
-           + hydro_encode_state(box->version, &box->sample, box->confirmed, box->guard.refused, out + count);
+           + hydro_encode_state(
+               box->version, &box->sample, box->confirmed, box->guard.refused, &box->acting, out + count);
 }
 
 #endif

@@ -19,10 +19,23 @@ typedef struct {
     hydro_real valve_current_max; /* A */
 } hydro_bench;
 
+/* A force law: gains, and its shaping a_0 [-], a_1 [s], a_2 [s^2], a_3 [N], C_1, C_2 with limits and fastest changes.
+ * Without commands it returns to its base gains and to `safe`, where f_c = f_r.
+ */
+#define HYDRO_SHAPING 6
+
+enum { HYDRO_PAPER = 0, HYDRO_COMPENSATED = 1 };
+
+typedef struct {
+    hydro_real base_kp, base_ki;                                       /* 1/s, 1/s^2 */
+    hydro_real delta_kp_min, delta_kp_max, delta_ki_min, delta_ki_max; /* 1/s, 1/s^2 */
+    hydro_real reference_max;                                          /* N, at which f_c is cut off */
+    hydro_real safe[HYDRO_SHAPING], low[HYDRO_SHAPING], high[HYDRO_SHAPING], rate[HYDRO_SHAPING]; /* rate: per s */
+} hydro_law;
+
 typedef struct {
     hydro_bench bench;
-    hydro_real base_kp, base_ki;                                            /* 1/s, 1/s^2 */
-    hydro_real delta_kp_min, delta_kp_max, delta_ki_min, delta_ki_max;      /* 1/s, 1/s^2 */
+    hydro_law laws[2];                                                      /* HYDRO_PAPER, HYDRO_COMPENSATED */
     hydro_real delta_u_max;                                                 /* A */
     hydro_real load_force_limit;                                            /* N */
     hydro_real gain_floor;                                                  /* N/s/A, smallest g believed */

@@ -3,9 +3,29 @@
 #ifndef HYDRO_FORCE_LAW_H
 #define HYDRO_FORCE_LAW_H
 
-#include "config.h"
+#include "reference.h"
 
 #define HYDRO_BUMPLESS 2u
+
+/* f_c into `state`, whose shaping comes nearer to the wanted one by one sample; where f_c is cut off, f_c' is 0. */
+static inline void hydro_compensate(
+    hydro_law_state *state, const hydro_law *law, const hydro_real *wanted, const hydro_wave *wave)
+{
+    const hydro_real terms[4] = {wave->value, wave->rate, wave->second, HYDRO_R(1)};
+    const hydro_real slopes[4] = {wave->rate, wave->second, wave->third, HYDRO_R(0)};
+    hydro_real value = HYDRO_R(0), rate = HYDRO_R(0), period = HYDRO_R(HYDRO_PERIOD);
+    for (int i = 0; i < HYDRO_SHAPING; i++) {
+        hydro_real step = law->rate[i] * period;
+        hydro_real change = hydro_clamp(wanted[i] - state->shaping[i], -step, step);
+        state->shaping[i] += change;
+        if (i < 4) {
+            value += state->shaping[i] * terms[i];
+            rate += state->shaping[i] * slopes[i] + change / period * terms[i];
+        }
+    }
+    state->reference = hydro_clamp(value, -law->reference_max, law->reference_max);
+    state->reference_rate = state->reference == value ? rate : HYDRO_R(0);
+}
 
 /* sqrt of a pressure drop [Pa], odd. */
 static inline hydro_real hydro_signed_sqrt(hydro_real drop)
@@ -56,16 +76,16 @@ static inline hydro_real hydro_input_gain(
     return hydro_force_rate(bench, position, gain_a, -gain_b, HYDRO_R(0));
 }
 
-/* u_nom [A] before correction and saturation; `action` is I [N/s]. */
+/* u_nom [A] before correction and saturation; `action` is I [N/s], `scales` are C_1 and C_2. */
 static inline hydro_real hydro_nominal_current(
     const hydro_config *config, const hydro_real *measurement, hydro_real error, hydro_real action,
-    hydro_real reference_rate, hydro_real proportional_gain)
+    hydro_real reference_rate, hydro_real proportional_gain, const hydro_real *scales)
 {
     const hydro_bench *bench = &config->bench;
     hydro_real position = hydro_clamp(measurement[6], HYDRO_R(0), bench->stroke);
     hydro_real wanted = reference_rate + proportional_gain * error + action;
-    hydro_real driven = wanted - hydro_velocity_term(bench, position, measurement[7]);
-    hydro_real gain = hydro_input_gain(bench, position, measurement[4], measurement[5], driven);
+    hydro_real driven = wanted - scales[0] * hydro_velocity_term(bench, position, measurement[7]);
+    hydro_real gain = scales[1] * hydro_input_gain(bench, position, measurement[4], measurement[5], driven);
     return driven / hydro_max(gain, config->gain_floor);
 }
 

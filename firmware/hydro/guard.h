@@ -6,7 +6,9 @@
 #include "protocol.h"
 
 typedef struct {
-    hydro_real delta_kp, delta_ki, delta_u; /* 1/s, 1/s^2, A: within the limits */
+    uint32_t law;                           /* that is asked for */
+    hydro_real delta_kp, delta_ki, delta_u; /* 1/s, 1/s^2, A: within its limits */
+    hydro_real shaping[HYDRO_SHAPING];      /* within its limits; of no meaning before the first command */
     uint32_t refused[2];                    /* values, and references, since power-on */
     bool heard;                             /* a command of this conversation was taken */
     uint32_t newest;                        /* its sequence */
@@ -14,6 +16,7 @@ typedef struct {
 
 static inline void hydro_guard_reset(hydro_guard *guard)
 {
+    guard->law = HYDRO_PAPER;
     guard->delta_kp = guard->delta_ki = guard->delta_u = HYDRO_R(0);
     guard->refused[0] = guard->refused[1] = 0;
     guard->heard = false;
@@ -32,11 +35,11 @@ static inline bool hydro_in_order(hydro_guard *guard, uint32_t sequence)
     return true;
 }
 
-/* A value within its limits; clamped, or 0 where it is not finite: either is counted. */
+/* A value within its limits; clamped, or the safe one where it is not finite: either is counted. */
 static inline hydro_real hydro_admitted(
-    hydro_guard *guard, hydro_real value, bool broken, hydro_real low, hydro_real high)
+    hydro_guard *guard, hydro_real value, bool broken, hydro_real safe, hydro_real low, hydro_real high)
 {
-    hydro_real within = broken ? HYDRO_R(0) : hydro_clamp(value, low, high);
+    hydro_real within = broken ? safe : hydro_clamp(value, low, high);
     if (broken || within != value) {
         guard->refused[0]++;
     }
@@ -59,12 +62,18 @@ static inline bool hydro_admit(
     hydro_guard *guard, const hydro_config *config, const hydro_command *command, hydro_signal *wanted)
 {
     uint32_t broken = command->broken;
+    const hydro_law *law = &config->laws[command->law];
+    guard->law = command->law;
     guard->delta_kp = hydro_admitted(
-        guard, command->delta_kp, (broken & 1u) != 0, config->delta_kp_min, config->delta_kp_max);
+        guard, command->delta_kp, (broken & 1u) != 0, HYDRO_R(0), law->delta_kp_min, law->delta_kp_max);
     guard->delta_ki = hydro_admitted(
-        guard, command->delta_ki, (broken & 2u) != 0, config->delta_ki_min, config->delta_ki_max);
+        guard, command->delta_ki, (broken & 2u) != 0, HYDRO_R(0), law->delta_ki_min, law->delta_ki_max);
+    for (int i = 0; i < HYDRO_SHAPING; i++) {
+        guard->shaping[i] = hydro_admitted(
+            guard, command->shaping[i], (broken & 16u << i) != 0, law->safe[i], law->low[i], law->high[i]);
+    }
     guard->delta_u = hydro_admitted(
-        guard, command->delta_u, (broken & 4u) != 0, -config->delta_u_max, config->delta_u_max);
+        guard, command->delta_u, (broken & 4u) != 0, HYDRO_R(0), -config->delta_u_max, config->delta_u_max);
     if ((broken & 8u) != 0 || !hydro_playable(&command->reference, config->force_range)) {
         guard->refused[0]++;
         guard->refused[1]++;

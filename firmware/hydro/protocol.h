@@ -6,13 +6,13 @@
 #include "config.h"
 
 #define HYDRO_VERSION_MIN 1u
-#define HYDRO_VERSION_MAX 2u
+#define HYDRO_VERSION_MAX 3u
 #define HYDRO_ENCODED_MAX 160u /* bytes between two delimiters; more is noise */
-#define HYDRO_FRAME_MAX 112u   /* bytes of the longest frame that a box sends, delimiters included */
+#define HYDRO_FRAME_MAX 129u   /* bytes of the longest frame that a box sends, delimiters included */
 #define HYDRO_HEADER 14u
 #define HYDRO_STATE_REALS 14
 
-enum { HYDRO_HELLO = 1, HYDRO_STATE = 2, HYDRO_COMMAND = 3, HYDRO_DETAILS = 4 };
+enum { HYDRO_HELLO = 1, HYDRO_STATE = 2, HYDRO_COMMAND = 3, HYDRO_DETAILS = 4, HYDRO_LAW = 5 };
 enum { HYDRO_HOLD = 0, HYDRO_SINE = 1, HYDRO_MULTISINE = 2, HYDRO_SMOOTH_STEP = 3 };
 
 enum {
@@ -33,14 +33,25 @@ typedef struct {
     hydro_time start;             /* s */
 } hydro_signal;
 
-/* One COMMAND. Numbers that are not finite have their bit in `broken`, and are 0 here. */
+/* One COMMAND; before version 3 it is for the paper's law. Numbers that are not finite have their bit in `broken`, and
+ * are 0 here. */
 typedef struct {
     uint32_t sequence, corrects;
     bool arm, filter_fresh;
-    uint32_t broken;                          /* bit 0 delta_kp, 1 delta_ki, 2 delta_u, 3 the reference */
+    uint32_t broken;                          /* bit 0 delta_kp, 1 delta_ki, 2 delta_u, 3 the reference, 4 on shaping */
     hydro_real delta_kp, delta_ki, delta_u;   /* 1/s, 1/s^2, A */
     hydro_signal reference;
+    uint32_t law;
+    hydro_real shaping[HYDRO_SHAPING];
 } hydro_command;
+
+#define HYDRO_NEUTRAL {1, 0, 0, 0, 1, 1} /* shaping of the paper's law */
+
+/* The force law as it acted in a sample: f_c [N], f_c' [N/s], and its shaping. */
+typedef struct {
+    uint32_t law;
+    hydro_real reference, reference_rate, shaping[HYDRO_SHAPING];
+} hydro_law_state;
 
 /* One sample, laid out as hydro_bridge.signals.STATE_DTYPE where hydro_real is double. */
 typedef struct {
@@ -129,43 +140,54 @@ static inline void hydro_head(uint8_t *body, uint8_t version, uint8_t kind, uint
     hydro_write64(body + 6, time_us);
 }
 
-static inline size_t hydro_encode_state(
-    uint32_t version, const hydro_sample *sample, uint32_t last_command, const uint32_t refused[2], uint8_t *out)
+/* Numbers as float32; where they end. */
+static inline uint8_t *hydro_write_reals(uint8_t *at, const hydro_real *numbers, int count)
 {
-    uint8_t body[HYDRO_HEADER + 72 + 4];
-    uint8_t *at = body + HYDRO_HEADER;
-    hydro_head(body, (uint8_t)version, HYDRO_STATE, sample->sequence, (uint64_t)(sample->time * 1e6 + 0.5));
-    for (int i = 0; i < HYDRO_STATE_REALS; i++, at += 4) {
-        hydro_write32(at, hydro_bits(sample->values[i]));
+    for (int i = 0; i < count; i++, at += 4) {
+        hydro_write32(at, hydro_bits(numbers[i]));
     }
+    return at;
+}
+
+static inline size_t hydro_encode_state(
+    uint32_t version, const hydro_sample *sample, uint32_t last_command, const uint32_t refused[2],
+    const hydro_law_state *acting, uint8_t *out)
+{
+    static const uint8_t length[HYDRO_VERSION_MAX] = {64, 72, 108};
+    uint8_t body[HYDRO_HEADER + 108 + 4];
+    uint8_t *at = hydro_write_reals(body + HYDRO_HEADER, sample->values, HYDRO_STATE_REALS);
+    hydro_head(body, (uint8_t)version, HYDRO_STATE, sample->sequence, (uint64_t)(sample->time * 1e6 + 0.5));
     hydro_write32(at, sample->flags);
     hydro_write32(at + 4, last_command);
     hydro_write32(at + 8, refused[0]);
     hydro_write32(at + 12, refused[1]);
-    return hydro_wrap(body, version == 1u ? HYDRO_HEADER + 64 : HYDRO_HEADER + 72, out);
+    hydro_write32(at + 16, acting->law);
+    at = hydro_write_reals(at + 20, &acting->reference, 1);
+    at = hydro_write_reals(at, &acting->reference_rate, 1);
+    (void)hydro_write_reals(at, acting->shaping, HYDRO_SHAPING);
+    return hydro_wrap(body, HYDRO_HEADER + length[version - 1], out);
 }
 
 static inline size_t hydro_encode_hello(uint32_t sequence, uint64_t time_us, const hydro_config *config, uint8_t *out)
 {
     uint8_t body[HYDRO_HEADER + 72 + 4];
     uint8_t *at = body + HYDRO_HEADER;
+    const hydro_law *law = &config->laws[HYDRO_PAPER];
     const hydro_real numbers[9] = {
-        config->bench.valve_current_max, config->base_kp, config->base_ki, config->delta_kp_min, config->delta_kp_max,
-        config->delta_ki_min, config->delta_ki_max, config->delta_u_max, HYDRO_R(HYDRO_PERIOD)};
+        config->bench.valve_current_max, law->base_kp, law->base_ki, law->delta_kp_min, law->delta_kp_max,
+        law->delta_ki_min, law->delta_ki_max, config->delta_u_max, HYDRO_R(HYDRO_PERIOD)};
     hydro_head(body, 0, HYDRO_HELLO, sequence, time_us);
     at[0] = HYDRO_VERSION_MIN;
     at[1] = HYDRO_VERSION_MAX;
     at[2] = 1;
     at[3] = (uint8_t)config->integral_form;
     hydro_copy(at + 4, config->name, sizeof config->name);
-    for (int i = 0; i < 9; i++) {
-        hydro_write32(at + 36 + 4 * i, hydro_bits(numbers[i]));
-    }
+    (void)hydro_write_reals(at + 36, numbers, 9);
     return hydro_wrap(body, HYDRO_HEADER + 72, out);
 }
 
 static inline size_t hydro_encode_details(
-    uint32_t sequence, uint64_t time_us, uint32_t epoch, const hydro_config *config, uint8_t *out)
+    uint32_t version, uint32_t sequence, uint64_t time_us, uint32_t epoch, const hydro_config *config, uint8_t *out)
 {
     uint8_t body[HYDRO_HEADER + 60 + 4];
     uint8_t *at = body + HYDRO_HEADER;
@@ -173,15 +195,33 @@ static inline size_t hydro_encode_details(
         config->load_force_limit, config->force_range, config->low[4], config->high[4], config->low[6],
         config->high[6], HYDRO_R(config->hold_timeout), HYDRO_R(config->trip_timeout), config->force_rate_age,
         config->velocity_age};
-    hydro_head(body, 2, HYDRO_DETAILS, sequence, time_us);
+    hydro_head(body, (uint8_t)version, HYDRO_DETAILS, sequence, time_us);
     hydro_write32(at, epoch);
     hydro_copy(at + 4, config->digest, sizeof config->digest);
     at[16] = config->feedback == 2u ? 1 : 2;
-    at[17] = at[18] = at[19] = 0;
-    for (int i = 0; i < 10; i++) {
-        hydro_write32(at + 20 + 4 * i, hydro_bits(numbers[i]));
-    }
+    at[17] = version > 2u ? 1u << HYDRO_PAPER | 1u << HYDRO_COMPENSATED : 0;
+    at[18] = at[19] = 0;
+    (void)hydro_write_reals(at + 20, numbers, 10);
     return hydro_wrap(body, HYDRO_HEADER + 60, out);
+}
+
+/* The compensated law. */
+static inline size_t hydro_encode_law(uint32_t sequence, uint64_t time_us, const hydro_config *config, uint8_t *out)
+{
+    uint8_t body[HYDRO_HEADER + 108 + 4];
+    uint8_t *at = body + HYDRO_HEADER;
+    const hydro_law *law = &config->laws[HYDRO_COMPENSATED];
+    const hydro_real numbers[14] = {
+        law->base_kp, law->base_ki, law->delta_kp_min, law->delta_kp_max, law->delta_ki_min, law->delta_ki_max,
+        law->safe[4], law->low[4], law->high[4], law->safe[5], law->low[5], law->high[5], law->rate[4],
+        law->reference_max};
+    hydro_head(body, 3, HYDRO_LAW, sequence, time_us);
+    hydro_write32(at, HYDRO_COMPENSATED);
+    at = hydro_write_reals(at + 4, numbers, 14);
+    at = hydro_write_reals(at, law->low, 4);
+    at = hydro_write_reals(at, law->high, 4);
+    (void)hydro_write_reals(at, law->rate, 4);
+    return hydro_wrap(body, HYDRO_HEADER + 108, out);
 }
 
 /* A finite float32 of the line; one that is not finite gives 0 and sets `bit` of `broken`. */
@@ -197,9 +237,11 @@ static inline float hydro_take_real(const uint8_t *data, uint32_t bit, uint32_t 
     return value;
 }
 
-/* Payload of a COMMAND, 40 bytes; false if its waveform is none. */
-static inline bool hydro_decode_command(uint32_t sequence, const uint8_t *data, hydro_command *command)
+/* Payload of a COMMAND, 40 bytes, from version 3 on 72; false if its waveform or its law is none. */
+static inline bool hydro_decode_command(
+    uint32_t version, uint32_t sequence, const uint8_t *data, hydro_command *command)
 {
+    static const hydro_real neutral[HYDRO_SHAPING] = HYDRO_NEUTRAL;
     uint32_t bits = hydro_read32(data);
     command->sequence = sequence;
     command->arm = (bits & 1u) != 0;
@@ -215,7 +257,12 @@ static inline bool hydro_decode_command(uint32_t sequence, const uint8_t *data, 
     command->reference.frequency = hydro_take_real(data + 32, 8u, &command->broken);
     command->reference.phase = hydro_take_real(data + 36, 8u, &command->broken);
     command->reference.start = 0.0;
-    return command->reference.waveform <= HYDRO_SMOOTH_STEP;
+    command->law = version < 3u ? HYDRO_PAPER : hydro_read32(data + 40);
+    for (int i = 0; i < HYDRO_SHAPING; i++) {
+        command->shaping[i] =
+            version < 3u ? neutral[i] : hydro_take_real(data + 44 + 4 * i, 16u << i, &command->broken);
+    }
+    return command->reference.waveform <= HYDRO_SMOOTH_STEP && command->law <= HYDRO_COMPENSATED;
 }
 
 #endif

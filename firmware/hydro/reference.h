@@ -14,9 +14,9 @@ typedef struct {
     hydro_time fade_start;
 } hydro_reference;
 
-/* f_r [N] and f_r' [N/s]. */
+/* f_r [N], f_r' [N/s], f_r'' [N/s^2], f_r''' [N/s^3]; at a kink of f_r' those of the side that follows. */
 typedef struct {
-    hydro_real value, rate;
+    hydro_real value, rate, second, third;
 } hydro_wave;
 
 static inline hydro_wave hydro_multisine(hydro_time angle, hydro_time phase)
@@ -24,11 +24,16 @@ static inline hydro_wave hydro_multisine(hydro_time angle, hydro_time phase)
     static const hydro_time ratios[4] = {1.0, 1.7320508075688772, 2.6457513110645907, 3.605551275463989};
     static const hydro_time weights[4] = {
         0.44789526038332517, 0.2585924491510704, 0.1692884960541141, 0.1242237944114903};
-    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0)};
+    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)};
     for (int i = 0; i < 4; i++) {
         hydro_real inner = hydro_turned(ratios[i] * angle + (hydro_time)(i + 1) * phase);
-        shape.value += (hydro_real)weights[i] * HYDRO_SIN(inner);
-        shape.rate += (hydro_real)(weights[i] * ratios[i]) * HYDRO_COS(inner);
+        hydro_real sine = (hydro_real)weights[i] * HYDRO_SIN(inner);
+        hydro_real cosine = (hydro_real)(weights[i] * ratios[i]) * HYDRO_COS(inner);
+        hydro_real square = (hydro_real)(ratios[i] * ratios[i]);
+        shape.value += sine;
+        shape.rate += cosine;
+        shape.second -= square * sine;
+        shape.third -= square * cosine;
     }
     return shape;
 }
@@ -37,36 +42,43 @@ static inline hydro_wave hydro_smooth_step(hydro_time angle)
 {
     hydro_time turn = hydro_fraction(angle / (2.0 * HYDRO_PI));
     hydro_real side = turn < 0.5 ? HYDRO_R(1) : HYDRO_R(-1);
-    hydro_wave shape = {side, HYDRO_R(0)};
-    hydro_real edge;
+    hydro_wave shape = {side, HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)};
+    hydro_real edge, steep = HYDRO_R(1.0 / (2.0 * HYDRO_EDGE));
     while (turn >= 0.5) {
         turn -= 0.5;
     }
     if (turn / HYDRO_EDGE < 1.0) {
         edge = (hydro_real)(HYDRO_PI * (turn / HYDRO_EDGE));
         shape.value = -side * HYDRO_COS(edge);
-        shape.rate = side * HYDRO_SIN(edge) / HYDRO_R(2.0 * HYDRO_EDGE);
+        shape.rate = side * HYDRO_SIN(edge) * steep;
+        shape.second = -shape.value * steep * steep;
+        shape.third = -shape.rate * steep * steep;
     }
     return shape;
 }
 
-/* Value and rate of one signal at box time [s]. */
+/* One signal at box time [s]. */
 static inline hydro_wave hydro_play(const hydro_signal *signal, hydro_time time)
 {
     hydro_time omega = 2.0 * HYDRO_PI * signal->frequency;
     hydro_time angle = omega * (time - signal->start);
-    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0)}, result;
+    hydro_real rate = signal->amplitude * (hydro_real)omega;
+    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)}, result;
     if (signal->waveform == HYDRO_SINE) {
         hydro_real turned = hydro_turned(angle + signal->phase);
         shape.value = HYDRO_SIN(turned);
         shape.rate = HYDRO_COS(turned);
+        shape.second = -shape.value;
+        shape.third = -shape.rate;
     } else if (signal->waveform == HYDRO_MULTISINE) {
         shape = hydro_multisine(angle, signal->phase);
     } else if (signal->waveform == HYDRO_SMOOTH_STEP) {
         shape = hydro_smooth_step(angle + signal->phase);
     }
     result.value = signal->offset + signal->amplitude * shape.value;
-    result.rate = signal->amplitude * (hydro_real)omega * shape.rate;
+    result.rate = rate * shape.rate;
+    result.second = rate * (hydro_real)omega * shape.second;
+    result.third = rate * (hydro_real)omega * (hydro_real)omega * shape.third;
     return result;
 }
 
@@ -99,11 +111,11 @@ static inline bool hydro_same(const hydro_signal *one, const hydro_signal *other
            && one->frequency == other->frequency && one->phase == other->phase;
 }
 
-/* f_r and f_r' at box time [s]; a fade that has ended gives way to what is wanted by now. */
+/* f_r and its derivatives at box time [s]; a fade that has ended gives way to what is wanted by now. */
 static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time time)
 {
     hydro_wave wave, old;
-    hydro_real share, blend, blend_rate;
+    hydro_real share, blend, blend_1, blend_2, blend_3, gap, gap_rate;
     if (time - reference->fade_start >= HYDRO_FADE && !hydro_same(&reference->wanted, &reference->coming)) {
         reference->leaving = reference->coming;
         hydro_take_up(reference, time);
@@ -115,8 +127,16 @@ static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time ti
     }
     old = hydro_play(&reference->leaving, time);
     blend = share * share * (HYDRO_R(3) - HYDRO_R(2) * share);
-    blend_rate = HYDRO_R(6) * share * (HYDRO_R(1) - share) / HYDRO_R(HYDRO_FADE);
-    wave.rate = (HYDRO_R(1) - blend) * old.rate + blend * wave.rate + blend_rate * (wave.value - old.value);
+    blend_1 = HYDRO_R(6) * share * (HYDRO_R(1) - share) / HYDRO_R(HYDRO_FADE);
+    blend_2 = (HYDRO_R(6) - HYDRO_R(12) * share) / HYDRO_R(HYDRO_FADE * HYDRO_FADE);
+    blend_3 = HYDRO_R(-12) / HYDRO_R(HYDRO_FADE * HYDRO_FADE * HYDRO_FADE);
+    gap = wave.value - old.value;
+    gap_rate = wave.rate - old.rate;
+    wave.third = (HYDRO_R(1) - blend) * old.third + blend * wave.third
+                 + (HYDRO_R(3) * blend_1 * (wave.second - old.second) + HYDRO_R(3) * blend_2 * gap_rate + blend_3 * gap);
+    wave.second =
+        (HYDRO_R(1) - blend) * old.second + blend * wave.second + HYDRO_R(2) * blend_1 * gap_rate + blend_2 * gap;
+    wave.rate = (HYDRO_R(1) - blend) * old.rate + blend * wave.rate + blend_1 * gap;
     wave.value = (HYDRO_R(1) - blend) * old.value + blend * wave.value;
     return wave;
 }

@@ -48,7 +48,7 @@ static inline bool hydro_check(hydro_stream *stream, hydro_body *body)
         stream->unknown++;
         return false;
     }
-    if (body->length != (hello ? 72u : 40u)) {
+    if (body->length != (hello || body->version > 2u ? 72u : 40u)) {
         stream->bad++;
         return false;
     }

@@ -5,7 +5,7 @@
  * in 2   uint32       how many of them are new
  * in 3   double[5]    f_h N, f_l N, p_a Pa, p_b Pa, x_p m
  * out 1  double       valve current A, to hold until the next sample
- * out 2  uint8[336]   bytes for the serial send block
+ * out 2  uint8[516]   bytes for the serial send block
  * out 3  uint32       how many of them to send
  * parameter: epoch, a double: a number that differs at each start, above 0
  */

@@ -20,14 +20,17 @@ from cobs import cobs
 from hydro_bridge.serial.protocol import (
     BoxDetails,
     BoxInfo,
+    BoxLaw,
     CommandFrame,
     Hello,
+    LawState,
     encode_details,
     encode_hello,
+    encode_law,
     encode_state,
 )
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Flag, StateArray
+from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Flag, Law, StateArray
 
 
 @pytest.fixture
@@ -86,8 +89,11 @@ class SmallBox:
         version: int = 1,
         first: int = 0,
         details: BoxDetails | None = None,
+        law: BoxLaw | None = None,
     ) -> None:
-        self.details, self.refused = details, (0, 0)
+        self.details, self.refused, self.law = details, (0, 0), law
+        self.spoken = version
+        self.law_state = LawState(Law.COMPENSATED, 0.5, 0.25, (1.0, 0.03125, 0.0, 0.0), 0.25, 1.0)
         self.cable, self.info, self.obeys, self.version = cable, info or BoxInfo(name="small box"), obeys, version
         self.commands: list[CommandFrame] = []
         self.flags = Flag(0)
@@ -103,8 +109,8 @@ class SmallBox:
                 for frame in decoder.feed(self._read()):
                     self._take(frame)
                 last = self.commands[-1].sequence if self.commands else 0
-                refused = self.refused if self.version == 2 else None
-                self._write(encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last, refused))
+                told = (self.refused if self.spoken > 1 else None, self.law_state if self.spoken > 2 else None)
+                self._write(encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last, *told))
             self.sequence += 1
             now = time.monotonic()
             due = max(due + 1e-3, now - 5e-3)  # after a hold-up no burst: the line holds some 25 samples
@@ -126,8 +132,10 @@ class SmallBox:
 
     def _take(self, frame: object) -> None:
         if isinstance(frame, Hello):
-            details = encode_details(1, 0, self.details) if self.details else b""
-            os.write(self.cable.box, _hello(self.info, self.version) + details)
+            self.spoken = min(self.version, frame.version_max)
+            details = encode_details(1, 0, self.details, self.spoken) if self.details else b""
+            law = encode_law(1, 0, self.law) if self.law and self.spoken > 2 else b""
+            os.write(self.cable.box, _hello(self.info, self.version) + details + law)
         elif isinstance(frame, CommandFrame):
             self.commands.append(frame)
             if self.obeys:

@@ -12,11 +12,11 @@ from itertools import pairwise
 import pytest
 
 from hydro_bridge.link.link import Link, LinkState
-from hydro_bridge.link.remarks import MISSED, NO_DETAILS
+from hydro_bridge.link.remarks import MISSED, NO_LAW, incomplete
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortSettings
-from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, encode_details
-from hydro_bridge.signals import Command, CorrectionStatus, Flag
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details
+from hydro_bridge.signals import Command, CorrectionStatus, Flag, Law
 
 
 def wait_until(condition: Callable[[], object], timeout: float = 5.0) -> None:
@@ -29,11 +29,12 @@ def wait_until(condition: Callable[[], object], timeout: float = 5.0) -> None:
 class Bench:
     """A link in its thread, a box, and what came."""
 
-    def __init__(self, cable, small_box, **box: object) -> None:
+    def __init__(self, cable, small_box, baud: int = 2_000_000, **box: object) -> None:
         self.cable = cable
         self.log: list[str] = []
         self.states: list[tuple[int, int, Flag]] = []
-        settings = PortSettings(path=str(cable.path), silence_max=0.3, backoff_first=0.02, backoff_max=0.1)
+        self.law_states: list[LawState | None] = []
+        settings = PortSettings(path=str(cable.path), baud=baud, silence_max=0.3, backoff_first=0.02, backoff_max=0.1)
         self.link = Link(Port(settings), CommandGuard(), self._on_state, self.log.append)
         self.box = small_box(**box)
         self.thread = threading.Thread(target=self.link.run, daemon=True)
@@ -41,6 +42,7 @@ class Bench:
 
     def _on_state(self, state, stamp_ns: int, flags: int) -> None:
         self.states.append((state.sequence, stamp_ns, Flag(flags)))
+        self.law_states.append(state.law_state)
 
     def connected(self) -> Bench:
         wait_until(lambda: self.link.state is LinkState.CONNECTED and len(self.states) > 20)
@@ -72,7 +74,7 @@ def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
     assert all(a < b for a, b in pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 1e9
-    assert it.log == [f"connected to small box on {it.cable.path}, protocol version 1; disarmed", MISSED]
+    assert it.log == [f"connected to small box on {it.cable.path}, protocol version 1; disarmed", MISSED, NO_LAW]
 
 
 def test_a_command_follows_each_state_without_filter_and_states_are_flagged_stale(bench):
@@ -210,11 +212,11 @@ def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):
 
 
 def test_another_protocol_version_is_told_once_and_never_commanded(bench):
-    it = bench(version=3)
+    it = bench(version=4)
     wait_until(lambda: it.log)
     time.sleep(0.5)  # for a second sentence, or a command
     assert it.log == [
-        "the box speaks protocol version 3, here 1 to 2 are spoken: no command is sent until one is updated"
+        "the box speaks protocol version 4, here 1 to 3 are spoken: no command is sent until one is updated"
     ]
     assert it.box.commands == [] and it.states == []
 
@@ -225,6 +227,7 @@ DETAILS = BoxDetails(epoch=5, bench_digest="0123456789ab", load_force_limit=700.
 def test_a_box_of_version_2_is_followed_once_its_details_came(bench):
     it = bench(version=2, details=DETAILS).connected()
     assert (it.link.version, it.link.details.epoch) == (2, 5) and it.link.refused == (0, 0)
+    assert NO_LAW in it.log and it.law_states[-1] is None
     said = [sentence for sentence in it.log if "references" in sentence]
     assert MISSED not in it.log and len(said) == 2 and "900 N" in said[0] and "700 N" in said[1]
     assert it.link.arm(True) == ""
@@ -233,10 +236,38 @@ def test_a_box_of_version_2_is_followed_once_its_details_came(bench):
     wait_until(lambda: [sentence for sentence in it.log if "refused a reference" in sentence])
 
 
-def test_a_box_of_version_2_without_details_is_told_of_and_never_commanded(bench):
-    it = bench(version=2)
-    wait_until(lambda: NO_DETAILS in it.log)
+@pytest.mark.parametrize(("version", "details"), [(2, None), (3, None), (3, replace(DETAILS, laws=3))])
+def test_a_box_that_leaves_out_details_or_law_is_told_of_and_never_commanded(bench, version, details):
+    it = bench(version=version, details=details)
+    wait_until(lambda: incomplete(version, details) in it.log)
     assert it.box.commands == [] and it.states == []
+
+
+def test_a_box_of_version_3_tells_its_law_and_what_acts(bench):
+    record = BoxLaw(base_kp=250.0, velocity_compensation=0.25, coefficient_max=(1.25, 0.125, 0.5, 64.0))
+    it = bench(version=3, details=replace(DETAILS, laws=3), law=record).connected()
+    assert it.link.version == 3 and it.link.law.base_kp == 250.0 and it.link.details.laws == 3
+    assert it.link.law.coefficient_max == record.coefficient_max and NO_LAW not in it.log
+    assert it.law_states[-1] == it.box.law_state
+
+
+@pytest.mark.parametrize("law", [None, BoxLaw()])
+def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_law(bench, law):
+    """Elsewhere its changes would be added to the paper's gains: the safe command goes out instead."""
+    it = bench(version=3, details=replace(DETAILS, laws=3 if law else 1), law=law).connected()
+    wanted = Command(
+        arm=True, delta_kp=-50.0, delta_u=0.125, law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 0.0, 2.0),
+        velocity_compensation=0.25, filter_fresh=True,
+    )  # fmt: skip
+    it.link.guard.command = lambda now: wanted
+    count = len(it.box.commands)
+    wait_until(lambda: len(it.box.commands) > count + 5)
+    assert it.box.commands[-1].command == (wanted if law else Command())
+
+
+def test_a_slow_line_speaks_version_2(bench):
+    it = bench(baud=1_000_000, version=3, details=replace(DETAILS, laws=3), law=BoxLaw()).connected()
+    assert it.link.version == 2 and it.link.law is None and NO_LAW in it.log
 
 
 def test_another_epoch_means_that_the_box_was_restarted(bench):

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import fields
+from dataclasses import fields, replace
 from zlib import crc32
 
 import pytest
@@ -17,10 +17,13 @@ from hydro_bridge.serial.protocol import (
     VERSION,
     BoxDetails,
     BoxInfo,
+    BoxLaw,
     CheckSumError,
     CommandFrame,
     Details,
     Hello,
+    LawFrame,
+    LawState,
     MalformedError,
     State,
     UnknownFrameError,
@@ -29,10 +32,11 @@ from hydro_bridge.serial.protocol import (
     encode_command,
     encode_details,
     encode_hello,
+    encode_law,
     encode_state,
     negotiate,
 )
-from hydro_bridge.signals import Command, ReferenceSignal, Waveform
+from hydro_bridge.signals import Command, Law, ReferenceSignal, Waveform
 
 u32 = st.integers(0, 2**32 - 1)
 u64 = st.integers(0, 2**64 - 1)
@@ -40,16 +44,13 @@ single = st.floats(width=32, allow_nan=False)
 signals = st.builds(
     ReferenceSignal, waveform=st.sampled_from(Waveform), amplitude=single, offset=single, frequency=single, phase=single
 )
-commands = st.builds(
-    Command,
-    arm=st.booleans(),
-    delta_kp=single,
-    delta_ki=single,
-    delta_u=single,
-    reference=signals,
-    corrects=u32,
-    filter_fresh=st.booleans(),
-)
+before = {
+    "arm": st.booleans(), "delta_kp": single, "delta_ki": single, "delta_u": single, "reference": signals,
+    "corrects": u32, "filter_fresh": st.booleans(),
+}  # fmt: skip
+laws, quadruples = st.sampled_from(Law), st.tuples(*[single] * 4)
+shaping = {"law": laws, "coefficients": quadruples, "velocity_compensation": single, "valve_gain_scale": single}
+commands = st.builds(Command, **before)
 
 
 def inside(wire: bytes) -> bytes:
@@ -73,17 +74,31 @@ def test_a_state_of_version_2_says_what_was_refused(sequence, time_us, values, r
     assert frame == State(sequence, time_us, values, 1, 2, *refused)
 
 
-@given(u32, u32, st.sampled_from(FEEDBACKS), st.lists(single, min_size=10, max_size=10))
-def test_details_round_trip(sequence, epoch, feedback, numbers):
-    names = [entry.name for entry in fields(BoxDetails)][3:]
+@given(u32, st.tuples(*[single] * 14), st.tuples(u32, u32), st.tuples(laws, single, single, quadruples, single, single))
+def test_a_state_of_version_3_says_which_law_acts(sequence, values, refused, acting):
+    frame = decode(inside(encode_state(sequence, 5, values, 1, 2, refused, LawState(*acting))))
+    assert frame == State(sequence, 5, values, 1, 2, *refused, LawState(*acting))
+
+
+@given(u32, u32, st.sampled_from(FEEDBACKS), st.lists(single, min_size=10, max_size=10), st.integers(0, 255))
+def test_details_round_trip(sequence, epoch, feedback, numbers, laws):
+    names = [entry.name for entry in fields(BoxDetails)][4:]
     details = BoxDetails(
-        epoch=epoch, bench_digest="0123456789ab", feedback=feedback, **dict(zip(names, numbers, strict=True))
+        epoch=epoch, bench_digest="0123456789ab", feedback=feedback, laws=laws, **dict(zip(names, numbers, strict=True))
     )
     assert decode(inside(encode_details(sequence, 5, details))) == Details(sequence, 5, details)
+    older = decode(inside(encode_details(sequence, 5, details, version=2)))
+    assert older == Details(sequence, 5, replace(details, laws=0))
+
+
+@given(u32, st.lists(single, min_size=14, max_size=14), st.lists(quadruples, min_size=3, max_size=3))
+def test_law_round_trip(sequence, numbers, limits):
+    record = BoxLaw(**dict(zip((entry.name for entry in fields(BoxLaw)), (*numbers, *limits), strict=True)))
+    assert decode(inside(encode_law(sequence, 5, record))) == LawFrame(sequence, 5, Law.COMPENSATED, record)
 
 
 def test_a_frame_of_version_2_is_none_of_version_1():
-    body = body_of(encode_details(1, 2, BoxDetails()))
+    body = body_of(encode_details(1, 2, BoxDetails(), version=2))
     body[0] = 1
     with pytest.raises(UnknownFrameError):
         decode(sealed(bytes(body)))
@@ -95,7 +110,14 @@ def test_a_frame_of_version_2_is_none_of_version_1():
 
 @given(u32, u64, commands)
 def test_command_round_trip(sequence, time_us, command):
-    assert decode(inside(encode_command(sequence, time_us, command))) == CommandFrame(sequence, time_us, command)
+    for version in (1, 2):
+        wire = inside(encode_command(sequence, time_us, command, version))
+        assert decode(wire) == CommandFrame(sequence, time_us, command)
+
+
+@given(st.builds(Command, **before, **shaping))
+def test_a_command_of_version_3_names_its_law(command):
+    assert decode(inside(encode_command(4, 5, command, 3))) == CommandFrame(4, 5, command)
 
 
 @given(u32, u64, st.text(max_size=8), single, st.sampled_from(INTEGRAL_FORMS))
@@ -121,8 +143,9 @@ def test_the_fourth_byte_of_a_hello_is_the_form_of_the_integral(number, form):
 def test_every_frame_fits_between_two_delimiters():
     info = BoxInfo(name="x" * 100)
     state, newer = encode_state(1, 2, [1.5] * 14, 3, 4), encode_state(1, 2, [1.5] * 14, 3, 4, (5, 6))
-    others = (encode_command(1, 2, Command()), encode_hello(1, 2, info), encode_details(1, 2, BoxDetails()))
-    for wire in (state, newer, *others):
+    newest = encode_state(1, 2, [1.5] * 14, 3, 4, (5, 6), LawState(Law.PAPER, 1.0, 2.0, (1.0,) * 4, 1.0, 1.0))
+    others = (encode_command(1, 2, Command(), 3), encode_hello(1, 2, info), encode_details(1, 2, BoxDetails()))
+    for wire in (state, newer, newest, encode_law(1, 2, BoxLaw()), *others):
         assert len(inside(wire)) <= MAX_ENCODED
 
 
@@ -171,10 +194,10 @@ def test_unknown_type_of_this_version_is_told_from_another_version():
     body[1] = 200
     with pytest.raises(UnknownFrameError):
         decode(sealed(bytes(body)))
-    body[0], body[1] = 3, 2
+    body[0], body[1] = VERSION + 1, 2
     with pytest.raises(WrongVersionError) as caught:
         decode(sealed(bytes(body)))
-    assert caught.value.version == 3
+    assert caught.value.version == VERSION + 1
 
 
 def test_unknown_waveform_and_wrong_length_are_malformed():
@@ -184,6 +207,13 @@ def test_unknown_waveform_and_wrong_length_are_malformed():
     body[34] = 9
     with pytest.raises(MalformedError, match="waveform 9"):
         decode(sealed(bytes(body)))
+    law_state = LawState(Law.PAPER, 1.0, 2.0, (1.0,) * 4, 1.0, 1.0)
+    wires = (encode_command(1, 2, Command(), 3), encode_state(1, 2, [0.0] * 14, 3, 4, (5, 6), law_state))
+    for wire, place in zip((*wires, encode_law(1, 2, BoxLaw())), (54, 86, 14), strict=True):
+        body = body_of(wire)
+        body[place] = 2
+        with pytest.raises(MalformedError, match="law 2"):
+            decode(sealed(bytes(body)))
 
 
 def test_versions_are_negotiated():
@@ -191,5 +221,5 @@ def test_versions_are_negotiated():
     assert negotiate(hello) == 1
     assert negotiate(hello._replace(version_max=7)) == VERSION
     with pytest.raises(WrongVersionError):
-        negotiate(hello._replace(version_min=3, version_max=4))
+        negotiate(hello._replace(version_min=VERSION + 1, version_max=VERSION + 2))
     assert HANDSHAKE == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from math import inf, nan
 from random import Random
 from typing import Any
@@ -14,10 +15,18 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from hydro_bridge.serial.protocol import Details, Hello, State, encode_command, encode_hello
+from hydro_bridge.serial.protocol import (
+    VERSION,
+    Details,
+    Hello,
+    LawFrame,
+    State,
+    encode_command,
+    encode_hello,
+)
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_sim.box.box import Box, BoxConfig, box_details, box_info
+from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
+from hydro_sim.box.box import Box, BoxConfig, box_details, box_info, law_state
 from hydro_sim.box.firmware import NAME, Firmware
 from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
@@ -41,12 +50,17 @@ def drawn_command(random: Random) -> Command:
         frequency=random.choice((0.3, 2.0, 999.0, 1000.0, 0.0, -1.0, nan, random.uniform(0.1, 20.0))),
         phase=drawn_number(random, 3.0),
     )
+    scales = (1.0, 0.05, 2e-3, 30.0)
     return Command(
         arm=random.random() < 0.8,
         delta_kp=drawn_number(random, 100.0),
         delta_ki=drawn_number(random, 30.0),
         delta_u=drawn_number(random, 0.02),
         reference=signal,
+        law=random.choice((Law.PAPER, Law.COMPENSATED, Law.COMPENSATED)),
+        coefficients=tuple(drawn_number(random, scale) for scale in scales),  # type: ignore[arg-type]
+        velocity_compensation=drawn_number(random, 0.4),
+        valve_gain_scale=drawn_number(random, 2.0),
         corrects=random.getrandbits(32),
         filter_fresh=random.random() < 0.5,
     )
@@ -54,7 +68,7 @@ def drawn_command(random: Random) -> Command:
 
 def drawn_bytes(random: Random, sequence: int, command: Command) -> bytes:
     """What a host sends in one millisecond: mostly the command, at times nothing, a greeting, garbage, old frames."""
-    frame = encode_command(sequence, 0, command, random.choice((1, 2)))
+    frame = encode_command(sequence, 0, command, random.choice((1, 2, *[VERSION] * 30)))
     draw = random.random()
     if draw < 0.9:
         return frame
@@ -77,6 +91,8 @@ def streams(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
         sequence = (sequence + 1) & 0xFFFFFFFF
         if random.random() < 0.01:
             command = drawn_command(random)
+        elif random.random() < 0.002:
+            command = replace(command, law=Law(1 - command.law))
         if random.random() < 0.001:
             silent = random.randint(1, 400)
         silent = max(0, silent - 1)
@@ -92,7 +108,8 @@ def pair(line: Any, integral: str = "bumpless") -> tuple[Box, BoxLink, Firmware]
     bench, config = Bench.nominal(), BoxConfig(integral=integral)  # type: ignore[arg-type]
     box = Box(bench, config)
     details = box_details(bench, config, Sensors(), epoch=7)
-    link = BoxLink(line, box_info(bench, config, NAME), LinkFaults(), 0, details, lambda: refused(box))
+    told = (lambda: refused(box), config.compensated, lambda: law_state(box.state[0]))
+    link = BoxLink(line, box_info(bench, config, NAME), LinkFaults(), 0, details, *told)
     return box, link, Firmware(bench, config, epoch=7)
 
 
@@ -108,7 +125,9 @@ def refused(box: Box) -> tuple[int, int]:
 @pytest.mark.parametrize(("seed", "integral"), [(1, "bumpless"), (2, "bumpless"), (3, "paper")])
 def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(memory: Any, seed: int, integral: str) -> None:
     box, link, firmware = pair(memory, integral)
+    config = box.config.compensated
     seen: set[int] = set()
+    moved = held = cut = 0
     for k, (data, x) in enumerate(streams(seed, 20_000)):
         memory.down += data
         command = link.poll(k * 1e-3)
@@ -117,6 +136,12 @@ def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(memory: Any, s
         firmware.take(data)
         expected, found = box.tick(x, k * 1e-3), firmware.tick(x, k * 1e-3)[0]
         assert bits(found) == bits(expected), k
+        acting = law_state(box.state[0])
+        assert repr(firmware.law_state()) == repr(acting), k  # with NaN where a sensor shows it
+        if int(expected["flags"]) & Flag.ARMED and acting.law is Law.COMPENSATED:
+            moved += acting.coefficients != NEUTRAL
+            held += int(box.state["law_wanted"][0]) != Law.COMPENSATED
+            cut += abs(acting.compensated_reference) == config.reference_max and not acting.compensated_reference_rate
         link.send(expected, k * 1e-3)
         assert firmware.frames() == memory.up, k
         memory.up = b""
@@ -127,6 +152,7 @@ def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(memory: Any, s
         link.report.commands, link.report.refused, link.report.hellos,
     )  # fmt: skip
     assert {int(Flag.ARMED), int(Flag.ARMED | Flag.SATURATED)} & seen and len(seen) > 12
+    assert moved > 2000 and held > 200 and cut > 20
 
 
 def calm(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
@@ -232,8 +258,9 @@ def test_what_the_box_says_of_itself_is_what_python_says(memory: Any) -> None:
     _, _, firmware = pair(memory)
     firmware.take(encode_hello(0, 0))
     firmware.tick(np.array([0, 0, 0, 0, 3e6, 3e6, 0.04, 0.0]), 0.0)
-    hello, details, state = Decoder().feed(firmware.frames())
+    hello, details, law, state = Decoder().feed(firmware.frames())
     assert isinstance(hello, Hello) and isinstance(details, Details) and isinstance(state, State)
+    assert isinstance(law, LawFrame) and law.record.base_kp == BoxConfig().compensated.base_kp
     wanted = Decoder().feed(encode_hello(1, 0, box_info(Bench.nominal(), BoxConfig(), NAME)))[0]
     assert isinstance(wanted, Hello) and hello.info == wanted.info
     assert details.details.bench_digest == Bench.nominal().digest and details.details.epoch == 7

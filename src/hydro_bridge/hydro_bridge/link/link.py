@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
-from hydro_bridge.link.remarks import NO_DETAILS, connection_remarks
+from hydro_bridge.link.remarks import connection_remarks, incomplete
 from hydro_bridge.link.timing import LinkTimes
 from hydro_bridge.safety.guard import CommandGuard, narrowed
 from hydro_bridge.serial.port import Port, PortLostError
@@ -23,9 +23,11 @@ from hydro_bridge.serial.protocol import (
     VERSION_MIN,
     BoxDetails,
     BoxInfo,
-    CommandFrame,
+    BoxLaw,
     Details,
+    Frame,
     Hello,
+    LawFrame,
     State,
     WrongVersionError,
     encode_command,
@@ -33,11 +35,13 @@ from hydro_bridge.serial.protocol import (
     negotiate,
 )
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker
-from hydro_bridge.signals import STATE_FIELDS, Flag, flag_names
+from hydro_bridge.signals import STATE_FIELDS, Command, Flag, Law, flag_names
 
 _NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
+_LEAST_BAUD = 1_300_000
+"""Bit/s below which version 3 is not spoken: its STATE does not fit between two samples."""
 
 
 class LinkState(Enum):
@@ -71,7 +75,7 @@ class Link:
         Asked for every command; its limits are narrowed to those of the box on connecting.
     on_state
         Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE filled
-        in.
+        in; the sample's `law_state` is None before version 3.
     log
         Called with a sentence when something changes.
     warn
@@ -98,6 +102,9 @@ class Link:
         self.box: BoxInfo | None = None
         self.details: BoxDetails | None = None
         """The box's DETAILS, from version 2 on; None for a box of version 1."""
+        self.law: BoxLaw | None = None
+        """The box's compensated law; None: it runs the paper's only, and a command for another goes out as the safe
+        one."""
         self.version = VERSION_MIN
         self.refused: tuple[int | None, int | None] = (None, None)
         """Values and references that the box refused since its power-on; None: not reported by a box of version 1."""
@@ -112,8 +119,11 @@ class Link:
         self._corrected = True
         self._connected_before = False
         self._complaint = ""
-        self._greeted: BoxInfo | None = None
-        """HELLO of a box of version 2, until its DETAILS arrive."""
+        self._spoken = VERSION if port.settings.baud >= _LEAST_BAUD else VERSION - 1
+        self._greeted: tuple[int, BoxInfo] | None = None
+        """Version and HELLO of a box of version 2 or more, until its DETAILS arrive, and its LAW if it offers one."""
+        self._told: BoxDetails | None = None
+        """DETAILS of such a box, until its LAW arrives."""
 
     def run(self) -> None:
         """Keep the line open until `stop`; body of the serial thread."""
@@ -147,7 +157,10 @@ class Link:
                 return
             now = time.monotonic()
             self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-            frame = encode_command(self._sequence, int(1e6 * now), self.guard.command(now), self.version)
+            command = self.guard.command(now)
+            if command.law is not Law.PAPER and self.law is None:
+                command = Command()  # this box would add the changes to the paper's gains
+            frame = encode_command(self._sequence, int(1e6 * now), command, self.version)
             try:
                 if not self.port.write(frame):
                     return
@@ -183,7 +196,7 @@ class Link:
             data = self.port.read(_READ_TIMEOUT)
             now = time.monotonic()
             if self.state is LinkState.OPEN and now >= next_hello:
-                self.port.write(encode_hello(0, int(1e6 * now)))
+                self.port.write(encode_hello(0, int(1e6 * now), version_max=self._spoken))
                 next_hello = now + _HELLO_PERIOD
             if data:
                 last_byte = now
@@ -194,7 +207,7 @@ class Link:
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
                 self._complain(_foreign(self._decoder.foreign_version))
 
-    def _take(self, frame: Hello | State | Details | CommandFrame, now: float) -> None:
+    def _take(self, frame: Frame, now: float) -> None:
         if isinstance(frame, State):
             if self.state is LinkState.CONNECTED:
                 self._take_state(frame, now)
@@ -202,6 +215,8 @@ class Link:
             self._take_hello(frame, frame.info)
         elif isinstance(frame, Details):
             self._take_details(frame.details)
+        elif isinstance(frame, LawFrame) and self._greeted is not None and self._told is not None:
+            self._connect(*self._greeted, self._told, frame.record if frame.law is Law.COMPENSATED else None)
 
     def _take_state(self, frame: State, now: float) -> None:
         restarts = self.counts.restarts
@@ -237,7 +252,7 @@ class Link:
 
     def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
         try:
-            version = negotiate(frame)
+            version = min(negotiate(frame), self._spoken)
         except WrongVersionError as error:
             self._complain(_foreign(error.version))
             return
@@ -246,23 +261,29 @@ class Link:
                 return
             self._restarted()
         if version == VERSION_MIN:
-            self._connect(version, info, None)
+            self._connect(version, info)
         elif frame.sequence != 0:  # the HELLO at power-on is not followed by DETAILS
             if self._greeted is not None:
-                self._complain(NO_DETAILS)
-            self._greeted = info
+                self._complain(incomplete(version, self._told))
+            self._greeted, self._told = (version, info), None
 
     def _take_details(self, details: BoxDetails) -> None:
         if self.state is LinkState.CONNECTED:
             if self.details is not None and details.epoch != self.details.epoch:
                 self._restarted()
         elif self._greeted is not None:
-            self._connect(2, self._greeted, details)
+            if self._greeted[0] > 2 and details.laws >> Law.COMPENSATED & 1:
+                self._told = details
+            else:
+                self._connect(*self._greeted, details)
 
-    def _connect(self, version: int, info: BoxInfo, details: BoxDetails | None) -> None:
-        self._greeted = None
+    def _connect(
+        self, version: int, info: BoxInfo, details: BoxDetails | None = None, law: BoxLaw | None = None
+    ) -> None:
+        self._greeted = self._told = None
         with self.lock:
-            self.box, self.details, self.version, self.state = info, details, version, LinkState.CONNECTED
+            self.box, self.details, self.law = info, details, law
+            self.version, self.state = version, LinkState.CONNECTED
             self.guard.settings = narrowed(self._wanted_limits, info)
             self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
@@ -271,7 +292,7 @@ class Link:
         self._log(
             f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
         )
-        for sentence in connection_remarks(self._wanted_limits, info, details):
+        for sentence in connection_remarks(self._wanted_limits, info, details, law):
             self._log(sentence)
         self._on_box(info)
 
@@ -286,7 +307,7 @@ class Link:
         self._warn("the box was restarted, by itself or by its power: it is disarmed until armed anew")
         with self.lock:
             self.guard.set_arm(False)
-            self.state, self._greeted = LinkState.OPEN, None
+            self.state, self._greeted, self._told = LinkState.OPEN, None, None
         with self._news:
             self._news.notify_all()
         self._disarm_and_forget()
@@ -299,7 +320,7 @@ class Link:
         with self._news:
             self._news.notify_all()
         self._decoder.reset()
-        self._greeted = None
+        self._greeted = self._told = None
         self._disarm_and_forget()
 
     def _disarm_and_forget(self) -> None:

@@ -6,9 +6,16 @@ from __future__ import annotations
 from dataclasses import fields
 
 from hydro_bridge.safety.guard import GuardSettings, narrowed
-from hydro_bridge.serial.frames import BoxDetails, BoxInfo
+from hydro_bridge.serial.frames import BoxDetails, BoxInfo, BoxLaw
 
-NO_DETAILS = "the box says that it speaks protocol version 2 and sends no DETAILS behind its HELLO: no command is sent"
+NO_LAW = "only the paper's force law can be run: the box offers no other, or the line has less than 1300000 bit/s"
+
+
+def incomplete(version: int, details: BoxDetails | None) -> str:
+    """Return a sentence on a box of version 2 or more whose HELLO is not followed by what belongs to it."""
+    said, missing = ("DETAILS", "LAW") if details else ("HELLO", "DETAILS")
+    return f"the box speaks protocol version {version} and sends no {missing} behind its {said}: no command is sent"
+
 
 MISSED = (
     "the box speaks protocol version 1: it cannot tell its force and sensor limits, which bench it believes, which "
@@ -16,9 +23,11 @@ MISSED = (
 )
 
 
-def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None) -> list[str]:
-    """Return sentences for the log; none for a version 2 box that allows everything the guard is set to."""
-    said = [] if details else [MISSED]
+def connection_remarks(
+    wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None, law: BoxLaw | None
+) -> list[str]:
+    """Return sentences for the log; none for a box with both laws that allows everything the guard is set to."""
+    said = ([] if details else [MISSED]) + ([] if law else [NO_LAW])
     allowed = narrowed(wanted, info)
     changed = [
         f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"

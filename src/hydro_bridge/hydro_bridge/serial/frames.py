@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from math import inf
 from typing import NamedTuple
 
-from hydro_bridge.signals import NEUTRAL, Coefficients, Command
+from hydro_bridge.signals import NEUTRAL, Coefficients, Command, Law
 
 VERSION_MIN = 1
 """Lowest supported protocol version."""
-VERSION = 2
+VERSION = 3
 """Highest supported protocol version."""
 
 
@@ -24,6 +23,8 @@ class FrameType(IntEnum):
     COMMAND = 3
     DETAILS = 4
     """From version 2 on."""
+    LAW = 5
+    """From version 3 on."""
 
 
 class MalformedError(ValueError):
@@ -92,6 +93,8 @@ class BoxDetails:
     """Digest of the bench file used by its force law, 12 hexadecimal digits."""
     feedback: str = ""
     """Force that its law follows, one of `FEEDBACKS`."""
+    laws: int = 0
+    """Force laws that it offers, bit n for the `Law` n; 0, and before version 3: the paper's alone."""
     load_force_limit: float = 0.0
     """N, magnitude of the load force beyond which it trips while armed."""
     force_range: float = 0.0
@@ -159,9 +162,24 @@ class BoxLaw:
 
 PAPER_LAW = BoxLaw(
     velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,
-    valve_gain_scale_max=1.0, reference_max=inf, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
+    valve_gain_scale_max=1.0, reference_max=1e30, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
 )  # fmt: skip
 """What the paper's law makes of the same record: nothing to shape. Its gains are those of `BoxInfo`."""
+
+
+class LawState(NamedTuple):
+    """Force law of a box as it acts in one sample, from version 3 on; f_c is the force itself while disarmed."""
+
+    law: Law
+    compensated_reference: float
+    """f_c [N]."""
+    compensated_reference_rate: float
+    """f_c' [N/s]."""
+    coefficients: Coefficients
+    velocity_compensation: float
+    """C_1."""
+    valve_gain_scale: float
+    """C_2."""
 
 
 class Hello(NamedTuple):
@@ -177,7 +195,8 @@ class Hello(NamedTuple):
 class State(NamedTuple):
     """One sample: `values` in STATE_FIELDS order, flags, and the sequence number of the box's latest command.
 
-    From version 2 on also the numbers of values and of references that the box refused since its power-on.
+    From version 2 on also the numbers of values and of references that the box refused since its power-on, from
+    version 3 on its force law.
     """
 
     sequence: int
@@ -187,6 +206,7 @@ class State(NamedTuple):
     last_command: int
     refused: int | None = None
     refused_references: int | None = None
+    law_state: LawState | None = None
 
 
 class Details(NamedTuple):
@@ -197,6 +217,15 @@ class Details(NamedTuple):
     details: BoxDetails
 
 
+class LawFrame(NamedTuple):
+    """The LAW frame: a law that the box offers beside the paper's."""
+
+    sequence: int
+    time_us: int
+    law: Law
+    record: BoxLaw
+
+
 class CommandFrame(NamedTuple):
     """A command as the box receives it."""
 
@@ -205,4 +234,4 @@ class CommandFrame(NamedTuple):
     command: Command
 
 
-Frame = Hello | State | Details | CommandFrame
+Frame = Hello | State | Details | LawFrame | CommandFrame

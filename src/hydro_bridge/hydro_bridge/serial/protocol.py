@@ -11,7 +11,7 @@ Delimiters on both sides let a frame after garbage be read completely: resynchro
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 from math import copysign, inf
 from struct import Struct
 from zlib import crc32
@@ -25,18 +25,21 @@ from hydro_bridge.serial.frames import (
     VERSION_MIN,
     BoxDetails,
     BoxInfo,
+    BoxLaw,
     CheckSumError,
     CommandFrame,
     Details,
     Frame,
     FrameType,
     Hello,
+    LawFrame,
+    LawState,
     MalformedError,
     State,
     UnknownFrameError,
     WrongVersionError,
 )
-from hydro_bridge.signals import STATE_FIELDS, Command, ReferenceSignal, Waveform
+from hydro_bridge.signals import STATE_FIELDS, Command, Law, ReferenceSignal, Waveform
 
 __all__ = [
     "HANDSHAKE",
@@ -45,12 +48,15 @@ __all__ = [
     "VERSION_MIN",
     "BoxDetails",
     "BoxInfo",
+    "BoxLaw",
     "CheckSumError",
     "CommandFrame",
     "Details",
     "Frame",
     "FrameType",
     "Hello",
+    "LawFrame",
+    "LawState",
     "MalformedError",
     "State",
     "UnknownFrameError",
@@ -59,6 +65,7 @@ __all__ = [
     "encode_command",
     "encode_details",
     "encode_hello",
+    "encode_law",
     "encode_state",
     "negotiate",
 ]
@@ -71,11 +78,17 @@ MAX_ENCODED = 160
 _HEADER = Struct("<BBIQ")
 _STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fII")
 _STATE_2 = Struct(f"<BBIQ{len(STATE_FIELDS)}fIIII")
+_STATE_3 = Struct(f"<BBIQ{len(STATE_FIELDS)}fIIIII8f")
 _COMMAND = Struct("<BBIQIIfffIffff")
+_COMMAND_3 = Struct("<BBIQIIfffIffffI7f")
 _DETAILS = Struct("<BBIQI12sBBBB10f")
+_LAW = Struct("<BBIQI26f")
 _HELLO = Struct("<BBIQBBBB32s9f")
 _CRC = Struct("<I")
+_LAW_NAMES = [entry.name for entry in fields(BoxLaw)]
 _ARM, _FILTER_FRESH = 1, 2
+_FEED_FORWARD = 0.0
+"""Reserved number of a COMMAND of version 3."""
 
 
 def encode_state(
@@ -85,8 +98,9 @@ def encode_state(
     flags: int,
     last_command: int,
     refused: tuple[int, int] | None = None,
+    law_state: LawState | None = None,
 ) -> bytes:
-    """Encode one sample: version 2 if it counts refusals, else version 1.
+    """Encode one sample: version 3 if it tells the force law, version 2 if it counts refusals, else version 1.
 
     Parameters
     ----------
@@ -102,41 +116,54 @@ def encode_state(
         Sequence of the newest command received, 0 before the first; the host measures the round trip with it.
     refused
         Numbers of values and of references that the box refused since its power-on.
+    law_state
+        Force law as it acts; needs `refused`.
     """
-    head = (VERSION_MIN if refused is None else 2, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
-    layout, tail = (_STATE, ()) if refused is None else (_STATE_2, tuple(count & 0xFFFFFFFF for count in refused))
-    try:
-        return _wrap(layout.pack(*head, *values, flags, last_command, *tail))
-    except OverflowError:
-        return _wrap(layout.pack(*head, *map(_single, values), flags, last_command, *tail))
+    tail: tuple[float, ...] = () if refused is None else tuple(count & 0xFFFFFFFF for count in refused)
+    version, layout = (VERSION_MIN, _STATE) if refused is None else (2, _STATE_2)
+    if law_state is not None:
+        law, value, rate, coefficients, *scales = law_state
+        version, layout, tail = 3, _STATE_3, (*tail, law, value, rate, *coefficients, *scales)
+    head = (version, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
+    return _pack(layout, *head, *values, flags, last_command, *tail)
 
 
 def encode_command(sequence: int, time_us: int, command: Command, version: int = VERSION_MIN) -> bytes:
-    """Encode one command; `time_us` is the host's clock, `version` the one negotiated."""
+    """Encode one command; `time_us` is the host's clock, `version` the one negotiated.
+
+    Before version 3 a command names no law: a box then runs the paper's.
+    """
     reference = command.reference
     bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     shape = (reference.amplitude, reference.offset, reference.frequency, reference.phase)
     head = (version, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
-    try:
-        return _wrap(_COMMAND.pack(*head, *numbers, reference.waveform, *shape))
-    except OverflowError:
-        return _wrap(_COMMAND.pack(*head, *map(_single, numbers), reference.waveform, *map(_single, shape)))
+    if version < 3:
+        return _pack(_COMMAND, *head, *numbers, reference.waveform, *shape)
+    shaping = (command.law, *command.coefficients, command.velocity_compensation, command.valve_gain_scale)
+    return _pack(_COMMAND_3, *head, *numbers, reference.waveform, *shape, *shaping, _FEED_FORWARD)
 
 
-def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None) -> bytes:
+def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, version_max: int = VERSION) -> bytes:
     """Encode the frame that opens a connection; a box gives its `info`, the host none."""
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
-    who = (VERSION_MIN, VERSION, info is not None, INTEGRAL_FORMS.index(integral))
+    who = (VERSION_MIN, version_max, info is not None, INTEGRAL_FORMS.index(integral))
     head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
     return _wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
 
 
-def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
-    """Encode the frame that follows each HELLO of a box in version 2."""
-    epoch, digest, feedback, *numbers = astuple(details)
-    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), 0, 0, 0)
-    return _wrap(_DETAILS.pack(2, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
+def encode_details(sequence: int, time_us: int, details: BoxDetails, version: int = VERSION) -> bytes:
+    """Encode the frame that follows each HELLO of a box from version 2 on."""
+    epoch, digest, feedback, laws, *numbers = astuple(details)
+    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws if version > 2 else 0, 0, 0)
+    return _wrap(_DETAILS.pack(version, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
+
+
+def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
+    """Encode the compensated law of a box, which follows its DETAILS from version 3 on."""
+    *numbers, lowest, highest, fastest = astuple(record)
+    head = (3, FrameType.LAW, sequence & 0xFFFFFFFF, time_us, Law.COMPENSATED)
+    return _pack(_LAW, *head, *numbers, *lowest, *highest, *fastest)
 
 
 def decode(encoded: bytes) -> Frame:
@@ -186,28 +213,58 @@ def _wrap(body: bytes) -> bytes:
     return b"\0" + stuffed + b"\0"
 
 
+def _pack(layout: Struct, *values: float) -> bytes:
+    """A whole frame; numbers beyond the range of float32 become infinite."""
+    try:
+        return _wrap(layout.pack(*values))
+    except OverflowError:
+        return _wrap(layout.pack(*map(_single, values)))
+
+
 def _single(value: float) -> float:
     """Return the nearest float that fits into float32."""
-    return copysign(inf, value) if abs(value) > 3.4028234e38 else value
+    return copysign(inf, value) if isinstance(value, float) and abs(value) > 3.4028234e38 else value
 
 
 def _state(values: tuple[float, ...]) -> State:
-    return State(int(values[2]), int(values[3]), values[4:18], *map(int, values[18:]))
+    return State(int(values[2]), int(values[3]), values[4:18], int(values[18]), int(values[19]))
+
+
+def _state_2(values: tuple[float, ...]) -> State:
+    return _state(values[:20])._replace(refused=int(values[20]), refused_references=int(values[21]))
+
+
+def _state_3(values: tuple[float, ...]) -> State:
+    law, value, rate, a_0, a_1, a_2, a_3, *scales = values[22:]
+    law_state = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), *scales)
+    return _state_2(values[:22])._replace(law_state=law_state)
+
+
+def _known_law(number: float) -> Law:
+    if number > max(Law):
+        raise MalformedError(f"law {number}")
+    return Law(int(number))
+
+
+def _law(values: tuple[float, ...]) -> LawFrame:
+    numbers, limits = values[5:19], (values[19:23], values[23:27], values[27:])
+    record = BoxLaw(**dict(zip(_LAW_NAMES, (*numbers, *limits), strict=True)))  # type: ignore[arg-type]
+    return LawFrame(int(values[2]), int(values[3]), _known_law(values[4]), record)
 
 
 def _details(values: tuple[float, ...]) -> Details:
-    _, _, sequence, time_us, epoch, digest, feedback, _, _, _, *numbers = values
+    _, _, sequence, time_us, epoch, digest, feedback, laws, _, _, *numbers = values
     text = bytes(digest).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
     force = FEEDBACKS[int(feedback)] if feedback < len(FEEDBACKS) else ""
-    names = [entry.name for entry in fields(BoxDetails)][3:]
+    names = [entry.name for entry in fields(BoxDetails)][4:]
     details = BoxDetails(
-        epoch=int(epoch), bench_digest=text, feedback=force, **dict(zip(names, numbers, strict=True))
+        epoch=int(epoch), bench_digest=text, feedback=force, laws=int(laws), **dict(zip(names, numbers, strict=True))
     )  # fmt: skip
     return Details(int(sequence), int(time_us), details)
 
 
 def _command(values: tuple[float, ...]) -> CommandFrame:
-    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = values[4:]
+    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = values[4:14]
     if waveform > Waveform.SMOOTH_STEP:
         raise MalformedError(f"waveform {waveform}")
     reference = ReferenceSignal(
@@ -225,6 +282,19 @@ def _command(values: tuple[float, ...]) -> CommandFrame:
     return CommandFrame(int(values[2]), int(values[3]), command)
 
 
+def _command_3(values: tuple[float, ...]) -> CommandFrame:
+    law, a_0, a_1, a_2, a_3, c_1, c_2, _ = values[14:]
+    frame = _command(values)
+    command = replace(
+        frame.command,
+        law=_known_law(law),
+        coefficients=(a_0, a_1, a_2, a_3),
+        velocity_compensation=c_1,
+        valve_gain_scale=c_2,
+    )
+    return frame._replace(command=command)
+
+
 def _hello(values: tuple[float, ...]) -> Hello:
     _, _, sequence, time_us, version_min, version_max, is_box, form, name, *numbers = values
     text = bytes(name).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
@@ -238,7 +308,11 @@ _LAYOUTS: dict[tuple[int, int], tuple[Struct, Callable[[tuple[float, ...]], Fram
     (HANDSHAKE, FrameType.HELLO): (_HELLO, _hello),
     (1, FrameType.STATE): (_STATE, _state),
     (1, FrameType.COMMAND): (_COMMAND, _command),
-    (2, FrameType.STATE): (_STATE_2, _state),
+    (2, FrameType.STATE): (_STATE_2, _state_2),
     (2, FrameType.COMMAND): (_COMMAND, _command),
     (2, FrameType.DETAILS): (_DETAILS, _details),
+    (3, FrameType.STATE): (_STATE_3, _state_3),
+    (3, FrameType.COMMAND): (_COMMAND_3, _command_3),
+    (3, FrameType.DETAILS): (_DETAILS, _details),
+    (3, FrameType.LAW): (_LAW, _law),
 }

@@ -23,13 +23,16 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw
+from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
 from hydro_bridge.settings import SettingsError, check, quantity
-from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
+from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_sim.box import kernel
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
+
+_LAW_TOLD = np.dtype([(name, np.float32, kernel.LAW_DTYPE[name].shape) for name in kernel.LAW_DTYPE.names or ()])
+"""The compensated law as LAW tells it: a host that keeps to the limits that it was told never exceeds them."""
 
 RATE_RANGE = 1e8
 """Largest magnitude [N/s] of a differentiated force: a load cell's full range within a tenth of a sample."""
@@ -39,6 +42,9 @@ VELOCITY_RANGE = 10.0
 
 Integral = Literal["bumpless", "paper"]
 """Forms of the force law's integral (`hydro_sim.box.force_law`)."""
+
+LAWS = 1 << Law.PAPER | 1 << Law.COMPENSATED
+"""Laws of this box, as DETAILS has them."""
 
 EMULATED_BOX = "hydro emulator"
 """Name of the emulator's box on the line: no person stands beside that one."""
@@ -95,7 +101,7 @@ class BoxConfig:
         record = np.zeros(1, kernel.SETTINGS_DTYPE)
         for name in (set(record.dtype.names or ()) & {entry.name for entry in fields(self)}) - {"compensated"}:
             record[name] = getattr(self, name)
-        record["compensated"] = astuple(self.compensated)
+        record["compensated"] = np.array(astuple(self.compensated), _LAW_TOLD)
         own = {entry.name: getattr(self, entry.name) for entry in fields(BoxLaw) if hasattr(self, entry.name)}
         record["paper"] = astuple(replace(PAPER_LAW, **own))
         record["integral_form"] = INTEGRAL_FORMS.index(self.integral)
@@ -173,11 +179,19 @@ def box_details(bench: Bench, config: BoxConfig, ages: Sensors, epoch: int) -> B
     """The DETAILS of a box with these settings; `ages` of its rates, `epoch` of its power-on."""
     names = ("feedback", "load_force_limit", "force_range", "pressure_min", "pressure_max", "hold_timeout")
     return BoxDetails(
-        epoch=epoch, bench_digest=bench.digest, trip_timeout=config.trip_timeout,
+        epoch=epoch, bench_digest=bench.digest, laws=LAWS, trip_timeout=config.trip_timeout,
         position_min=-config.position_margin, position_max=bench.stroke + config.position_margin,
         force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age,
         **{name: getattr(config, name) for name in names},
     )  # fmt: skip
+
+
+def law_state(state: np.void) -> LawState:
+    """Force law as it acted in the last sample, of a record of `kernel.STATE_DTYPE`."""
+    a_0, a_1, a_2, a_3 = state["acting"]["coefficients"].tolist()
+    scales = float(state["acting"]["velocity_compensation"]), float(state["acting"]["valve_gain_scale"])
+    reference = float(state["compensated_reference"]), float(state["compensated_reference_rate"])
+    return LawState(Law(int(state["law"])), *reference, (a_0, a_1, a_2, a_3), *scales)
 
 
 def fill_command(record: npt.NDArray[np.void], command: Command) -> None:

@@ -6,7 +6,10 @@ from __future__ import annotations
 import ctypes
 from typing import Any
 
+import numpy as np
+
 from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_bridge.signals import NEUTRAL
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
@@ -23,24 +26,28 @@ BENCH_FIELDS = (
     "valve_gain",
     "valve_current_max",
 )
-REAL_FIELDS = (
+LAW_FIELDS = (
     "base_kp",
     "base_ki",
     "delta_kp_min",
     "delta_kp_max",
     "delta_ki_min",
     "delta_ki_max",
-    "delta_u_max",
-    "load_force_limit",
-    "gain_floor",
-    "force_range",
+    "reference_max",
 )
-"""Numbers of the box in the order of `hydro_config`, behind those of the bench."""
+"""Numbers of a law in the order of `hydro_law`."""
+SHAPING_FIELDS = ("safe", "low", "high", "rate")
+"""Shaping of a law, behind them: of a_0 to a_3, C_1, C_2 each."""
+REAL_FIELDS = ("delta_u_max", "load_force_limit", "gain_floor", "force_range")
+"""Numbers of the box in the order of `hydro_config`, behind those of the bench and its laws."""
 
 
 def structure(real: type[Any]) -> type[ctypes.Structure]:
     """`hydro_config` with numbers of `ctypes.c_double` or `ctypes.c_float`."""
-    fields = [(name, real) for name in BENCH_FIELDS + REAL_FIELDS]
+    numbers = [(name, real) for name in LAW_FIELDS] + [(name, real * 6) for name in SHAPING_FIELDS]
+    law = type("HydroLaw", (ctypes.Structure,), {"_fields_": numbers})
+    fields: list[tuple[str, Any]] = [(name, real) for name in BENCH_FIELDS]
+    fields += [("laws", law * 2), *((name, real) for name in REAL_FIELDS)]
     fields += [("low", real * 8), ("high", real * 8), ("force_rate_age", real), ("velocity_age", real)]
     fields += [("hold_timeout", ctypes.c_double), ("trip_timeout", ctypes.c_double)]
     fields += [("feedback", ctypes.c_uint32), ("integral_form", ctypes.c_uint32)]
@@ -52,9 +59,8 @@ def values(bench: Bench, config: BoxConfig, sensors: Sensors, name: str) -> dict
     """Configuration of a box with these settings, by the fields of `hydro_config`, without the bench's."""
     believed, settings = bench.constants()[0], config.constants(bench)[0]
     result: dict[str, Any] = {field: float(believed[field]) for field in BENCH_FIELDS}
-    gains = settings["paper"]
-    own = {field: gains if field in gains.dtype.names else settings for field in REAL_FIELDS if field != "force_range"}
-    result |= {field: float(record[field]) for field, record in own.items()}
+    result["laws"] = [_law(settings[name]) for name in ("paper", "compensated")]
+    result |= {field: float(settings[field]) for field in REAL_FIELDS if field != "force_range"}
     result |= {"low": [float(x) for x in settings["low"]], "high": [float(x) for x in settings["high"]]}
     result["force_range"] = result["high"][int(settings["feedback_channel"])]
     result |= {"force_rate_age": sensors.force_rate_age, "velocity_age": sensors.velocity_age}
@@ -64,16 +70,33 @@ def values(bench: Bench, config: BoxConfig, sensors: Sensors, name: str) -> dict
     return result
 
 
+def _law(record: np.void) -> dict[str, Any]:
+    """Numbers of `hydro_law` of a record of `kernel.LAW_DTYPE`."""
+    scales = ("velocity_compensation", "valve_gain_scale")
+    result: dict[str, Any] = {field: float(record[field]) for field in LAW_FIELDS}
+    result["safe"] = [*NEUTRAL, *(float(record[name]) for name in scales)]
+    for field, end in (("low", "min"), ("high", "max")):
+        result[field] = [*record[f"coefficient_{end}"].tolist(), *(float(record[f"{name}_{end}"]) for name in scales)]
+    result["rate"] = [*record["coefficient_rate"].tolist(), *[float(record["scale_rate"])] * 2]
+    return result
+
+
 def filled(kind: type[ctypes.Structure], numbers: dict[str, Any]) -> ctypes.Structure:
     """A structure of `values`."""
     record = kind()
     for field, _ in kind._fields_:  # type: ignore[misc]
         value = numbers[field]
-        if isinstance(value, list | bytes):
+        if field == "laws":
+            record.laws[:] = [filled(record.laws._type_, law) for law in value]
+        elif isinstance(value, list | bytes):
             getattr(record, field)[:] = value
         else:
             setattr(record, field, value)
     return record
+
+
+def _list(numbers: list[float]) -> str:
+    return f"{{{', '.join(f'HYDRO_R({x!r})' for x in numbers)}}}"
 
 
 def header(numbers: dict[str, Any]) -> str:
@@ -82,10 +105,13 @@ def header(numbers: dict[str, Any]) -> str:
         "    .bench = {",
         *(f"        .{field} = HYDRO_R({numbers[field]!r})," for field in BENCH_FIELDS),
         "    },",
+        "    .laws = {",
     ]
-    lines += [f"    .{field} = HYDRO_R({numbers[field]!r})," for field in REAL_FIELDS]
-    for field in ("low", "high"):
-        lines.append(f"    .{field} = {{{', '.join(f'HYDRO_R({x!r})' for x in numbers[field])}}},")
+    for law in numbers["laws"]:
+        lines += ["        {", *(f"            .{field} = HYDRO_R({law[field]!r})," for field in LAW_FIELDS)]
+        lines += [*(f"            .{field} = {_list(law[field])}," for field in SHAPING_FIELDS), "        },"]
+    lines += ["    },", *(f"    .{field} = HYDRO_R({numbers[field]!r})," for field in REAL_FIELDS)]
+    lines += [f"    .{field} = {_list(numbers[field])}," for field in ("low", "high")]
     lines += [f"    .{field} = HYDRO_R({numbers[field]!r})," for field in ("force_rate_age", "velocity_age")]
     lines += [f"    .{field} = {numbers[field]!r}," for field in ("hold_timeout", "trip_timeout")]
     lines += [f"    .{field} = {numbers[field]}u," for field in ("feedback", "integral_form")]

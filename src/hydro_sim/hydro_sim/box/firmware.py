@@ -15,8 +15,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.serial.frames import LawState
 from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import STATE_DTYPE, FloatArray, StateArray
+from hydro_bridge.signals import STATE_DTYPE, FloatArray, Law, StateArray
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.configuration import filled, structure, values
 from hydro_sim.model.bench import Bench
@@ -32,7 +33,7 @@ SINGLE_DTYPE = np.dtype(
 )  # fmt: skip
 """`hydro_sample` of the library in single precision."""
 
-_BURST_MAX = 336
+_BURST_MAX = 516
 _COUNTS = ("taken", "stale", "greetings", "refused", "refused_references", "last_command")
 
 
@@ -130,6 +131,13 @@ class Firmware:
         """Return the bytes sent up the line after a tick."""
         count = self._c.hydro_c_frames(self._box, self._out)
         return ctypes.string_at(self._out, count)
+
+    def law_state(self) -> LawState:
+        """Return the force law as it acted in the last sample."""
+        out = (ctypes.c_double * 9)()
+        self._c.hydro_c_law_state(self._box, out)
+        law, value, rate, a_0, a_1, a_2, a_3, *scales = out
+        return LawState(Law(int(law)), value, rate, (a_0, a_1, a_2, a_3), *scales)
 
     def counts(self) -> dict[str, int]:
         """Commands taken, commands old or repeated, greetings; values and references refused; the newest command."""

@@ -272,6 +272,7 @@ def _control(bench, limits, state, measurement, late, held, time, output):
     output.reference_force, output.reference_force_rate = force, 0.0
     state.compensated_reference, state.compensated_reference_rate = force, 0.0
     if not state.armed:
+        _begin_shaping(state.acting, law_of(limits, state.law))
         return False
     wave = reference.advance(state.reference, time)
     wanted, wanted_rate = _compensate(state, law_of(limits, state.law), held, wave)

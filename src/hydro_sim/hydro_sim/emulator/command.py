@@ -123,7 +123,8 @@ def _serve(options: argparse.Namespace) -> None:
         machine.warm_up()
         details = box_details(bench, box, machine.sensors, epoch)
         info, terminal = box_info(bench, box, EMULATED_BOX), Terminal(options.link or default_link())
-        link = BoxLink(terminal, info, faults, options.seed, details, lambda: machine.refused)
+        told = (lambda: machine.refused, box.compensated, lambda: machine.law_state)
+        link = BoxLink(terminal, info, faults, options.seed, details, *told)
     else:
         precision: Precision = "single" if options.firmware == "c-single" else "double"
         machine = FirmwareMachine(truth, bench, box, options.seed, precision, epoch)

@@ -7,7 +7,7 @@ from itertools import count
 
 import numpy as np
 
-from hydro_bridge.serial.protocol import BoxInfo, encode_command
+from hydro_bridge.serial.protocol import VERSION, BoxInfo, LawState, encode_command
 from hydro_bridge.signals import Command
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig
 from hydro_sim.box.firmware import Firmware, Precision
@@ -42,6 +42,11 @@ class FirmwareMachine(Machine):
         counts = self.firmware.counts()
         return counts["refused"], counts["refused_references"]
 
+    @property
+    def law_state(self) -> LawState:
+        """Force law as it acted in the last sample."""
+        return self.firmware.law_state()
+
     def restart(self) -> None:
         """Power-cycle the box."""
         self.firmware.power_on()
@@ -50,7 +55,7 @@ class FirmwareMachine(Machine):
 
     def receive(self, command: Command) -> None:
         """Process a command as a frame of the line: its numbers become float32."""
-        self.firmware.take(encode_command(next(self._sent), 0, command))
+        self.firmware.take(encode_command(next(self._sent), 0, command, VERSION))
 
     def tick(self) -> np.void:
         """One sample, as `Machine.tick`."""

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.serial.frames import LawState
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim import copies
 from hydro_sim.box import kernel
-from hydro_sim.box.box import BoxConfig, fill_command
+from hydro_sim.box.box import BoxConfig, fill_command, law_state
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.jit import njit
@@ -84,6 +85,11 @@ class Machine:
     def refused(self) -> tuple[int, int]:
         """Numbers of values, and of references, that the box refused since its power-up."""
         return int(self.box["refused"][0]), int(self.box["refused_references"][0])
+
+    @property
+    def law_state(self) -> LawState:
+        """Force law as it acted in the last sample."""
+        return law_state(self.box[0])
 
     @property
     def time(self) -> float:

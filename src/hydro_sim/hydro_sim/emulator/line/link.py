@@ -13,15 +13,18 @@ from hydro_bridge.serial.protocol import (
     VERSION_MIN,
     BoxDetails,
     BoxInfo,
+    BoxLaw,
     CommandFrame,
     Frame,
     Hello,
+    LawState,
     encode_details,
     encode_hello,
+    encode_law,
     encode_state,
 )
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import Command
+from hydro_bridge.signals import NEUTRAL, Command, Law
 from hydro_sim.emulator.line.faults import CHANCES, FaultyLine, LinkFaults
 from hydro_sim.emulator.line.terminal import Terminal
 
@@ -70,9 +73,13 @@ class BoxLink:
     faults, seed
         Injected faults, and the seed of their probabilities.
     details
-        Additional data for a host of version 2; its epoch counts up at each reboot.
+        Additional data for a host of version 2 or more; its epoch counts up at each reboot.
     refused
         Returns how many values and references the box refused since its power-on.
+    law
+        Compensated law that the box offers, as `details.laws` says; told to a host of version 3.
+    law_state
+        Returns the force law as it acts, for a host of version 3.
     """
 
     def __init__(
@@ -83,11 +90,13 @@ class BoxLink:
         seed: int = 0,
         details: BoxDetails | None = None,
         refused: Callable[[], tuple[int, int]] = lambda: (0, 0),
+        law: BoxLaw | None = None,
+        law_state: Callable[[], LawState] = lambda: LawState(Law.PAPER, 0.0, 0.0, NEUTRAL, 1.0, 1.0),
     ) -> None:
         self.terminal = terminal
         self.info, self.details = info, details or BoxDetails(epoch=1)
         self.version = VERSION_MIN
-        self._refused = refused
+        self._refused, self._law, self._law_state = refused, law, law_state
         self.report = LinkReport()
         self.decoder = Decoder()
         up, down = np.random.default_rng(seed).spawn(2)
@@ -176,10 +185,14 @@ class BoxLink:
         box_time, sequence, *values, flags = sample.item()
         time_us = round(box_time * 1e6)
         refused = self._refused() if self.version > VERSION_MIN else None
-        frame = encode_state(sequence, time_us, values, flags, self.last_command, refused)
+        law_state = self._law_state() if self.version > 2 else None
+        frame = encode_state(sequence, time_us, values, flags, self.last_command, refused, law_state)
         if self._greeting:
-            details = encode_details(self._hellos, time_us, self.details) if self.version > VERSION_MIN else b""
-            frame = encode_hello(self._hellos, time_us, self.info) + details + frame
+            if self.version > 2 and self._law:
+                frame = encode_law(self._hellos, time_us, self._law) + frame
+            if self.version > VERSION_MIN:
+                frame = encode_details(self._hellos, time_us, self.details, self.version) + frame
+            frame = encode_hello(self._hellos, time_us, self.info) + frame
             self._hellos += 1
             self._greeting = False
         return frame
