@@ -40,9 +40,10 @@ def write(full: Store, quick: Store, page: Path | None, json: Path | None) -> No
 
 
 def text(full: Store, quick: Store) -> str:
-    """The whole page."""
+    """The whole page; the quick size's tables only while pieces of the full one are missing."""
     parts = [captions.HEAD, _claims(full, quick), captions.OPEN, _times(full, quick)]
-    for store in (full, quick):
+    complete = all(full.kept(name) is not None for kind in times.KINDS for name in kind.names(full.size))
+    for store in (full,) if complete else (full, quick):
         parts.append(_sizes(store))
         if store.names():
             parts += [
