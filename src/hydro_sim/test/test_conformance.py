@@ -101,7 +101,8 @@ def python_box(memory: Any, **settings: Any) -> InStep:
     machine = Machine(profile("nominal"), bench, config)
     details = box_details(bench, config, machine.sensors, epoch=3)
     info = box_info(bench, config, "in step")
-    return InStep(machine, BoxLink(memory, info, LinkFaults(), 0, details, lambda: machine.refused), memory)
+    told = (lambda: machine.refused, config.compensated, lambda: machine.law_state)
+    return InStep(machine, BoxLink(memory, info, LinkFaults(), 0, details, *told), memory)
 
 
 def c_box(memory: Any, precision: firmware.Precision = "double", **settings: Any) -> InStep:
