@@ -203,6 +203,10 @@ def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
     assert stated(row.format("delta_kp")) == [box.delta_kp_min, box.delta_kp_max]
     assert stated(row.format("delta_ki")) == [box.delta_ki_min, box.delta_ki_max]
     assert stated(r"\| base_kp, base_ki \| (\S+) 1/s, (\S+) 1/s\^2") == [box.base_kp, box.base_ki]
+    law, safe = box.compensated, r"\| compensated law: C_1, C_2 \| (\S+) \((\S+) to (\S+)\), (\S+) \((\S+) to (\S+)\)"
+    assert stated(r"law: base_kp, base_ki \| (\S+) 1/s, (\S+) 1/s\^2") == [law.base_kp, law.base_ki]
+    scales = law.velocity_compensation, law.velocity_compensation_min, law.velocity_compensation_max
+    assert stated(safe) == [*scales, law.valve_gain_scale, law.valve_gain_scale_min, law.valve_gain_scale_max]
     assert stated(r"valve_current_max \| (\S+) A, (\S+) A") == [box.delta_u_max, bench.valve_current_max]
     assert stated(r"force_range \| (\S+) N, (\S+) N") == [box.load_force_limit, box.force_range]
     assert stated(r"TRIPPED \| (\S+) ms, (\S+) ms") == [1000 * box.hold_timeout, 1000 * box.trip_timeout]

@@ -122,8 +122,7 @@ static inline void hydro_box_receive(hydro_box *box, hydro_time time)
 }
 
 /* Reference, force law and saturation into `values`; whether the current stands at its limit. */
-static inline bool hydro_box_control(
-    hydro_box *box, const hydro_real *measurement, bool late, bool held, hydro_time time)
+static inline bool hydro_box_control(hydro_box *box, const hydro_real *measurement, bool held, hydro_time time)
 {
     const hydro_config *config = box->config;
     const hydro_law *law = &config->laws[box->acting.law];
@@ -151,7 +150,7 @@ static inline bool hydro_box_control(
         box->acting.reference_rate = HYDRO_R(0);
         return false;
     }
-    unlimited = late || time - box->arming.received_at > HYDRO_CORRECTION_HOLD ? nominal : nominal + box->guard.delta_u;
+    unlimited = held || time - box->arming.received_at > HYDRO_CORRECTION_HOLD ? nominal : nominal + box->guard.delta_u;
     current = hydro_clamp(unlimited, -limit, limit);
     box->integral = hydro_integrate(
         config->integral_form, box->integral, error, values[HYDRO_KI], unlimited - current);
@@ -189,7 +188,7 @@ static inline hydro_real hydro_box_tick(hydro_box *box, const hydro_real *measur
     held = late || box->acting.law != box->guard.law; /* the law's safe state */
     values[HYDRO_KP] = held ? law->base_kp : law->base_kp + box->guard.delta_kp;
     values[HYDRO_KI] = held ? law->base_ki : law->base_ki + box->guard.delta_ki;
-    saturated = hydro_box_control(box, measurement, late, held, time);
+    saturated = hydro_box_control(box, measurement, held, time);
     box->sample.flags = hydro_flags(&box->arming, late, saturated);
     return values[HYDRO_CURRENT];
 }

@@ -32,7 +32,7 @@ EQUIVALENT = {
     "arming.h: #define HYDRO_NEVER (-2e300)": "longer ago than anything, either way",
     "arming.h: hydro_time left = 1.0 - (time - arming->armed_at) * HYDRO_RECOVERY;": "the time of grace is 1 s",
     "arming.h: return arming->excess * (hydro_real)(left >= 0.0 ? left : 0.0);": "at 0 both branches are 0",
-    "box.h: #define HYDRO_BURST_MAX (4 * HYDRO_FRAME_MAX)": "a buffer may be larger",
+    "box.h: #define HYDRO_BURST_MAX (5 * HYDRO_FRAME_MAX)": "a buffer may be larger",
     "force_law.h: return drop <= HYDRO_R(0) ? -HYDRO_SQRT(-drop) : HYDRO_SQRT(drop);": "the root of 0 is 0",
     (
         "guard.h: if (signal->amplitude < HYDRO_R(0) || signal->amplitude > force_range && offset > force_range"
@@ -44,8 +44,9 @@ EQUIVALENT = {
     "number.h: if (x > 4503599627370496.0 || x <= -4503599627370496.0) {": "2^52 has no fraction",
     "number.h: if (x >= 4503599627370496.0 || x < -4503599627370496.0) {": "2^52 has no fraction",
     "number.h: if (x >= 4503599627370497.0 || x <= -4503599627370496.0) {": "2^52 has no fraction",
-    "protocol.h: #define HYDRO_FRAME_MAX 113u": "a buffer may be larger",
+    "protocol.h: #define HYDRO_FRAME_MAX 130u": "a buffer may be larger",
     "protocol.h: uint8_t body[HYDRO_HEADER + 73 + 4];": "a buffer may be larger",
+    "protocol.h: uint8_t body[HYDRO_HEADER + 109 + 4];": "a buffer may be larger",
     "protocol.h: uint8_t body[HYDRO_HEADER + 61 + 4];": "a buffer may be larger",
     "reference.h: /* reference->leaving.waveform = HYDRO_HOLD; */": "without an amplitude it is a hold",
     "reference.h: /* reference->leaving.amplitude = HYDRO_R(0); */": "a hold is its offset",
@@ -113,7 +114,7 @@ def coverage(folder: Path, source: Path = HERE / "test_box.c") -> dict[str, Reac
 
 
 SAMPLES = ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed", "greeting")
-"""Samples of a box that are counted: COMMAND in and STATE out; with `greeting` HELLO and DETAILS besides."""
+"""Samples of a box that are counted: COMMAND in and STATE out; with `greeting` HELLO, DETAILS and LAW besides."""
 
 PARTS = ("filter", "loop_filter", "policy")
 """Optional parts, of which one decision is counted."""

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Runs samples of one kind, for counting: operations KIND SAMPLES; `size` prints the bytes of a box instead.
- * A COMMAND comes in and a STATE goes out with each sample, with `greeting` a HELLO in, and HELLO, DETAILS, STATE out.
+ * A COMMAND comes in and a STATE goes out with each sample, with `greeting` a HELLO in, and HELLO, DETAILS, LAW, STATE out.
  * `host` is what this program does for the host; `filter`, `loop_filter` and `policy` are one decision each.
  */
 #include "check.h"

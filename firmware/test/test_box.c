@@ -351,7 +351,7 @@ static void test_box(void)
 /* A COMMAND of version 3 at a sample, after which it is ticked. */
 static void follow(hydro_box *box, uint32_t sequence, bool arm, uint32_t law, const float shaping[HYDRO_SHAPING])
 {
-    const float gains[3] = {-300.0f, 4.0f, 0.0f}, shape[4] = {0.0f, 600.0f, 1.0f, 0.0f};
+    const float gains[3] = {-300.0f, 4.0f, 0.001f}, shape[4] = {0.0f, 600.0f, 1.0f, 0.0f};
     uint8_t payload[72] = {0}, wire[HYDRO_ENCODED_MAX];
     host_command(payload, arm ? 3 : 2, gains, HYDRO_HOLD, shape);
     hydro_write32(payload + 40, law);
@@ -395,6 +395,7 @@ static void test_the_compensated_law(void)
     follow(&box, k++, true, HYDRO_PAPER, asked); /* for another law: the safe state, one step nearer */
     CHECK(box.acting.law == HYDRO_COMPENSATED && box.sample.values[HYDRO_KP] == 400);
     CHECK(box.sample.values[HYDRO_KI] == 16 && near(box.acting.shaping[0], 1.1245));
+    CHECK(box.sample.values[HYDRO_CURRENT] == box.sample.values[HYDRO_NOMINAL]); /* and no correction */
     follow(&box, k, true, HYDRO_COMPENSATED, asked);
     CHECK(box.sample.values[HYDRO_KP] == 100 && box.acting.shaping[0] == HYDRO_R(1.125));
     for (int late = 1; late < 190; late++) { /* no commands: from the 51st on the safe state, step by step */

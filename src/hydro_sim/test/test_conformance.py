@@ -101,7 +101,8 @@ def python_box(memory: Any, **settings: Any) -> InStep:
     machine = Machine(profile("nominal"), bench, config)
     details = box_details(bench, config, machine.sensors, epoch=3)
     info = box_info(bench, config, "in step")
-    return InStep(machine, BoxLink(memory, info, LinkFaults(), 0, details, lambda: machine.refused), memory)
+    told = (lambda: machine.refused, config.compensated, lambda: machine.law_state)
+    return InStep(machine, BoxLink(memory, info, LinkFaults(), 0, details, *told), memory)
 
 
 def c_box(memory: Any, precision: firmware.Precision = "double", **settings: Any) -> InStep:
@@ -225,15 +226,15 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
     ),
     "does not clamp K_p": (
         "guard.h",
-        "config->delta_kp_min, config->delta_kp_max);",
+        "law->delta_kp_min, law->delta_kp_max);",
         "HYDRO_R(-1e9), HYDRO_R(1e9));",
         {"clamp.high", "clamp.low", "refused.counted"},
     ),
     "keeps the gain where none is given": (
         "guard.h",
-        "broken ? HYDRO_R(0) : hydro_clamp",
+        "broken ? safe : hydro_clamp",
         "broken ? guard->delta_kp : hydro_clamp",
-        {"clamp.not_finite"},
+        {"clamp.not_finite", "compensated.shaping"},
     ),
     "keeps the reference's phase back": (
         "reference.h",
@@ -279,9 +280,9 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
     ),
     "late commands keep their gains": (
         "box.h",
-        "values[HYDRO_KP] = late ? config->base_kp : ",
+        "values[HYDRO_KP] = held ? law->base_kp : ",
         "values[HYDRO_KP] = ",
-        {"watchdog.hold", "watchdog.trip"},
+        {"watchdog.hold", "watchdog.trip", "compensated.safe"},
     ),
     "accepts frames without their check sum": (
         "stream.h",
@@ -351,14 +352,14 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
     ),
     "shows the correction while it is disarmed": (
         "box.h",
-        "    if (!box->arming.armed) {\n        return false;",
-        "    if (!box->arming.armed) {\n        values[HYDRO_NOMINAL] = box->guard.delta_u;\n        return false;",
+        "    if (!box->arming.armed) {\n",
+        "    if (!box->arming.armed) {\n        values[HYDRO_NOMINAL] = box->guard.delta_u;\n",
         {"idle.values", "watchdog.trip"},
     ),
     "whole integral gains only": (
         "box.h",
-        "config->base_ki + box->guard.delta_ki;",
-        "config->base_ki + (hydro_real)(int)box->guard.delta_ki;",
+        "law->base_ki + box->guard.delta_ki;",
+        "law->base_ki + (hydro_real)(int)box->guard.delta_ki;",
         {"idle.gains"},
     ),
     "newer is a quarter of the circle": (
@@ -381,8 +382,8 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
     ),
     "the hydraulic force is 200 N off": (
         "protocol.h",
-        "hydro_bits(sample->values[i])",
-        "hydro_bits(sample->values[i] + (i == 0 ? HYDRO_R(200) : HYDRO_R(0)))",
+        "hydro_write32(at, sample->flags);",
+        "hydro_write32(at, sample->flags);\n    hydro_write32(at - 56, hydro_bits(sample->values[0] + HYDRO_R(200)));",
         {"measured.units"},
     ),
     "tells twice the age of its rates": (
@@ -414,6 +415,42 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
         "values[HYDRO_KI], unlimited - current);",
         "values[HYDRO_KI], nominal - current);",
         {"law.nominal"},
+    ),
+    "DETAILS are of version 3 always": (
+        "box.h",
+        "hydro_encode_details(box->version, ",
+        "hydro_encode_details(3, ",
+        {"version.between"},
+    ),
+    "LAW tells a safe C_1 beyond its limits": (
+        "protocol.h",
+        "law->safe[4], law->low[4],",
+        "law->high[4] + 1, law->low[4],",
+        {"compensated.told", "compensated.shaping", "compensated.safe"},
+    ),
+    "coefficients jump": (
+        "force_law.h",
+        "hydro_clamp(wanted[i] - state->shaping[i], -step, step)",
+        "wanted[i] - state->shaping[i]",
+        {"compensated.shaping", "compensated.safe"},
+    ),
+    "the moving coefficients are not part of f_c'": (
+        "force_law.h",
+        " + change / period * terms[i];",
+        ";",
+        {"compensated.shaping", "compensated.safe"},
+    ),
+    "coefficients stay where commands are late": (
+        "box.h",
+        "held ? law->safe : box->guard.shaping",
+        "box->guard.shaping",
+        {"compensated.safe"},
+    ),
+    "C_2 is left out": (
+        "force_law.h",
+        "hydro_real gain = scales[1] * ",
+        "hydro_real gain = ",
+        {"compensated.nominal"},
     ),
 }
 """What is broken: file, text, what stands there instead, and the cases that must fail, no others."""

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from inspect import getmembers, isfunction
 from types import ModuleType
 
-from hydro_bridge.conformance import command_checks, line_checks, motion_checks
+from hydro_bridge.conformance import command_checks, compensation_checks, line_checks, motion_checks
 
 
 def _of(module: ModuleType) -> dict[str, Callable[..., str]]:
@@ -23,5 +23,7 @@ def _of(module: ModuleType) -> dict[str, Callable[..., str]]:
     }
 
 
-CHECKS: dict[str, Callable[..., str]] = _of(command_checks) | _of(line_checks) | _of(motion_checks)
+CHECKS: dict[str, Callable[..., str]] = (
+    _of(command_checks) | _of(compensation_checks) | _of(line_checks) | _of(motion_checks)
+)
 """Checks by their names in `cases.yaml`."""

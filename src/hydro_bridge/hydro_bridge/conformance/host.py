@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from hydro_bridge.errors import UserError
-from hydro_bridge.serial.protocol import Details, Hello, State, encode_command, encode_hello
+from hydro_bridge.serial.protocol import BoxLaw, Details, Hello, LawFrame, State, encode_command, encode_hello
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import Command, ReferenceSignal, Waveform
+from hydro_bridge.signals import Command, Law, ReferenceSignal, Waveform
 
 _CIRCLE = 1 << 32
 _PATIENCE = 1.0
@@ -68,6 +68,8 @@ class Host:
     sequence: int = 0
     hello: Hello | None = None
     details: Details | None = None
+    law: BoxLaw | None = None
+    """The box's compensated law, if it offers one."""
     states: list[State] = field(default_factory=list)
     arrived: list[float] = field(default_factory=list)
     hellos: list[tuple[int, Hello]] = field(default_factory=list)
@@ -159,6 +161,8 @@ class Host:
                     self.hellos.append((len(self.states), frame))
                 elif isinstance(frame, Details):
                     self.details = frame
+                elif isinstance(frame, LawFrame):
+                    self.law = frame.record
                 elif isinstance(frame, State):
                     self.states.append(frame)
                     self.arrived.append(self.clock())
@@ -189,8 +193,12 @@ def changed(command: Command, changes: dict[str, Any]) -> Command:
     shape: dict[str, Any] = {name: float(changes[name]) for name in _SHAPE if name in changes}
     if "waveform" in changes:
         shape["waveform"] = Waveform[str(changes["waveform"]).upper()]
-    names = ("delta_kp", "delta_ki", "delta_u")
+    names = ("delta_kp", "delta_ki", "delta_u", "velocity_compensation", "valve_gain_scale")
     rest: dict[str, Any] = {name: float(changes[name]) for name in names if name in changes}
     rest |= {name: bool(changes[name]) for name in ("arm", "filter_fresh") if name in changes}
+    if "law" in changes:
+        rest["law"] = Law[str(changes["law"]).upper()]
+    if "coefficients" in changes:
+        rest["coefficients"] = tuple(map(float, changes["coefficients"]))
     reference: ReferenceSignal = replace(command.reference, **shape)
     return replace(command, reference=reference, **rest)

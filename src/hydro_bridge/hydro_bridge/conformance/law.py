@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import sqrt
 from typing import Any
 
@@ -38,13 +38,18 @@ def floor(bench: Mapping[str, Any]) -> float:
     return FLOOR_SHARE * _gain(bench, bench["spring_rest_position"], (alpha * pressure_b, pressure_b), 1.0)
 
 
-def nominal_current(bench: Mapping[str, Any], values: Mapping[str, float], integral: float, force: str) -> float:
-    """Return u_nom [A] of one STATE, by field name; `integral` is I [N/s], `force` the name of the followed force."""
+def nominal_current(
+    bench: Mapping[str, Any], values: Mapping[str, float], integral: float, force: str, scales: Sequence[float] = (1, 1)
+) -> float:
+    """Return u_nom [A] of one STATE, by field name, where `reference_force` and its rate are f_c and f_c'.
+
+    `integral` is I [N/s], `force` the name of the followed force, `scales` are C_1 and C_2.
+    """
     position = min(max(values["piston_position"], 0.0), bench["stroke"])
     volume_a, volume_b = _volumes(bench, position)
     stiffness = bench["bulk_modulus"] * bench["piston_area"] ** 2 * (1 / volume_a + bench["area_ratio"] ** 2 / volume_b)
     error = values["reference_force"] - values[force]
     wanted = values["reference_force_rate"] + values["proportional_gain"] * error + integral
-    driven = wanted + stiffness * values["piston_velocity"]
-    gain = _gain(bench, position, (values["pressure_a"], values["pressure_b"]), driven)
+    driven = wanted + scales[0] * stiffness * values["piston_velocity"]
+    gain = scales[1] * _gain(bench, position, (values["pressure_a"], values["pressure_b"]), driven)
     return driven / max(gain, floor(bench))

@@ -8,7 +8,7 @@ from itertools import pairwise
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.conformance.readings import Bench, box_info, near
 from hydro_bridge.files import bench_file
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_bridge.signals import SAMPLE_PERIOD, Law
 
 
 def undisturbed(host: Host, bench: Bench) -> str:
@@ -55,13 +55,14 @@ def greeted(host: Host, bench: Bench, within: int, versions: tuple[int, int] | N
     return ""
 
 
-def speaks(host: Host, bench: Bench, version: int) -> str:
-    """Check that STATE and DETAILS are of this version once the greeting is answered."""
+def speaks(host: Host, bench: Bench, version: int = 0) -> str:
+    """Check that STATE and DETAILS are of this version, 0: of the conversation's, once the greeting is answered."""
+    version = version or host.version
     begin = next((n for n, _ in host.hellos if n >= host.greeted_at), host.greeted_at)
-    found = {1 if state.refused is None else 2 for state in host.states[begin + 1 :]}
+    found = {(state.refused is not None) + (state.law_state is not None) + 1 for state in host.states[begin + 1 :]}
     if found != {version}:
         return f"STATE of version {sorted(found)}"
-    return "" if (host.details is not None) == (version > 1) else "DETAILS are there in version 2, and only there"
+    return "" if (host.details is not None) == (version > 1) else "DETAILS are there from version 2 on"
 
 
 def details(host: Host, bench: Bench) -> str:
@@ -73,6 +74,8 @@ def details(host: Host, bench: Bench) -> str:
         return "its epoch is 0"
     if not 0.0 < told.hold_timeout <= told.trip_timeout:
         return f"its time-outs are {told.hold_timeout:g} and {told.trip_timeout:g} s"
+    if bool(told.laws >> Law.COMPENSATED & 1) != (host.law is not None):
+        return "LAW comes where DETAILS offer the compensated law, and only there"
     ordered = told.pressure_min < told.pressure_max and told.position_min < told.position_max
     return "" if ordered and told.load_force_limit > 0.0 < told.force_range else "a limit is 0, or a range is empty"
 

@@ -12,6 +12,7 @@ from hydro_bridge.conformance.law import nominal_current
 from hydro_bridge.conformance.readings import SINGLE, Bench, NotToldError, box_info, followed, settled, value
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, Flag, flag_names
 
+_REFERENCE = ("reference_force", "reference_force_rate")
 _CORRECTION_HOLD = 3500
 """us, duration for which the correction of a command acts."""
 
@@ -51,9 +52,12 @@ def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) 
         if not state.flags & Flag.ARMED:
             integral, armed = 0.0, False
             continue
-        armed = True
+        armed, scales = True, (1.0, 1.0)
+        if acting := state.law_state:
+            scales = acting.velocity_compensation, acting.valve_gain_scale
+            names |= zip(_REFERENCE, acting[1:3], strict=True)
         action = integral if form != "paper" else names["integral_gain"] * integral
-        wanted = nominal_current(bench, names, action, force)
+        wanted = nominal_current(bench, names, action, force, scales)
         if not abs(names["nominal_valve_current"] - wanted) <= tolerance + share * abs(wanted):
             found = f"nominal_valve_current is {names['nominal_valve_current']:g} A in STATE {state.sequence}"
             return f"{found}, {wanted:g} A is right"

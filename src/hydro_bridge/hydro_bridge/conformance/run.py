@@ -65,7 +65,7 @@ def _judged(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] 
 def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) -> Result:
     if case.moving and not moving:
         return Result(case, LEFT_OUT, "may move the piston: --moving")
-    if case.needs == "bench" and bench is None:
+    if "bench" in case.needs and bench is None:
         return Result(case, LEFT_OUT, "needs the box's bench file: --bench")
     checked: list[tuple[Host, dict[str, Any]]] = []
     silent = ""
@@ -73,6 +73,8 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
         conversation.begin(host)
         if case.needs == "version 2" and host.version < 2:
             return Result(case, LEFT_OUT, "the box speaks version 1")
+        if "compensated law" in case.needs and host.law is None:
+            return Result(case, LEFT_OUT, "the box runs the paper's law only")
         for step in case.steps:
             if step.verb == "check":
                 checked.append((host.kept(), step.words))

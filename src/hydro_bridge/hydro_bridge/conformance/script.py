@@ -34,7 +34,7 @@ class Case:
     moving: bool
     """Whether the case arms the box, or asks it to arm: the piston may move."""
     needs: str
-    """Precondition, `bench` or `version 2`; empty: none."""
+    """Precondition, `version 2`, `bench`, `compensated law`, or both of these; empty: none."""
     steps: tuple[Step, ...]
 
 

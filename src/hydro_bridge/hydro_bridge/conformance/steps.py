@@ -59,7 +59,7 @@ def _greet(host: Host, words: dict[str, Any]) -> None:
     body = bytearray(cobs.decode(encode_hello(0, int(1e6 * host.clock()))[1:-1])[:-4])
     body[14:16] = bytes((low, high))
     host.mark()
-    host.details, host.greeted_at = None, len(host.states)
+    host.details, host.law, host.greeted_at = None, None, len(host.states)
     host.write(damage.sealed(bytes(body)))
     for _ in range(ANSWER):
         if host.hellos and host.hellos[-1][0] >= host.greeted_at:
@@ -100,7 +100,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
     """Return the words that change a command; a number may be given by the name of an entry of DETAILS."""
     changes = {key: value for key, value in words.items() if key not in others}
     for key, value in changes.items():
-        if key != "waveform" and isinstance(value, str):
+        if key not in ("waveform", "law") and isinstance(value, str):
             changes[key] = getattr(host.details.details, value) if host.details else 0.0
     return changes
 

@@ -168,7 +168,7 @@ def tick(bench, settings, states, measurement, time, outputs):
     output.time, output.sequence = time, state.sequence
     _show_measurement(measurement, output)
     _show_gains(state, limits, held, output)
-    saturated = _control(bench[0], limits, state, measurement, late, held, time, output)
+    saturated = _control(bench[0], limits, state, measurement, held, time, output)
     output.flags = _flags(state, late, saturated)
     state.sequence = np.uint32(state.sequence + 1)
 
@@ -265,7 +265,7 @@ def _compensate(state, law, held, wave):
 
 
 @njit
-def _control(bench, limits, state, measurement, late, held, time, output):
+def _control(bench, limits, state, measurement, held, time, output):
     """Reference, force law and saturation into `output`; whether the current stands at its limit."""
     force = measurement[limits.feedback_channel]
     output.valve_current = output.nominal_valve_current = 0.0
@@ -286,7 +286,7 @@ def _control(bench, limits, state, measurement, late, held, time, output):
     if not math.isfinite(nominal):  # nothing that was admitted leads here; the valve must not depend on that
         state.armed, state.tripped = False, True
         return False
-    unlimited = nominal if late or time - state.received_at > CORRECTION_HOLD else nominal + state.delta_u
+    unlimited = nominal if held or time - state.received_at > CORRECTION_HOLD else nominal + state.delta_u
     current = min(max(unlimited, -bench.valve_current_max), bench.valve_current_max)
     form, step = limits.integral_form, SAMPLE_PERIOD
     state.integral = force_law.integrate(form, state.integral, error, k_i, unlimited, current, step)
