@@ -39,13 +39,11 @@ train: setup  ## a short training on the emulated bench over the serial line, re
 prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261124" repeats docs/reports/proof.md)
 	@$(SOURCED) ros2 run hydro_diagnosis prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
-test: lint setup  ## all checks and all tests but the studies: those of the graph alone, the others on two cores
-	@$(SOURCED) .venv/bin/python -m pytest -m "graph and not study" $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
-	@$(SOURCED) .venv/bin/python -m pytest -m "not graph and not study" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
+test: lint setup  ## all checks and all tests but the studies: the graph's in real time, the others beside them
+	@$(SOURCED) .venv/bin/python -m pytest -m "not study" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
-test-slow: setup  ## the studies among the tests: minutes of computing each
-	@$(SOURCED) .venv/bin/python -m pytest -m "study and graph and not exhaustive" $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
-	@$(SOURCED) .venv/bin/python -m pytest -m "study and not graph and not exhaustive" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
+test-slow: setup  ## before a release: the studies among the tests, and the tests of the benchmarks
+	@$(SOURCED) .venv/bin/python -m pytest -m "study and not exhaustive" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
 test-exhaustive: setup  ## every effect of the table and every mutant of the filter in C: hours, not in CI
 	@$(SOURCED) .venv/bin/python -m pytest -m exhaustive $(BOTH_CORES) $(ARGS)

@@ -5,9 +5,14 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from typing import Any
 
 import pytest
+
+WORKER = "PYTEST_XDIST_WORKER"
+"""Set by pytest-xdist in the processes that it starts."""
 
 
 def pytest_configure() -> None:
@@ -31,3 +36,33 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     """Where tests are shared out, then by file: a file's fixtures are made once. Graph tests stay together."""
     group = "graph" if item.get_closest_marker("graph") else item.path.name
     item.add_marker(pytest.mark.xdist_group(group))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where tests are shared out, the graph's begin at once, on one worker, and what computes for long comes next."""
+    if WORKER in os.environ:
+        items.sort(key=lambda item: (not item.get_closest_marker("graph"), not item.get_closest_marker("slow")))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """A worker gives way to the graph tests of the other one, which run in real time, from its first other test on."""
+    if WORKER in os.environ and not item.get_closest_marker("graph"):
+        os.nice(19)  # 19 is the most there is, however often it is asked for
+
+
+@pytest.fixture
+def each() -> Callable[..., None]:
+    """Check all cases in one test: what fails is named together in the end."""
+
+    def check_each(cases: Iterable[Any], check: Callable[..., None], name: Callable[[Any], object] = str) -> None:
+        listed, wrong = list(cases), []
+        for case in listed:
+            try:
+                check(case)
+            except (Exception, pytest.fail.Exception) as error:
+                wrong.append(f"{name(case)}: {error!r}")
+        assert listed, "no case"
+        assert not wrong, f"{len(wrong)} of {len(listed)} fail\n" + "\n".join(wrong)
+
+    return check_each

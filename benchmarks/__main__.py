@@ -33,6 +33,7 @@ STUDIES = frozenset(
         "paper",
         "relearned_filter",
         "sac_peers",
+        "trained_controllers",
         "training_seeds",
         "unnamed_physics",
         "view_recording",

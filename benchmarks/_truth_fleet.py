@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 
+from hydro_bridge.signals import SAMPLES_PER_STEP
 from hydro_policy.envs import vector_plants
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import FleetFilter
@@ -32,6 +33,9 @@ class Truth(NamedTuple):
     chain: npt.NDArray[np.void]
     x: npt.NDArray[np.float64]
     work: npt.NDArray[np.float64]
+    felt: npt.NDArray[np.float64]
+    """The load's own force [N], in front of its cell, of the last ten samples, shape (n, 10)."""
+    count: npt.NDArray[np.int64]
 
 
 @overload(vector_plants.advance)
@@ -46,13 +50,17 @@ def _advance(plants, i, noise, current):
             noise, current,
         )  # fmt: skip
         plants.x[i] = plants.chain[i].measurement
+        plants.felt[i, plants.count[i] % SAMPLES_PER_STEP] = plants.state[i].load_force
+        plants.count[i] += 1
 
     return advance
 
 
 def _rows(plants: Sequence[TruthPlant]) -> Truth:
     records = [np.concatenate([getattr(plant, name) for plant in plants]) for name in Truth._fields[:4]]
-    return Truth(*records, np.zeros((len(plants), 8)), np.zeros((3, 8)))
+    count = len(plants)
+    felt = np.zeros((count, SAMPLES_PER_STEP)), np.zeros(count, np.int64)
+    return Truth(*records, np.zeros((count, 8)), np.zeros((3, 8)), *felt)
 
 
 def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:

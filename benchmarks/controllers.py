@@ -1,224 +1,260 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers I to IV on the emulated bench and on benches that changed: results.md's tables of many seeds.
+"""Controllers side by side on any folder of truths: python -m benchmarks.controllers --truths FOLDER --json FILE.
 
-Everything runs on the emulator's plant without clock or serial line: the same samples to the bit, many times as fast.
+Each truth file (truth.md) is a bench whose box believes the shipped bench.yaml. Everything runs on the emulator's plant
+without clock, serial line or filter: the same samples to the bit, many times as fast. Rows that are there already are
+not run again: the same command goes on after an interruption.
 
-I    trained on this bench for a few episodes, from an agent given; one policy for each training seed
-II   that agent as it was pretrained in simulation
-III  fixed (90, 15), the paper's
-IV   the best fixed gains of a grid on the nominal (default) bench; IV* of a grid on the bench at hand
-
-Each is measured with every noise seed on every reference; a cell is mean and standard deviation over training seeds
-(I) or noise seeds. The filter is not in the loop: where it matters is said in safety.md.
+policy           the shipped policy, its mean action
+compensated      the compensated law, adaptive, from neutral coefficients
+paper_fixed      the paper's law at its gains (90, 15)
+robust_fixed     the paper's law at the best gains that trip on no truth of another draw (--robust finds them)
+hindsight_fixed  the paper's law at the best gains of a grid on that truth
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
+import math
+import os
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
 from importlib import resources
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-import torch
+import yaml
 
+from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.files.settings_file import from_mapping
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.settings import SettingsError, quantity
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
-from hydro_policy.evaluation.gain_search import Gains, GridSearch, GridSettings
-from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
+from hydro_policy.runs.initial_agent import load_initial_agent
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
-from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
-from hydro_policy.sessions.training import TrainingSession
-from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import GainRange
-from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
-from hydro_sim.emulator.truth.plant import TruthPlant
-from hydro_sim.model.bench import Bench
+from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_sim.box import reference
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.emulator.truth.config import TruthConfig, load_truth, truth_from_mapping
 
-PAPER_III = (90.0, 15.0)
+PAPER_GAINS = (90.0, 15.0)
+ROBUST_GAINS = (30.0, 10.0)
+"""Of `--robust`: least interquartile mean of those that trip on none of 40 truths of seed 7."""
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide"))
-BENCHES: Mapping[str, Mapping[str, Any]] = {
-    "default": {},
-    "spring 10 kN/m": {"spring_stiffness": {"ratio": 0.5}},
-    "spring 14 kN/m": {"spring_stiffness": {"ratio": 0.7}},
-    "spring 28 kN/m": {"spring_stiffness": {"ratio": 1.4}},
-    "spring 40 kN/m": {"spring_stiffness": {"ratio": 2.0}},
-    "spring 50 kN/m": {"spring_stiffness": {"ratio": 2.5}},
-    "supply 13 MPa": {"supply_pressure": {"ratio": 0.8125}},
-    "supply 10 MPa": {"supply_pressure": {"ratio": 0.625}},
-    "dry friction +30 N": {"friction_coulomb": {"form": "lugre", "force": 42.0}},
-    "air 1 %": {"entrained_air": {"volume_fraction": 0.01}},
-    "valve gain -25 %": {"valve_gain": {"ratio": 0.75}},
-    "cell 18 Hz": {"sensor_lag": {"bandwidth": 18.0, "damping": 0.55}},
-}
-"""What is changed in the emulator's default truth; keys of truth.md's effects."""
-
-Controllers = dict[str, Callable[[], Chooser]]
+SETTINGS = EvaluationSettings(multisine=True, steps=True)
+SHORT = EvaluationSettings(settle=1.0, measure=2.0)
+GRID = GridSettings()
+CONTROLLERS = ("policy", "compensated", "paper_fixed", "robust_fixed", "hindsight_fixed")
 
 
-@dataclass(frozen=True)
-class Agent:
-    """A policy and what its actions mean."""
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """An entry of a file of references."""
 
-    policy: Policy
-    gains: GainRange
-
-    def chooser(self) -> Chooser:
-        """Its mean action, from the beginning of a run."""
-        return PolicyChooser(self.policy, self.gains)
-
-
-def bench(name: str) -> TruthConfig:
-    """A truth of `BENCHES`."""
-    return truth_from_mapping({"profile": "default", "effects": dict(BENCHES[name])})
-
-
-def agent(parameters: FloatArray, start: InitialAgent) -> Agent:
-    """The policy with these parameters."""
-    policy = Policy(start.sac.hidden_size, (start.sac.log_std_min, start.sac.log_std_max))
-    policy.load_flat(parameters)
-    return Agent(policy, start.gains)
+    name: str
+    """Name in the rows."""
+    waveform: str
+    """SINE, MULTISINE, SMOOTH_STEP or HOLD."""
+    amplitude: Annotated[float, quantity("N", 0.0, 1e5)] = 0.0
+    """Peak."""
+    offset: Annotated[float, quantity("N", -1e5, 1e5)] = 0.0
+    """Mean."""
+    frequency: Annotated[float, quantity("Hz", 0.01, 100.0)] = 1.0
+    """Of a multisine: its slowest sine."""
+    phase: Annotated[float, quantity("rad", -10.0, 10.0)] = 0.0
+    """At the beginning."""
 
 
-def train(
-    config: TruthConfig, start: InitialAgent, episodes: int, seed: int, updates: float
-) -> tuple[Agent, dict[str, Any]]:
-    """I: some episodes on this bench as `trainer` would do them; the best agent and the run's progress."""
-    settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed, updates_per_step=updates))
-    settings = replace(settings, exam=replace(settings.exam, every=2))
-    reach = settings.task.gains
-    guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
-    graph = OfflineGraph(TruthPlant(config), Bench.nominal(), guard=guard, seed=seed)
-    learner = InlineLearner(settings, start=start.agent)
-    session = TrainingSession(settings, learner, graph)
-    graph.run(session, 60.0 * episodes + 120.0, learner)
-    best = session.keeper.best
-    assert best is not None
-    done = session.progress
-    told = {"exams": done.exams, "passed_at": done.passed_at, "rollbacks": done.rollbacks, "ended": session.gave_up}
-    return agent(best, start), {"seed": seed, "trips": done.interruptions, **told}
+def load_cases(path: Path | None) -> tuple[Case, ...]:
+    """References of a YAML list of `Reference`; without a file the six of `evaluate`.
+
+    Raises
+    ------
+    SettingsError
+        The file does not hold such a list.
+    """
+    if path is None:
+        return SETTINGS.cases
+    entries = yaml.safe_load(path.read_text())
+    if not isinstance(entries, list) or not entries:
+        raise SettingsError(f"{path} must hold a list of references")
+    cases = []
+    for number, entry in enumerate(entries):
+        one = from_mapping(Reference, entry, f"{path}[{number}]")
+        if one.waveform not in Waveform.__members__:
+            raise SettingsError(f"{path}[{number}].waveform must be one of {', '.join(Waveform.__members__)}")
+        numbers = {key: value for key, value in asdict(one).items() if key not in ("name", "waveform")}
+        cases.append(Case(one.name, ReferenceSignal(waveform=Waveform[one.waveform], **numbers)))
+    return tuple(cases)
 
 
-def search(config: TruthConfig, settings: GridSettings, evaluation: EvaluationSettings) -> GridSearch:
-    """The grid of `evaluate --grid`, its runs side by side."""
-    found, short = GridSearch(settings), replace(evaluation, settle=1.0, measure=2.0, periods=1)
-    while (pair := found.next()) is not None:
-        found.tell(pair, measured(config, short, lambda pair=pair: vector_runs.fixed(np.array(pair)), 0))
-    return found
+def measure(
+    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, seed: int = 0
+) -> list[dict[str, Any]]:
+    """Run every case on this truth; one row of figures for each (see `outcome`)."""
+    fleet = truth_fleet(len(cases), config)
+    sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
+    before = fleet.samples["valve_current"][:, -1]
+    for step in vector_runs.run(fleet, cases, choose, SETTINGS, seed, compensator):
+        wanted, current = step.samples["reference_force"], step.samples["valve_current"]
+        rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
+        before = current[:, -1].copy()
+        for row, signal in enumerate((wanted - step.samples["load_force"], wanted - fleet.rows.arrays.felt, rate)):
+            sums[row] += np.sum(np.where(step.counted, signal, 0.0) ** 2, axis=1)
+        sums[3] += step.counted.sum(axis=1)
+        tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
+    figures = np.sqrt(sums[:3] / sums[3])
+    return [outcome(case, figures[:, k], bool(tripped[k])) for k, case in enumerate(cases)]
 
 
-def measured(config: TruthConfig, evaluation: EvaluationSettings, make: Callable[[], Chooser], seed: int) -> FloatArray:
-    """RMSE [N] on each case; NaN: tripped."""
-    cases = evaluation.cases
-    return vector_runs.rmse(truth_fleet(len(cases), config), cases, make(), evaluation, seed)
-
-
-def compare(name: str, controllers: Controllers, evaluation: EvaluationSettings, seeds: int) -> dict[str, FloatArray]:
-    """RMSE [N] of each controller, shape (seeds, cases)."""
-    config = bench(name)
-    return {
-        who: np.array([measured(config, evaluation, make, seed) for seed in range(seeds)])
-        for who, make in controllers.items()
-    }
-
-
-def cell(values: FloatArray) -> str:
-    """Mean and standard deviation, or how many tripped."""
-    tripped = int(np.isnan(values).sum())
+def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
+    """RMSE of the measured force and of the load's own [N], RMS of u' [A/s]; where it tripped, the reference's RMS."""
+    rmse, felt, rate = map(float, figures)
     if tripped:
-        return f"tripped {tripped}/{values.size}"
-    return f"{values.mean():.1f} ± {values.std(ddof=1):.1f}" if values.size > 1 else f"{values.mean():.1f}"
+        times = np.arange(SETTINGS.settle, SETTINGS.length(case), SAMPLE_PERIOD)
+        rmse = felt = float(np.sqrt(np.mean(reference.sample(case.signal, times)[0] ** 2)))
+    return {"reference": case.name, "rmse": rmse, "true_rmse": felt, "current_rate_rms": rate, "tripped": tripped}
 
 
-def add_rows(table: Table, name: str, rmse: Mapping[str, FloatArray], cases: list[str]) -> None:
-    """One row for each controller; those of I are one, over all training seeds."""
-    groups: dict[str, list[FloatArray]] = {}
-    for who, values in rmse.items():
-        groups.setdefault(who.split("#")[0], []).append(values)
-    for who, parts in groups.items():
-        values = np.array([part.mean(axis=0) for part in parts]) if len(parts) > 1 else parts[0]
-        table.add(bench=name, controller=who, **{case: cell(values[:, k]) for k, case in enumerate(cases)})
+def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """One controller on one truth."""
+    if name == "compensated":
+        law = BoxConfig().compensated
+        return measure(config, cases, held((law.base_kp, law.base_ki), law), Compensator(len(cases), law=law))
+    if name == "policy":
+        return measure(config, cases, shipped_policy())
+    gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
+    return measure(config, cases, held(gains))
 
 
-def fixed(pair: Gains) -> Callable[[], Chooser]:
-    """Fixed gains."""
-    return lambda: vector_runs.fixed(np.array(pair))
+def held(gains: tuple[float, float], law: BoxLaw | None = None) -> Chooser:
+    """Fixed gains (K_p, K_i) of the paper's law, or of `law`."""
+    return vector_runs.fixed(np.array(gains), *(() if law is None else ((law.base_kp, law.base_ki),)))
 
 
-def run(asked: argparse.Namespace) -> Table:
-    """Train, search, compare."""
-    evaluation = EvaluationSettings(periods=4, multisine=True, steps=True)
-    sines = replace(evaluation, multisine=False, steps=False)
-    cases = [case.name for case in evaluation.cases]
-    starts = {path.name: load_initial_agent(path) for path in asked.start}
-    limits = GridSettings() if asked.kp_max is None else GridSettings(kp_max=asked.kp_max, ki_max=asked.ki_max)
-    nominal = search(bench("default"), limits, sines)
-    table = Table(
-        {"bench": "", "controller": "", **dict.fromkeys(cases, "N")}, title=f"Force RMSE [N], {asked.seeds} seeds"
-    )
-    bar = progress(total=len(asked.benches), label="benches", unit="bench")
-    for name in asked.benches:
-        controllers: Controllers = {}
-        for source, start in starts.items():
-            for seed in range(asked.training_seeds):
-                trained, told = train(bench(name), start, asked.episodes, seed, asked.updates_per_step)
-                controllers[f"I {source}, trained here #{seed}"] = trained.chooser
-                print(f"{name}, {source}, training seed {seed}: {_told(told)}", file=sys.stderr, flush=True)
-            controllers[f"II {source}, simulation only"] = agent(actor_parameters(start.agent), start).chooser
-        controllers["III fixed (90, 15)"] = fixed(PAPER_III)
-        controllers[f"IV fixed {_pair(nominal.best)}"] = fixed(nominal.best)
-        if name != "default":
-            here = search(bench(name), limits, sines).best
-            controllers[f"IV* fixed {_pair(here)}, best here"] = fixed(here)
-        else:
-            for case, pair in zip(sines.cases, nominal.best_each, strict=True):
-                print(f"best fixed gains at {case.name}: {_pair(pair)}", file=sys.stderr)
-        add_rows(table, name, compare(name, controllers, evaluation, asked.seeds), cases)
-        bar.update()
+def best_gains(config: TruthConfig) -> tuple[float, float]:
+    """The best pair of `evaluate --grid` on this truth, its runs shortened."""
+    search = GridSearch(GRID)
+    while (pair := search.next()) is not None:
+        fleet = truth_fleet(len(SHORT.cases), config)
+        search.tell(pair, vector_runs.rmse(fleet, SHORT.cases, held(pair), SHORT).tolist())
+    return search.best
+
+
+def shipped_policy() -> Chooser:
+    """Mean action of the shipped policy."""
+    start = load_initial_agent(SHIPPED)
+    policy = Policy(start.sac.hidden_size, (start.sac.log_std_min, start.sac.log_std_max))
+    policy.load_flat(actor_parameters(start.agent))
+    return PolicyChooser(policy, start.gains)
+
+
+def robust_gains(truths: Iterable[TruthConfig]) -> tuple[float, float]:
+    """Pair with the least interquartile mean over these truths of those that trip on none of them; prints all."""
+    configs, cases = list(truths), SHORT.cases
+    scores: dict[tuple[float, float], float] = {}
+    for pair in ((kp, ki) for kp in (15.0, 22.0, 30.0, 40.0, 50.0, 60.0, 75.0) for ki in (5.0, 10.0, 15.0)):
+        rmse = np.array([vector_runs.rmse(truth_fleet(len(cases), each), cases, held(pair), SHORT) for each in configs])
+        scores[pair] = math.inf if np.isnan(rmse).any() else float(interquartile_mean(rmse.mean(axis=1)))
+        print(f"{pair}: {np.isnan(rmse).any(axis=1).sum()} truths with a trip, {scores[pair]:.1f} N", flush=True)
+    return min(scores, key=scores.__getitem__)
+
+
+def interquartile_mean(values: FloatArray) -> float:
+    """Mean of the middle half."""
+    ordered = np.sort(values)
+    cut = len(ordered) // 4
+    return float(ordered[cut : len(ordered) - cut].mean())
+
+
+def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
+    """Interquartile mean and worst RMSE [N] of each controller over the truths, by reference."""
+    units = {"controller": "", **dict.fromkeys((case.name for case in cases), "N"), "u' RMS": "A/s", "trips": ""}
+    made = Table(units, title="Force RMSE: interquartile mean (worst) over the truths")
+    for name in dict.fromkeys(row["controller"] for row in rows):
+        own = [row for row in rows if row["controller"] == name]
+        cells = {}
+        for case in cases:
+            values = np.array([row["rmse"] for row in own if row["reference"] == case.name])
+            cells[case.name] = f"{interquartile_mean(values):.1f} ({values.max():.0f})"
+        rate = interquartile_mean(np.array([row["current_rate_rms"] for row in own]))
+        made.add(controller=name, **cells, **{"u' RMS": f"{rate:.3f}", "trips": str(sum(r["tripped"] for r in own))})
+    return made
+
+
+def complete(truths: Sequence[Path], names: Sequence[str], cases: Sequence[Case], kept: Path) -> list[dict[str, Any]]:
+    """All rows, those in `kept` (a row a line) first, the missing ones run on all cores and added there."""
+    digest = hashlib.sha256(repr((cases, SETTINGS)).encode()).hexdigest()[:12]
+    keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] + digest for path in truths}
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    if kept.exists():
+        for line in kept.read_text().splitlines():
+            entry = json.loads(line)
+            found[entry["key"], entry["controller"]] = entry["rows"]
+    missing = [(path, name) for path in truths for name in names if (keys[path], name) not in found]
+    bar = progress(total=len(missing), label="runs", unit="run")
+    with (
+        ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("forkserver")) as pool,
+        kept.open("a") as file,
+    ):
+        jobs = {pool.submit(run_one, load_truth(path), name, cases): (path, name) for path, name in missing}
+        for job in as_completed(jobs):
+            path, name = jobs[job]
+            found[keys[path], name] = job.result()
+            file.write(json.dumps({"key": keys[path], "controller": name, "rows": found[keys[path], name]}) + "\n")
+            file.flush()
+            bar.update()
     bar.close()
-    return table
+    return [
+        {"truth": path.stem, "controller": name, **row}
+        for path in truths for name in names for row in found[keys[path], name]
+    ]  # fmt: skip
 
 
-def _pair(pair: Gains) -> str:
-    return f"({pair[0]:g}, {pair[1]:g})"
-
-
-def _told(told: Mapping[str, Any]) -> str:
-    scores = " ".join(f"{exam['score']:.3f}" for exam in told["exams"])
-    passed = f"beats III everywhere after {told['passed_at']} episodes" if told["passed_at"] >= 0 else "never beats III"
-    return f"scores {scores}; {passed}; {told['rollbacks']} rollbacks{', ' + told['ended'] if told['ended'] else ''}"
-
-
-@command(ValueError)
+@command(ValueError, OSError)
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.controllers",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--start", type=Path, nargs="+", default=[SHIPPED], metavar="RUN", help="pretrained agents")
-    names = ", ".join(BENCHES).replace("%", "%%")
-    parser.add_argument("--benches", nargs="+", default=["default"], choices=BENCHES, metavar="NAME", help=names)
-    parser.add_argument("--seeds", type=int, default=5, help="of noise, default 5")
-    parser.add_argument("--training-seeds", type=int, default=5, help="policies I, default 5")
-    parser.add_argument("--episodes", type=int, default=6, help="of I, default 6")
-    parser.add_argument("--updates-per-step", type=float, default=1.0, help="of I, default 1")
-    parser.add_argument("--kp-max", type=float, help="of the grid; default 300")
-    parser.add_argument("--ki-max", type=float, default=100.0, help="of the grid; default 100")
+        prog="python -m benchmarks.controllers", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+    )  # fmt: skip
+    parser.add_argument("--truths", type=Path, required=True, metavar="FOLDER", help="truth files, *.yaml")
+    parser.add_argument("--draw", type=int, default=0, metavar="COUNT", help="write so many drawn truths there first")
+    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
+    parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
+    parser.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
+    parser.add_argument("--robust", action="store_true", help="find robust_fixed's gains on 40 drawn truths, and end")
     add_json_argument(parser)
     asked = parser.parse_args()
-    torch.set_num_threads(1)
-    run(asked).show(asked.json)
+    if asked.robust:
+        print(f"best: {robust_gains(map(truth_from_mapping, drawn_truths(40, seed=7).values()))}")
+        return
+    if asked.draw:
+        asked.truths.mkdir(parents=True, exist_ok=True)
+        for name, contents in drawn_truths(asked.draw, asked.seed).items():
+            (asked.truths / f"{name}.yaml").write_text(yaml.safe_dump(contents))
+    truths = sorted(asked.truths.glob("*.yaml"))
+    if not truths:
+        raise SettingsError(f"{asked.truths} holds no truth files, *.yaml; --draw 40 writes some")
+    cases = load_cases(asked.references)
+    kept = Path(asked.json or asked.truths / "controllers.json").with_suffix(".rows")
+    rows = complete(truths, asked.controllers, cases, kept)
+    table(rows, cases).show()
+    if asked.json:
+        Path(asked.json).write_text(json.dumps({"rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -140,18 +140,16 @@ class Trainer:
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
+            print(line, end="")
             self.text += line
 
 
 @contextmanager
 def trainer(*words: str, stdin: int = subprocess.DEVNULL) -> Iterator[Trainer]:
-    """Start a trainer, and be sure that it is gone in the end; on failure its output is printed."""
+    """Start a trainer, and be sure that it is gone in the end."""
     run = Trainer(*words, stdin=stdin)
     try:
         yield run
-    except BaseException:
-        print(run.text)
-        raise
     finally:
         if run.process.poll() is None:
             run.process.terminate()

@@ -52,8 +52,11 @@ class Beside:
         return all(vars(self).values())
 
 
-def beside(graph: Defended, folder: Path) -> Beside:
-    """Start second ones beside the armed plant of `graph`, one after another; their files go into `folder`."""
+def beside(graph: Defended, folder: Path, *, tools: bool = True) -> Beside:
+    """Start second ones beside the armed plant of `graph`, one after another; their files go into `folder`.
+
+    Without `tools` no recorders and pages, which command nothing.
+    """
     found, probe, said = Beside(), graph.probe, io.StringIO()
     words = ("--plant", "external", "--from", "scratch", "--rearm", "auto", "--runs", str(folder), "--name", "run")
     told = "probe commands this plant: end it"
@@ -63,8 +66,8 @@ def beside(graph: Defended, folder: Path) -> Beside:
         graph.drive(_PATIENCE, until=lambda: "answers already" in said.getvalue())
         graph.drive(1.0)
         found.filter = "answers already" in said.getvalue() and probe.node.count_publishers(CORRECTION) == 1
-    found.recorder = beside_a_recorder(graph, folder)
-    found.dashboard = beside_a_page(graph)
+    found.recorder = not tools or beside_a_recorder(graph, folder)
+    found.dashboard = not tools or beside_a_page(graph)
     with trainer(*words) as process:  # last: while it ends nobody drives
         graph.drive(_PATIENCE, until=lambda: told in process.text)
         graph.drive(3.0)

@@ -26,7 +26,7 @@ def one_sine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trial, "SETTINGS", settings)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_the_simulation_likes_best_trips_the_bench_that_it_does_not_know() -> None:
     blind, knowing = trial.best_fixed(BELIEVED, BELIEVED), trial.best_fixed(KNOWN, BELIEVED)
     assert blind == max(trial.GRID)
@@ -40,7 +40,7 @@ def test_what_the_simulation_likes_best_trips_the_bench_that_it_does_not_know() 
     assert met.mean == pytest.approx(trial.in_simulation(after, KNOWN, BELIEVED).mean, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_page_shows_runs_that_tripped_and_runs_that_did_not(tmp_path: Path) -> None:
     plan = stages.Plan(folder=tmp_path, truth=TRUTH, seeds=1)
     story = Story(plan, report={"verdict": "explained", "effects": [], "fit": {"holdout": {}}})

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
-import pytest
 import yaml
 
 from docs import generate_reference
@@ -21,7 +20,6 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
 PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
-MANUAL = [path for path in PAGES if path in FRONT or DOCS / "manual" in path.parents]
 SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
 CI = ".github/workflows/ci.yml"
 
@@ -30,9 +28,10 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 RUN = re.compile(r"ros2 run (\w+) (\w+)")
 MAKE = re.compile(r"(?:^|`)\s*make ([a-z][a-z-]*)", re.MULTILINE)
 MODULE = re.compile(r"python -m ((?:benchmarks|demo|tests)[\w.]*)(?: (\w+))?")
+CODE = re.compile(r"`([^`\n]+)`")
+DOTTED = re.compile(r"hydro_(?:bridge|sim|filter|policy|diagnosis)(?:\.\w+)+")
+FILE = re.compile(r"(?:src|tests|benchmarks|demo|setup|docs|firmware)/[\w/.-]+\.\w+")
 PAGE_NAME = re.compile(r"(?<![\w./-])((?:docs/[\w/-]+/)?[a-z][\w-]*)\.md\b")
-
-page = pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
 
 
 def slug(title: str) -> str:
@@ -57,6 +56,24 @@ def anchors(path: Path) -> set[str]:
     return {slug(line.lstrip("#")) for line in prose(path) if re.match(r"#+ ", line)}
 
 
+def blocks(path: Path, language: str) -> list[str]:
+    """Return a page's fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def names_something(parts: list[str]) -> bool:
+    """Return whether a dotted name is a module of a package, or one followed by names that stand in its source."""
+    place = ROOT / "src" / parts[0] / parts[0]
+    for done, part in enumerate(parts[1:], start=1):
+        if (place / part).is_dir():
+            place /= part
+            continue
+        source = place / (f"{part}.py" if (place / f"{part}.py").exists() else "__init__.py")
+        rest = parts[done + 1 :] if source.stem == part else parts[done:]
+        return source.exists() and all(re.search(rf"\b{name}\b", source.read_text(encoding="utf-8")) for name in rest)
+    return place.is_dir()
+
+
 @lru_cache
 def targets() -> frozenset[str]:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -76,62 +93,76 @@ def parser_of(package: str, name: str) -> argparse.ArgumentParser:
     return generate_reference.parser_of(generate_reference.executables(package)[name])
 
 
-@page
-def test_links_lead_somewhere(path: Path) -> None:
+def where(path: Path, what: str) -> str:
+    return f"{path.relative_to(ROOT)}: {what}"
+
+
+def test_links_lead_somewhere() -> None:
     lost = []
-    for link in LINK.findall("\n".join(prose(path))):
-        name, _, anchor = link.partition("#")
-        target = (path.parent / name).resolve() if name else path
-        if "://" in link:
-            continue
-        if not target.exists() or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
-            lost.append(link)
+    for path in PAGES:
+        for link in LINK.findall("\n".join(prose(path))):
+            name, _, anchor = link.partition("#")
+            target = (path.parent / name).resolve() if name else path
+            if "://" in link:
+                continue
+            if not target.exists() or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
+                lost.append(where(path, link))
     assert lost == []
 
 
-@page
-def test_commands_exist(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    unknown = [
-        f"{package} {name}"
-        for package, name in RUN.findall(text)
-        if name not in generate_reference.executables(package)
-    ]
-    unknown += [f"make {target}" for target in MAKE.findall(text) if target not in targets()]
-    for module, argument in MODULE.findall(text):
-        name = f"{module}.{argument}" if module == "benchmarks" and argument else module
-        place = ROOT / name.replace(".", "/")
-        if not place.with_suffix(".py").exists() and not (place / "__main__.py").exists():
-            unknown.append(name)
-    assert unknown == []
-
-
-@page
-def test_options_are_known_to_their_commands(path: Path) -> None:
+def test_commands_and_modules_exist() -> None:
     unknown = []
-    for line in command_lines(path):
-        words = shlex.split(line.split("--ros-args")[0].split(" > ")[0].split(" && ")[0])
-        known = parser_of(words[2], words[3])._option_string_actions if len(words) > 3 else {}
-        unknown += [word for word in words[4:] if word.startswith("--") and word.split("=")[0] not in known]
+    for path in PAGES:
+        text = path.read_text(encoding="utf-8")
+        for package, name in RUN.findall(text):
+            if name not in generate_reference.executables(package):
+                unknown.append(where(path, f"{package} {name}"))
+        unknown += [where(path, f"make {target}") for target in MAKE.findall(text) if target not in targets()]
+        for module, argument in MODULE.findall(text):
+            name = f"{module}.{argument}" if module == "benchmarks" and argument else module
+            place = ROOT / name.replace(".", "/")
+            if not place.with_suffix(".py").exists() and not (place / "__main__.py").exists():
+                unknown.append(where(path, name))
     assert unknown == []
 
 
-@page
-def test_python_blocks_import_what_is_there(path: Path) -> None:
+def test_module_and_file_paths_exist() -> None:
     lost = []
-    for block in re.findall(r"^```python\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
-        if path.name == "architecture.md":  # signatures, no program
-            continue
-        for node in ast.walk(ast.parse(block)):
-            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("hydro_"):
-                module = importlib.import_module(node.module)
-                lost += [f"{node.module}.{name.name}" for name in node.names if not hasattr(module, name.name)]
+    for path in PAGES:
+        for code in CODE.findall("\n".join(prose(path))):
+            words = code.split("::")[0].partition("(")[0].split() or [""]
+            if DOTTED.fullmatch(words[0]) and not names_something(words[0].split(".")):
+                lost.append(where(path, code))
+            lost += [where(path, word) for word in words if FILE.fullmatch(word) and not (ROOT / word).exists()]
+    assert lost == []
+
+
+def test_options_are_known_to_their_commands() -> None:
+    unknown = []
+    for path in PAGES:
+        for line in command_lines(path):
+            words = shlex.split(line.split("--ros-args")[0].split(" > ")[0].split(" && ")[0])
+            known = parser_of(words[2], words[3])._option_string_actions if len(words) > 3 else {}
+            options = [word for word in words[4:] if word.startswith("--") and word.split("=")[0] not in known]
+            unknown += [where(path, option) for option in options]
+    assert unknown == []
+
+
+def test_python_blocks_import_what_is_there() -> None:
+    lost = []
+    for path in PAGES:
+        for block in blocks(path, "python"):
+            for node in ast.walk(ast.parse(block)):
+                if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("hydro_"):
+                    module = importlib.import_module(node.module)
+                    names = [name.name for name in node.names if not hasattr(module, name.name)]
+                    lost += [where(path, f"{node.module}.{name}") for name in names]
     assert lost == []
 
 
 def test_yaml_blocks_can_be_read() -> None:
     for path in PAGES:
-        for block in re.findall(r"^```yaml\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        for block in blocks(path, "yaml"):
             assert yaml.safe_load(block), path
 
 
@@ -162,23 +193,18 @@ def test_architecture_has_a_row_for_every_folder() -> None:
         assert {*re.findall(r"^\| `(\w+)/`", table, re.MULTILINE)} == folders
 
 
-def test_every_page_has_a_name_of_its_own() -> None:
-    names = [path.name for path in DOCS.rglob("*.md") if path.name != "index.md" and path.parent.name != "commands"]
-    assert sorted(names) == sorted(set(names))
+def test_every_page_stands_in_the_menu() -> None:
+    menu = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
+    assert menu == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
 
 
 def test_pages_that_the_sources_name_are_there() -> None:
     """Sources name a page by its file's name alone; what a user reads has the whole path."""
-    names = {path.name for path in PAGES}
+    names = [path.name for path in PAGES]
+    assert [name for name in set(names) if names.count(name) > 1] == []
     lost = []
     for source in SOURCES:
         for name in PAGE_NAME.findall(source.read_text(encoding="utf-8")):
             if not ((ROOT / f"{name}.md").exists() if "/" in name else f"{name}.md" in names):
-                lost.append(f"{source.relative_to(ROOT)}: {name}.md")
+                lost.append(where(source, f"{name}.md"))
     assert lost == []
-
-
-@pytest.mark.parametrize("path", MANUAL, ids=lambda path: str(path.relative_to(ROOT)))
-def test_lines_of_the_manual_are_at_most_120_characters(path: Path) -> None:
-    long = [line for line in prose(path) if len(line) > 120 and not line.lstrip().startswith(("|", "<!--"))]
-    assert long == []

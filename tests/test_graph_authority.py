@@ -43,7 +43,7 @@ def test_what_a_stranger_does_is_refused_or_the_plant_is_made_safe(graph: Defend
 def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) -> None:
     graph.arm()
     graph.probe.forget()
-    for number in range(10):
+    for number in range(4):
         with listener("LOCALHOST" if number % 2 else "SUBNET") as tool:
             graph.drive(20.0, until=lambda tool=tool: tool.poll() is not None)  # type: ignore[misc]
             assert tool.poll() == 0, "it heard the plant"
@@ -53,8 +53,9 @@ def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) 
     assert all(state.flags & Flag.ARMED for state in states)
 
 
+@pytest.mark.parametrize("tools", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_second_nodes_are_told_and_leave_the_first_alone_and_a_second_plant_disarms_it(
-    graph: Defended, tmp_path: Path
+    graph: Defended, tmp_path: Path, tools: bool
 ) -> None:
-    found = beside(graph, tmp_path)
+    found = beside(graph, tmp_path, tools=tools)
     assert found.held, found

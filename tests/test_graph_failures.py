@@ -1,66 +1,162 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong while a policy is trained on the emulator over the serial link, and what the user is told."""
+"""What goes wrong while a policy is trained on the emulator over the serial link, and what the user is told.
+
+One training goes through all of it, in the order of the tests, and is gone on with after each end.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import time
-from contextlib import AbstractContextManager
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from datetime import datetime
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray
+
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.ros import GAINS, STATE, TRAINING, seconds
+from hydro_bridge.ros import DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, STATE, TRAINING, executable_path, seconds
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
-from hydro_policy.runs.checkpoint import load_checkpoint
+from hydro_policy.nodes.training.start import check_run
+from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.runs.run import RunDirectory
-from tests.graph_probe import Probe, Trainer, trainer
+from tests.graph_probe import Probe, Trainer, own_domain, trainer
 
 pytestmark = pytest.mark.graph
 
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 
 
-def phase(probe: Probe) -> int:
-    return int(probe.last(TRAINING).phase) if probe.heard[TRAINING] else -1
+class Training:
+    """A training with short episodes, and who watches it."""
+
+    def __init__(self, run: RunDirectory, probe: Probe) -> None:
+        self.run, self.probe, self.process = run, probe, None
+        self.told: dict[str, str] = {}
+        """Messages of the diagnostics, by name."""
+        probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._note, DIAGNOSTICS_QOS)
+
+    def _note(self, array: DiagnosticArray) -> None:
+        self.told |= {status.name: status.message for status in array.status}
+
+    @property
+    def text(self) -> str:
+        """What the trainer has printed."""
+        assert self.process is not None
+        return self.process.text
+
+    def begin(self, stack: ExitStack, *words: str) -> Trainer:
+        """Start, and wait until it learns."""
+        self.probe.forget()
+        self.process = stack.enter_context(trainer("--plant", "emulator", *words))
+        self.probe.wait(self.learns, 150.0)
+        return self.process
+
+    def resumed(self, stack: ExitStack) -> Trainer:
+        """Go on with it, without a recording."""
+        process = self.begin(stack, "--resume", str(self.run.path), "--no-record")
+        episode = self.probe.last(TRAINING).episode
+        self.probe.wait(lambda: self.probe.last(TRAINING).episode > episode, 30.0)
+        return process
+
+    def phase(self) -> int:
+        return int(self.probe.last(TRAINING).phase) if self.probe.heard[TRAINING] else -1
+
+    def learns(self) -> bool:
+        return self.phase() == TrainingStatus.TRAINING and self.probe.last(TRAINING).updates > 0
+
+    def checkpoint(self) -> Checkpoint:
+        """The latest, which is whole: the run can go on from it."""
+        found = load_checkpoint(self.run.latest)
+        check_run(self.run, self.run.load_settings(), found)
+        return found
+
+    def disarmed_after(self, moment: float) -> float:
+        """s from `moment`, of time.time(), to the first sample heard that is not armed."""
+        heard = ((seconds(state.header.stamp), state) for _, state in self.probe.heard[STATE])
+        return next(when for when, state in heard if when > moment and not state.flags & Flag.ARMED) - moment
 
 
-def start(run: Path, *words: str) -> AbstractContextManager[Trainer]:
-    """A trainer on the emulator with short episodes."""
-    run_words = ("--runs", str(run.parent), "--name", run.name)
-    return trainer("--plant", "emulator", "--from", "scratch", *run_words, *words, *SHORT)
+@pytest.fixture(scope="module")
+def training(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Training]:
+    run = RunDirectory(tmp_path_factory.mktemp("graph") / "run")
+    with own_domain(), ExitStack() as stack:
+        watcher = Probe()
+        stack.callback(watcher.close)
+        made = Training(run, watcher)
+        made.begin(stack, "--from", "scratch", "--runs", str(run.path.parent), "--name", run.path.name, *SHORT)
+        yield made
 
 
-def is_learning(probe: Probe) -> bool:
-    return phase(probe) == TrainingStatus.TRAINING and probe.last(TRAINING).updates > 0
+def override(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [str(executable_path("hydro_policy", "override")), *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30.0, check=False)
 
 
-def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(
-    probe: Probe, tmp_path: Path
-) -> None:
-    with start(tmp_path / "run") as run:
-        probe.wait(lambda: is_learning(probe), 150.0)
-        begun = probe.last(TRAINING).updates
-        probe.spin(1.5)
-        before = probe.last(TRAINING).updates
-        probe.forget()
-        killed = time.time()
-        os.kill(run.child("spawn_main"), signal.SIGKILL)
-        probe.wait(lambda: "learner lost (killed by signal 9)" in run.text, 5.0)
-        probe.spin(3.0)
-        probe.wait(lambda: is_learning(probe) and probe.last(TRAINING).updates > before, 30.0)
-        after = [message.updates for _, message in probe.heard[TRAINING]]
-        # A snapshot twice a second; a learner that catches up makes thousands of updates in that time.
-        assert before - min(after) <= (before - begun) / 1.5 + 128, "less than the last second is learnt again"
-        assert run.end() == 130
-    assert load_checkpoint(RunDirectory(tmp_path / "run").latest).produced > 0
-    gains = read_bag(tmp_path / "run" / "bag")[GAINS]
+def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(training: Training) -> None:
+    probe, run = training.probe, training.run
+    probe.wait(lambda: bool(probe.flags() & Flag.ARMED))
+    done = override("--kp", "60", "--ki", "10", "--seconds", "3")
+    assert done.returncode == 0 and "(60, 10) for 3 s" in done.stdout, done.stderr
+    probe.wait(lambda: "OVERRIDDEN by hand: K_p 60, K_i 10" in training.told.get("trainer", ""), 3.0)
+    refused = override("--kp", "400", "--ki", "10")
+    assert refused.returncode == 2 and "K_p within [15, 90]" in refused.stderr
+    probe.wait(lambda: "override is over" in training.text, 6.0)
+    assert "gains overridden by hand" in training.text
+    probe.spin(0.5)
+    assert override("--kp", "20", "--ki", "5").returncode == 0
+    probe.spin(0.5)
+    assert override("--off").returncode == 0
+    written = run.latest.stat().st_mtime if run.latest.exists() else 0.0
+    probe.wait(lambda: run.latest.exists() and run.latest.stat().st_mtime > written)
+    events = [event for event in json.loads(run.record.read_text())["events"] if event["kind"] == "override"]
+    assert len(events) == 4, "taken, over; taken, ended"
+    bag = read_bag(run.bag)
+    gains = bag[GAINS]
+    held = np.isclose(gains["delta_kp"], 45.0) & np.isclose(gains["delta_ki"], 5.0)
+    first, last = np.flatnonzero(held)[[0, -1]]
+    assert held[first : last + 1].all(), "nobody else's gains in between"
+    # Counted in policy steps, not in milliseconds: one may be under way, and a busy machine may stand still in between.
+    told, times = datetime.fromisoformat(events[0]["time"]).timestamp(), gains["time"]
+    assert ((times > told) & (times < times[first])).sum() <= 1, "from the next policy step on"
+    assert (held & (times > told + 3.0)).sum() <= 1, "not longer than asked for"
+    assert times[last + 1] - told > 3.0 - 0.02, "and for so long nobody else's"
+    states = bag.state
+    during = (states["time"] > gains["time"][first] + 0.1) & (states["time"] < gains["time"][last])
+    fresh = (states["flags"] & (Flag.WATCHDOG | Flag.FILTER_STALE)) == 0
+    assert np.median(states["proportional_gain"][during & fresh]) == 60.0
+    # Every transition that was learnt from holds gains of the policy: two actions in a row never are the override's.
+    rows = training.checkpoint().replay
+    actions, wanted = rows[:, 26:28], np.array([2 * 45 / 75 - 1, 2 * 5 / 10 - 1])
+    assert len(rows) > 50 and not np.isclose(actions, wanted, atol=1e-5).all(axis=1).any()
+
+
+def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
+    probe, process = training.probe, training.process
+    assert process is not None
+    begun = probe.last(TRAINING).updates
+    probe.spin(1.5)
+    before = probe.last(TRAINING).updates
+    probe.forget()
+    killed = time.time()
+    os.kill(process.child("spawn_main"), signal.SIGKILL)
+    probe.wait(lambda: "learner lost (killed by signal 9)" in process.text, 5.0)
+    probe.spin(3.0)
+    probe.wait(lambda: training.learns() and probe.last(TRAINING).updates > before, 30.0)
+    after = [message.updates for _, message in probe.heard[TRAINING]]
+    # A snapshot twice a second; a learner that catches up makes thousands of updates in that time.
+    assert before - min(after) <= (before - begun) / 1.5 + 128, "less than the last second is learnt again"
+    probe.spin(1.0)  # what the recorder has not written yet
+    gains = read_bag(training.run.bag)[GAINS]
     during = gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)]
     # Waiting for a new learner would take seconds; a loaded machine may stall for a moment of its own.
     assert np.diff(during["time"]).max() < 0.5
@@ -68,57 +164,91 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
     assert np.median(np.diff(during["step"].astype(int))) == 1
 
 
-def test_unplugged_it_pauses_and_disarms_replugged_it_arms_anew_and_ctrl_c_leaves_a_run_to_resume(
-    probe: Probe, tmp_path: Path
-) -> None:
-    run = RunDirectory(tmp_path / "run")
-    with start(run.path) as process:
-        probe.wait(lambda: is_learning(probe), 150.0)
-        (run.path / "emulator_control").write_text("unplug 1.5\n")
-        probe.wait(lambda: phase(probe) == TrainingStatus.PAUSED, 5.0)
-        paused = time.time()
-        probe.wait(lambda: "paused in episode" in process.text and "no samples" in process.text, 5.0)
-        # Samples from before may still wait to be heard: a sample's stamp tells.
-        back = probe.wait_for(STATE, lambda state: seconds(state.header.stamp) > paused, 15.0)
-        assert not back.flags & Flag.ARMED, "after the replug the box waits to be armed"
-        probe.wait(lambda: phase(probe) == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
-        probe.spin(1.0)
-        assert process.end() == 130
-        assert f"--resume {run.path}" in process.text
-    first = load_checkpoint(run.latest)
-    assert first.trainer["progress"]["interruptions"] >= 1, "a loaded machine may add its own"
-    states = read_bag(run.bag).state
-    assert not states["flags"][-1] & Flag.ARMED, "disarmed before it ended"
-    probe.spin(1.0)
+def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Training) -> None:
+    probe = training.probe
+    (training.run.path / "emulator_control").write_text("unplug 1.5\n")
+    probe.wait(lambda: training.phase() == TrainingStatus.PAUSED, 5.0)
+    paused = time.time()
+    probe.wait(lambda: "paused in episode" in training.text and "no samples" in training.text, 5.0)
+    # Samples from before may still wait to be heard: a sample's stamp tells.
+    back = probe.wait_for(STATE, lambda state: seconds(state.header.stamp) > paused, 15.0)
+    assert not back.flags & Flag.ARMED, "after the replug the box waits to be armed"
+    probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
+
+
+def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:
+    probe, process = training.probe, training.process
+    assert process is not None
+    probe.spin(0.1)
+    sequence = probe.last(STATE).sequence
+    os.kill(process.child("/recorder "), signal.SIGKILL)
+    probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text, 5.0)
+    for _ in range(5):  # anew where the machine stood still
+        probe.forget()
+        probe.spin(2.0)
+        if training.phase() == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150:
+            break
+    else:
+        pytest.fail("training does not go on at its pace")
+    states = read_bag(training.run.bag).state
+    assert len(states) > 1000
+    assert sequence - int(states["sequence"][-1]) < 1000, "more than a second is missing"
+
+
+def test_a_closed_terminal_ends_a_training_as_ctrl_c_does(training: Training) -> None:
+    probe, process = training.probe, training.process
+    assert process is not None
     probe.forget()
-    with trainer("--plant", "emulator", "--resume", str(run.path), "--no-record") as process:
-        probe.wait(lambda: is_learning(probe), 150.0)
-        probe.wait(lambda: probe.last(TRAINING).episode > first.trainer["episode"] + 1, 30.0)
-        assert process.end(signal.SIGTERM) == 130
-    second = load_checkpoint(run.latest)
-    assert second.produced > first.produced
+    probe.spin(0.2)
+    moment = time.time()
+    process.process.send_signal(signal.SIGHUP)
+    probe.wait(lambda: bool(probe.heard[STATE]) and not probe.flags() & Flag.ARMED, 10.0)
+    assert training.disarmed_after(moment) < 1.0
+    assert process.process.wait(40.0) == 130
+    process.close()
+    assert f"--resume {training.run.path}" in process.text and "Traceback" not in process.text
+    progress = training.checkpoint().trainer["progress"]
+    assert progress["interruptions"] >= 1, "unplugged; a loaded machine may add its own"
+    assert training.checkpoint().produced >= progress["history"][0]["whole_steps"] > 0
+
+
+def test_a_disk_that_takes_no_checkpoint_ends_the_training_with_the_one_before(training: Training) -> None:
+    first, run = training.checkpoint(), training.run
+    with ExitStack() as stack:
+        process = training.resumed(stack)
+        training.probe.spin(1.0)  # the checkpoint of the first episode is written meanwhile
+        before = training.checkpoint().produced
+        obstacle = run.latest.with_name("latest.partial")
+        while not obstacle.is_file():  # in the way of the next one, once none is being written
+            with suppress(OSError):
+                obstacle.touch()
+        training.probe.forget()
+        moment = time.time()
+        training.probe.wait(lambda: bool(training.probe.heard[STATE]) and not training.probe.flags() & Flag.ARMED, 10.0)
+        assert training.disarmed_after(moment) < 10.0
+        assert process.process.wait(40.0) == 2
+    said = [line for line in process.text.splitlines() if line.startswith("error: ")]
+    assert len(said) == 1 and "no checkpoint can be written" in said[0] and f"--resume {run.path}" in said[0]
+    assert "Traceback" not in process.text and 'File "' not in process.text
+    obstacle.unlink()
+    second = training.checkpoint()
+    assert second.produced >= before > first.produced
     assert second.trainer["progress"]["history"][: first.trainer["episode"]] == first.trainer["progress"]["history"]
 
 
-def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(
-    probe: Probe, tmp_path: Path
-) -> None:
-    run = RunDirectory(tmp_path / "run")
-    with start(run.path) as process:
-        probe.wait(lambda: is_learning(probe), 150.0)
-        recorder = process.child("/recorder ")
-        probe.spin(0.1)
-        sequence = probe.last(STATE).sequence
-        os.kill(recorder, signal.SIGKILL)
-        probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text, 5.0)
-        for _ in range(5):  # anew where the machine stood still
-            probe.forget()
-            probe.spin(2.0)
-            if phase(probe) == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150:
-                break
-        else:
-            pytest.fail("training does not go on at its pace")
-        assert process.end() == 130
-    states = read_bag(run.bag).state
-    assert len(states) > 1000
-    assert sequence - int(states["sequence"][-1]) < 1000, "more than a second is missing"
+def test_a_filter_that_is_killed_ends_the_training(training: Training) -> None:
+    probe, before = training.probe, training.checkpoint().produced
+    with ExitStack() as stack:
+        process = training.resumed(stack)
+        probe.forget()
+        moment = time.time()
+        os.kill(process.child("/filter "), signal.SIGKILL)
+        probe.wait(lambda: bool(probe.heard[STATE]) and not probe.flags() & Flag.ARMED, 10.0)
+        assert process.process.wait(40.0) == 2
+    assert "error: filter ended by itself (killed by SIGKILL): the plant holds base gains from then on" in process.text
+    assert "Traceback" not in process.text and 'File "' not in process.text
+    assert training.disarmed_after(moment) < 1.5
+    end = moment + training.disarmed_after(moment)
+    without = [state for _, state in probe.heard[STATE] if moment + 0.1 < seconds(state.header.stamp) < end]
+    assert max((abs(state.valve_current - state.nominal_valve_current) for state in without), default=0.0) < 1e-6
+    assert training.checkpoint().produced > before

@@ -61,12 +61,14 @@ def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> 
 
 
 @pytest.mark.graph
+@pytest.mark.study
 def test_a_filter_with_the_constant_metric_and_an_analytic_plant_compile_nothing(tmp_path: Path) -> None:
     words = "hydro_policy evaluate --plant sim --runs {out}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
     assert run(words, tmp_path, "--filter=--metric=constant") == set()
 
 
 @pytest.mark.graph
+@pytest.mark.study
 def test_a_simulated_bench_file_compiles_nothing(tmp_path: Path) -> None:
     """Effects that set-up has compiled, of other sizes; the filter keeps to the model that ships."""
     effects = [{**one, "parameters": {k: 0.9 * v for k, v in one["parameters"].items()}} for one in FOUND]
@@ -91,10 +93,13 @@ def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
     [
         pytest.param(f"{LEARN} 256", marks=pytest.mark.study),  # identifies constants for minutes
         f"{LEARN} 256 --structure network",
-        f"{LEARN} 256 --structure residual",
+        pytest.param(f"{LEARN} 256 --structure residual", marks=pytest.mark.study),
         "hydro_sim validate {bag}",
-        "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --filters none learned solved projected",
-        "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20",
+        pytest.param(
+            "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --filters none learned solved projected",
+            marks=pytest.mark.study,
+        ),
+        pytest.param("hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20", marks=pytest.mark.study),
         "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20 --model analytic --filter learned",
         "hydro_diagnosis diagnose {bag} --out {out}/diagnosis",
     ],

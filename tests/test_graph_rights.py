@@ -147,13 +147,9 @@ def test_a_replayer(looker: Looker, running: ExitStack, tmp_path: Path) -> None:
     check(looker, table("replayer"))
 
 
-def test_the_live_page(looker: Looker, running: ExitStack) -> None:
+def test_the_live_page_and_commands_of_a_person(looker: Looker, running: ExitStack) -> None:
+    """The commands look for somebody who answers, override for 10 s, and nobody is there."""
     running.enter_context(Companion("hydro_bridge", "dashboard", ["--port", "0"]))
-    check(looker, table("dashboard"))
-
-
-def test_commands_of_a_person(looker: Looker, running: ExitStack) -> None:
-    """Both look for somebody who answers, override for 10 s, and nobody is there."""
     running.enter_context(Companion("hydro_bridge", "arm", ["--timeout", "60"]))
     running.enter_context(Companion("hydro_policy", "override", ["--off"]))
-    check(looker, table("arm", "override"))
+    check(looker, table("dashboard", "arm", "override"))

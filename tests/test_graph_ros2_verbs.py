@@ -216,7 +216,6 @@ def test_a_recording_is_told_of_while_it_grows(graph: Path) -> None:
 
 def test_what_is_not_there_is_a_sentence(graph: Path) -> None:
     assert "nobody publishes or hears /nothing" in refused("topic", "echo", "/nothing", "--once")
-    assert "there is no node /nobody" in refused("node", "info", "/nobody")
     wrong = refused("service", "call", "/hydro/arm", "std_srvs/srv/Trigger")
     assert "is of type std_srvs/srv/SetBool" in wrong
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -41,18 +41,21 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("wrong", WRONG, ids=lambda wrong: f"{wrong.executable} {wrong.words}")
 def test_a_wrong_pairing_is_one_sentence_and_status_2_and_leaves_nothing(
-    wrong: Wrong, files: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    files: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], each: Callable[..., None]
 ) -> None:
     before = set(files.rglob("*"))
-    monkeypatch.setattr(sys, "argv", [wrong.executable, *wrong.arguments(files)])
-    with pytest.raises(SystemExit) as ended:
-        importlib.import_module(MODULES[f"{wrong.package} {wrong.executable}"]).main()
-    said = capfd.readouterr().err.splitlines()[-1]
-    assert ended.value.code == 2
-    assert said.startswith("error: ") and wrong.sentence in said
-    assert set(files.rglob("*")) == before, "nothing is left behind"
+
+    def check(wrong: Wrong) -> None:
+        monkeypatch.setattr(sys, "argv", [wrong.executable, *wrong.arguments(files)])
+        with pytest.raises(SystemExit) as ended:
+            importlib.import_module(MODULES[f"{wrong.package} {wrong.executable}"]).main()
+        said = capfd.readouterr().err.splitlines()[-1]
+        assert ended.value.code == 2
+        assert said.startswith("error: ") and wrong.sentence in said
+        assert set(files.rglob("*")) == before, "nothing is left behind"
+
+    each(WRONG, check, lambda wrong: f"{wrong.executable} {wrong.words}")
 
 
 @pytest.mark.parametrize(

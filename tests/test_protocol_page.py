@@ -7,6 +7,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 from zlib import crc32
@@ -21,14 +22,17 @@ from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.protocol import (
     BoxDetails,
     BoxInfo,
+    BoxLaw,
     Frame,
+    LawState,
     decode,
     encode_command,
     encode_details,
     encode_hello,
+    encode_law,
     encode_state,
 )
-from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
+from hydro_bridge.signals import Command, Flag, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY, RECOVERY_MARGIN
 from hydro_sim.model.bench import Bench
@@ -41,6 +45,7 @@ DETAILS = BoxDetails(
     epoch=7,
     bench_digest="0123456789ab",
     feedback="load",
+    laws=3,
     load_force_limit=700.0,
     force_range=5000.0,
     pressure_min=-0.5e6,
@@ -52,16 +57,29 @@ DETAILS = BoxDetails(
     force_rate_age=2e-3,
     velocity_age=1e-3,
 )
+LAW = BoxLaw(
+    base_ki=16.0, delta_kp_max=1.0, delta_ki_max=20.0, velocity_compensation=0.25, valve_gain_scale_min=0.75,
+    coefficient_min=(0.75, -0.0625, -(2.0**-10), -60.0), coefficient_max=(1.25, 0.125, 2.0**-8, 60.0),
+    coefficient_rate=(0.5, 0.125, 2.0**-7, 100.0),
+)  # fmt: skip
 VALUES = (1.5, 0.0, -2.25, 0.0, 4e6, 6e6, 0.0625, 0.0, 0.015625, 0.015625, -2.0, 0.0, 15.0, 5.0)
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=100.0, offset=-20.0, frequency=2.0, phase=0.5)
 COMMAND = Command(
     arm=True, delta_kp=10.0, delta_ki=0.5, delta_u=2.0**-10, corrects=257, filter_fresh=True, reference=SINE
 )
+COMPENSATED = replace(
+    COMMAND, law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 2.0**-9, -2.0), velocity_compensation=0.25,
+    valve_gain_scale=1.5,
+)  # fmt: skip
+ACTING = LawState(Law.COMPENSATED, -2.5, 8.0, (1.0, 0.03125, 2.0**-9, -1.0), 0.25, 1.0)
 MADE = [
     encode_hello(0, 1_000_000),
     encode_hello(1, 2_000_000, INFO),
     encode_details(1, 2_000_000, DETAILS),
+    encode_law(1, 2_000_000, LAW),
+    encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (1, 1), ACTING),
     encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (1, 1)),
+    encode_command(3, 1_003_000, COMPENSATED, version=3),
     encode_command(3, 1_003_000, COMMAND, version=2),
 ]
 
@@ -77,9 +95,10 @@ def test_the_codec_makes_the_bytes_of_the_page() -> None:
 
 def test_the_codec_reads_the_bytes_of_the_page() -> None:
     frames: list[Frame] = [decode(wire[1:-1]) for wire in examples()]
-    assert [type(frame).__name__ for frame in frames] == ["Hello", "Hello", "Details", "State", "CommandFrame"]
-    assert frames[3][2] == VALUES and frames[3][5:] == (1, 1)
-    assert frames[4][2] == COMMAND
+    kinds = ["Hello", "Hello", "Details", "LawFrame", "State", "State", "CommandFrame", "CommandFrame"]
+    assert [type(frame).__name__ for frame in frames] == kinds
+    assert frames[4][2] == VALUES and frames[4][5:] == (1, 1, ACTING) and frames[5][5:] == (1, 1, None)
+    assert (frames[3][3], frames[6][2], frames[7][2]) == (LAW, COMPENSATED, COMMAND)
 
 
 def test_the_firmware_is_tried_with_the_bytes_of_the_page() -> None:
@@ -90,7 +109,7 @@ def test_the_firmware_is_tried_with_the_bytes_of_the_page() -> None:
 def test_the_command_before_cobs_is_that_of_the_frame() -> None:
     (block,) = re.findall(r"```\n(02 03  .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     body = " ".join(re.split(r" {3,}", line)[0] for line in block.splitlines())
-    assert bytes.fromhex(body) == cobs.decode(examples()[4][1:-1])
+    assert bytes.fromhex(body) == cobs.decode(examples()[7][1:-1])
 
 
 @pytest.fixture(scope="module")
@@ -151,9 +170,11 @@ def test_the_references_of_the_page_give_its_numbers(waveform: Waveform) -> None
 
 
 def test_the_lengths_and_rates_of_the_line_are_those_of_its_frames() -> None:
-    state, command, old = MADE[3], MADE[4], encode_state(258, 258_000, VALUES, 0, 3, None)
-    assert [len(state), len(command)] == stated(r"STATE of version 2 has (\d+) bytes on the line, a COMMAND (\d+)")
-    assert [10_000 * len(old)] == [1000 * each for each in stated(r"version 1 \((\d+) 000 bit/s\)")]
+    assert [len(MADE[4]), len(MADE[6])] == stated(r"STATE has (\d+) bytes on the line, a COMMAND (\d+)")
+    assert [len(MADE[5]), len(MADE[7])] == stated(r"version 2 they have (\d+) and (\d+)")
+    rates = [10_000 * len(MADE[number]) for number in (4, 6, 5)]
+    millions, thousands, older = stated(r"([\d.]+) Mbit/s and (\d+) 000 bit/s .*? (\d+) 000 bit/s in version 2")
+    assert rates == [1e6 * millions, 1000 * thousands, 1000 * older]
 
 
 def test_the_ranges_of_the_page_are_those_of_the_box() -> None:

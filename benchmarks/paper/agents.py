@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.controllers import agent
 from benchmarks.paper.foreign import ForeignPlant
 from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
 from benchmarks.paper.validation import corrector
+from benchmarks.trained_controllers import agent
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag
 from hydro_filter.validation.trial import Corrector
@@ -165,7 +165,7 @@ def _controller(start: InitialAgent, parameters: Any) -> PolicyController:
 
 
 def _rmse(bench: str, controller: Controller, seed: int) -> Result:
-    """Force RMSE [N] at the paper's sines, each from rest, as `benchmarks.controllers` measures; NaN: stopped."""
+    """Force RMSE [N] at the paper's sines, each from rest, as `trained_controllers` measures; NaN: stopped."""
     guard = GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0)
     plant, found = PLANTS[bench](), []
     for frequency in PRINTED["rmse"]["frequencies"]:

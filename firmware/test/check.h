@@ -19,7 +19,9 @@
 
 static const hydro_config CONFIG = {
     .bench = {1.34e9f, 2e-4f, 0.609f, 0.08f, 16e6f, 0.0f, 2e-4f, 2e-4f, 1.785e-6f, 0.05f},
-    .base_kp = 15, .base_ki = 5, .delta_kp_min = -55, .delta_kp_max = 285, .delta_ki_min = -25, .delta_ki_max = 95,
+    .laws = {{15, 5, -55, 285, -25, 95, HYDRO_R(1e30), HYDRO_NEUTRAL, HYDRO_NEUTRAL, HYDRO_NEUTRAL, {1, 1, 1, 1, 1, 1}},
+             {400, 16, -385, 1, -10, 20, 700, {1, 0, 0, 0, 0.25f, 1}, {0.75f, -0.0625f, -0.0009765625f, -60, 0, 0.75f},
+              {1.25f, 0.125f, 0.00390625f, 60, 0.5f, 3}, {0.5f, 0.125f, 0.0078125f, 100, 1, 2}}},
     .delta_u_max = HYDRO_R(0.1), .load_force_limit = 700, .gain_floor = 100000, .force_range = 5000,
     .low = {-5000, HYDRO_R(-1e8), -5000, HYDRO_R(-1e8), HYDRO_R(-0.5e6), HYDRO_R(-0.5e6), HYDRO_R(-5e-3), -10},
     .high = {5000, HYDRO_R(1e8), 5000, HYDRO_R(1e8), HYDRO_R(25e6), HYDRO_R(25e6), HYDRO_R(0.085), 10},
@@ -45,7 +47,7 @@ static inline float number(uint32_t bits)
     return value;
 }
 
-/* The payload of a COMMAND. */
+/* The payload of a COMMAND before version 3. */
 static inline void host_command(uint8_t payload[40], uint32_t bits, const float values[3], uint32_t waveform,
                                 const float shape[4])
 {

@@ -41,7 +41,7 @@ static size_t hostile(uint8_t *out, uint32_t *sequence)
     static const float special[8] = {0.0f, -0.0f, 1e-40f, -1.0f, 3.4e38f, 1000.0f, 700.0f, 5000.0f};
     uint8_t payload[100] = {0};
     size_t count;
-    uint32_t kind = draw() % 8;
+    uint32_t version, kind = draw() % 8;
     if (kind == 0) { /* noise */
         count = draw() % 200;
         for (size_t i = 0; i < count; i++) {
@@ -54,16 +54,17 @@ static size_t hostile(uint8_t *out, uint32_t *sequence)
         return host_frame(0, HYDRO_HELLO, draw(), payload, 72, out);
     }
     hydro_write32(payload, kind < 6 ? 3u : draw());
-    for (int i = 2; i < 10; i++) {
+    for (int i = 2; i < 18; i++) {
         uint32_t bits = draw();
         if (bits % 4 != 0) {
             memcpy(&bits, special + draw() % 8, 4);
         }
-        hydro_write32(payload + 4 * i, i == 5 ? draw() % 5 : bits);
+        hydro_write32(payload + 4 * i, i == 5 ? draw() % 5 : i == 10 ? draw() % 3 : bits);
     }
     *sequence += draw() % 16 == 0 ? draw() : 1;
-    count = host_frame((uint8_t)(kind == 2 ? draw() : 1 + draw() % 2), (uint8_t)(kind == 3 ? draw() : HYDRO_COMMAND),
-                       *sequence, payload, kind == 4 ? draw() % 100 : 40, out);
+    version = kind == 2 ? draw() : 1 + draw() % 3;
+    count = host_frame((uint8_t)version, (uint8_t)(kind == 3 ? draw() : HYDRO_COMMAND), *sequence, payload,
+                       kind == 4 ? draw() % 100 : version < 3 ? 40 : 72, out);
     if (kind == 5) {
         out[draw() % count] = (uint8_t)draw();
     }
@@ -77,7 +78,7 @@ int main(int argc, char **argv)
     unsigned long wanted = argc > 1 ? strtoul(argv[1], NULL, 10) : 1000000, given = 0;
     hydro_real x[HYDRO_MEASURED], shown[HYDRO_MEASURED] = {0};
     uint8_t data[HYDRO_ENCODED_MAX + 100], out[HYDRO_BURST_MAX];
-    uint32_t sequence = 0, seen = 0, ticks = 0, armed = 0;
+    uint32_t sequence = 0, seen = 0, ticks = 0, armed = 0, compensated = 0;
     state = argc > 2 ? strtoul(argv[2], NULL, 10) : 1;
     feenableexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
     hydro_box_power_on(&box, &CONFIG, 1);
@@ -93,12 +94,18 @@ int main(int argc, char **argv)
         ticks += draw() % 256 == 0 ? 1 + draw() % 300 : 1;
         CHECK(hydro_finite(current) && hydro_abs(current) <= CONFIG.bench.valve_current_max);
         CHECK((box.sample.flags & HYDRO_ARMED) != 0 || current == 0);
-        CHECK(box.sample.flags < 128);
+        CHECK(box.sample.flags < 128 && box.acting.law <= HYDRO_COMPENSATED);
+        const hydro_law *law = &CONFIG.laws[box.acting.law];
+        for (int i = 0; i < HYDRO_SHAPING; i++) {
+            CHECK(box.acting.shaping[i] >= law->low[i] && box.acting.shaping[i] <= law->high[i]);
+        }
+        CHECK((box.sample.flags & HYDRO_ARMED) == 0 || hydro_within(box.acting.reference, law->reference_max));
+        compensated += (box.sample.flags & HYDRO_ARMED) != 0 && box.acting.law == HYDRO_COMPENSATED;
         CHECK(hydro_box_frames(&box, out) <= HYDRO_BURST_MAX);
         seen |= box.sample.flags;
         armed += box.sample.flags & HYDRO_ARMED;
     }
-    CHECK(armed > 0 && (seen == 127 || wanted < 1000000));
+    CHECK(armed > 0 && compensated > 0 && (seen == 127 || wanted < 1000000));
     printf("%lu bytes, %u samples, %u of them armed; frames %u, bad %u, foreign %u, unknown %u; taken %u, old %u, "
            "greetings %u\n", given, (unsigned)box.sequence, (unsigned)armed, (unsigned)box.stream.frames,
            (unsigned)box.stream.bad, (unsigned)box.stream.foreign, (unsigned)box.stream.unknown, (unsigned)box.taken,

@@ -95,7 +95,8 @@ int main(int argc, char **argv)
                                          "greeting", "host"};
     static hydro_box box;
     const float gains[3] = {10.0f, 1.0f, 0.001f};
-    uint8_t payload[40], wire[HYDRO_ENCODED_MAX], out[HYDRO_BURST_MAX];
+    const float shaping[HYDRO_SHAPING] = {1.0f, 0.03125f, 0.001f, 1.0f, 0.25f, 1.0f};
+    uint8_t payload[72] = {0}, wire[HYDRO_ENCODED_MAX], out[HYDRO_BURST_MAX];
     uint32_t kind = 0, samples = argc > 2 ? (uint32_t)strtoul(argv[2], NULL, 10) : 1000;
     CHECK(argc > 2);
     if (strcmp(argv[1], "size") == 0) {
@@ -123,13 +124,15 @@ int main(int argc, char **argv)
         /* the fade that costs most: a new multisine while the last one leaves, again and again */
         float shape[4] = {kind == 0 ? 0.0f : 100.0f, kind == 4 ? (float)(k / 300 % 2) : 0.0f, 1.1f, 0.3f};
         if (kind == 6) {
-            uint8_t hello[72] = {1, 2};
+            uint8_t hello[72] = {1, 3};
             hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, hello, 72, wire));
         }
         host_command(payload, kind == 5 || k == 0 ? 0u : 3u, gains, kind == 4 ? HYDRO_MULTISINE : kind % 4, shape);
-        size_t count = host_frame(1, HYDRO_COMMAND, k + 1, payload, 40, wire);
+        payload[40] = HYDRO_COMPENSATED;
+        memcpy(payload + 44, shaping, sizeof shaping);
+        size_t count = host_frame(3, HYDRO_COMMAND, k + 1, payload, 72, wire);
         if (kind == 7) {
-            CHECK(count == 61 && wire[0] == 0);
+            CHECK(count == 93 && wire[0] == 0);
             continue;
         }
         hydro_box_bytes(&box, wire, count);

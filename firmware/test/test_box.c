@@ -200,7 +200,7 @@ static void test_order(void)
 
 static hydro_command command(hydro_real kp, hydro_real ki, hydro_real u, uint32_t broken)
 {
-    hydro_command made = {.broken = broken, .delta_kp = kp, .delta_ki = ki, .delta_u = u};
+    hydro_command made = {.broken = broken, .delta_kp = kp, .delta_ki = ki, .delta_u = u, .shaping = HYDRO_NEUTRAL};
     made.reference.frequency = 2.0;
     return made;
 }
@@ -224,6 +224,29 @@ static void test_clamps(void)
         CHECK(hydro_admit(&guard, &CONFIG, &in, &wanted) && guard.refused[0] == 1 && guard.refused[1] == 0);
         CHECK(guard.delta_kp == (bit == 1 ? 0 : 10) && guard.delta_ki == (bit == 2 ? 0 : 10));
         CHECK(guard.delta_u == (bit == 4 ? HYDRO_R(0) : HYDRO_R(0.01)));
+    }
+}
+
+/* Coefficients and scales within the limits of the command's law; one that is none becomes the safe one. */
+static void test_clamps_of_the_shaping(void)
+{
+    const hydro_law *law = &CONFIG.laws[HYDRO_COMPENSATED];
+    hydro_signal wanted = {0};
+    hydro_command in = command(-385, 20, 0, 0);
+    in.law = HYDRO_COMPENSATED;
+    for (int i = 0; i < HYDRO_SHAPING; i++) {
+        for (int kind = 0; kind < 5; kind++) {
+            const hydro_real given[5] = {law->low[i], law->high[i], law->low[i] - 1, law->high[i] + 1, 0};
+            const hydro_real taken[5] = {law->low[i], law->high[i], law->low[i], law->high[i], law->safe[i]};
+            hydro_guard_reset(&guard);
+            CHECK(guard.law == HYDRO_PAPER);
+            in.broken = kind == 4 ? 16u << i : 0;
+            hydro_copy(in.shaping, law->safe, sizeof in.shaping);
+            in.shaping[i] = given[kind];
+            CHECK(hydro_admit(&guard, &CONFIG, &in, &wanted) && guard.law == HYDRO_COMPENSATED);
+            CHECK(guard.delta_kp == -385 && guard.delta_ki == 20);
+            CHECK(guard.refused[0] == (kind < 2 ? 0u : 1u) && guard.shaping[i] == taken[kind]);
+        }
     }
 }
 
@@ -325,6 +348,66 @@ static void test_box(void)
     CHECK(box.greetings == 1);
 }
 
+/* A COMMAND of version 3 at a sample, after which it is ticked. */
+static void follow(hydro_box *box, uint32_t sequence, bool arm, uint32_t law, const float shaping[HYDRO_SHAPING])
+{
+    const float gains[3] = {-300.0f, 4.0f, 0.0f}, shape[4] = {0.0f, 600.0f, 1.0f, 0.0f};
+    uint8_t payload[72] = {0}, wire[HYDRO_ENCODED_MAX];
+    host_command(payload, arm ? 3 : 2, gains, HYDRO_HOLD, shape);
+    hydro_write32(payload + 40, law);
+    memcpy(payload + 44, shaping, 24);
+    hydro_box_bytes(box, wire, host_frame(3, HYDRO_COMMAND, sequence, payload, 72, wire));
+    (void)hydro_box_tick(box, STILL, sequence * 1e-3);
+}
+
+/* Taken up at arming; while armed a command for another law, or none, leaves its safe state, reached step by step. */
+static void test_the_compensated_law(void)
+{
+    static hydro_box box;
+    static const float asked[HYDRO_SHAPING] = {1.125f, 0.0625f, 0.0f, 16.0f, 0.5f, 2.0f};
+    const hydro_law *law = &CONFIG.laws[HYDRO_COMPENSATED], *paper = &CONFIG.laws[HYDRO_PAPER];
+    hydro_real x[HYDRO_MEASURED], before;
+    uint32_t k;
+    memset(&box, 0xAA, sizeof box);
+    memcpy(x, STILL, sizeof x);
+    x[4] = -1e7f;
+    hydro_box_power_on(&box, &CONFIG, 9);
+    box.guard.law = HYDRO_COMPENSATED;
+    hydro_note_command(&box.arming, true, true, 0.0);
+    (void)hydro_box_tick(&box, x, 0.0); /* a fault before it could arm: the law is not taken up */
+    CHECK(box.acting.law == HYDRO_PAPER && memcmp(box.acting.shaping, paper->safe, sizeof paper->safe) == 0);
+    hydro_box_power_on(&box, &CONFIG, 9);
+    follow(&box, 1, false, HYDRO_PAPER, asked);
+    CHECK(box.acting.law == HYDRO_PAPER && box.acting.reference == STILL[2] && box.acting.reference_rate == 0);
+    follow(&box, 2, true, HYDRO_COMPENSATED, asked);
+    CHECK(box.acting.law == HYDRO_COMPENSATED && box.sample.values[HYDRO_KP] == 100);
+    CHECK(box.sample.values[HYDRO_KI] == 20 && near(box.acting.shaping[0], 1.0005)); /* begins at its safe state */
+    CHECK(near(box.acting.shaping[4], 0.251) && near(box.acting.shaping[5], 1.002));
+    for (k = 3; k < 700; k++) {
+        follow(&box, k, true, HYDRO_COMPENSATED, asked);
+    }
+    CHECK(box.acting.shaping[0] == HYDRO_R(1.125) && box.acting.shaping[4] == HYDRO_R(0.5));
+    CHECK(near(box.acting.reference / 1000, 0.691) && box.sample.values[HYDRO_REFERENCE] == 600);
+    before = box.integral;
+    follow(&box, k++, true, HYDRO_COMPENSATED, asked);
+    CHECK(near(box.sample.values[HYDRO_NOMINAL] * hydro_input_gain(&CONFIG.bench, STILL[6], STILL[4], STILL[5], 1) * 2
+               / (100 * 691 + before), 1.0));
+    follow(&box, k++, true, HYDRO_PAPER, asked); /* for another law: the safe state, one step nearer */
+    CHECK(box.acting.law == HYDRO_COMPENSATED && box.sample.values[HYDRO_KP] == 400);
+    CHECK(box.sample.values[HYDRO_KI] == 16 && near(box.acting.shaping[0], 1.1245));
+    follow(&box, k, true, HYDRO_COMPENSATED, asked);
+    CHECK(box.sample.values[HYDRO_KP] == 100 && box.acting.shaping[0] == HYDRO_R(1.125));
+    for (int late = 1; late < 190; late++) { /* no commands: from the 51st on the safe state, step by step */
+        (void)hydro_box_tick(&box, STILL, (k + (uint32_t)late) * 1e-3 + 1e-4);
+        CHECK(box.sample.values[HYDRO_KP] == (late < 50 ? 100 : 400));
+        CHECK(near(box.acting.shaping[0], 1.125 - (late < 50 ? 0.0 : 0.0005 * (late - 49))));
+    }
+    follow(&box, k + 190, false, HYDRO_PAPER, asked);
+    CHECK(box.acting.law == HYDRO_PAPER && memcmp(box.acting.shaping, paper->safe, sizeof paper->safe) == 0);
+    follow(&box, k + 191, false, HYDRO_COMPENSATED, asked); /* while disarmed the law is the one that is asked for */
+    CHECK(box.acting.law == HYDRO_COMPENSATED && memcmp(box.acting.shaping, law->safe, sizeof law->safe) == 0);
+}
+
 int main(void)
 {
     feenableexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
@@ -336,6 +419,7 @@ int main(void)
     test_force_limit();
     test_order();
     test_clamps();
+    test_clamps_of_the_shaping();
     test_references();
     test_box();
     test_stream();
@@ -343,11 +427,12 @@ int main(void)
     test_numbers();
     test_waveforms();
     test_references_of_the_page();
-    test_the_rate_of_a_fade();
+    test_derivatives();
     test_reset_of_references();
     test_fades();
     test_force_law();
     test_currents_of_the_page();
+    test_compensation();
     test_rates();
     test_frames_of_the_page();
     test_a_command_of_the_page();
@@ -358,5 +443,6 @@ int main(void)
     test_what_waits();
     test_an_armed_sample();
     test_a_current_that_cannot_be();
+    test_the_compensated_law();
     return 0;
 }

@@ -10,6 +10,8 @@ static bool near(hydro_real found, double wanted)
     return hydro_abs(found - HYDRO_R(wanted)) < HYDRO_R(1e-4);
 }
 
+static const hydro_real WHOLE[2] = {1, 1}, SCALED[2] = {HYDRO_R(0.25), 2};
+
 static void test_waveforms(void)
 {
     hydro_signal signal = {HYDRO_SINE, 2, 10, 0.5, HYDRO_PI / 6.0, 1.0};
@@ -54,8 +56,16 @@ static void test_references_of_the_page(void)
     }
 }
 
-/* The rate of a fade between two that move is the derivative of its value. */
-static void test_the_rate_of_a_fade(void)
+/* The derivatives of a signal and of a fade between two that move are those of its value, by differences. */
+static void derivatives(hydro_wave before, hydro_wave now, hydro_wave behind, double rate, double second, double third)
+{
+    hydro_real width = HYDRO_R(2e-3);
+    CHECK(hydro_abs((behind.value - before.value) / width - now.rate) < HYDRO_R(rate));
+    CHECK(hydro_abs((behind.rate - before.rate) / width - now.second) < HYDRO_R(second));
+    CHECK(hydro_abs((behind.second - before.second) / width - now.third) < HYDRO_R(third));
+}
+
+static void test_derivatives(void)
 {
     const hydro_signal one = {HYDRO_SINE, 100, -20, 2.0, 0.5, 0.0}, other = {HYDRO_SINE, 50, 30, 3.0, -1.0, 0.0};
     hydro_reference reference;
@@ -66,10 +76,15 @@ static void test_the_rate_of_a_fade(void)
     (void)hydro_advance(&reference, 0.3);
     CHECK(reference.fade_start == 0.3); /* the fade's end itself is its end */
     for (double time = 0.32; time < 0.6; time += 0.02) {
-        hydro_real before = hydro_advance(&reference, time - 1e-3).value;
-        hydro_real behind = hydro_advance(&reference, time + 1e-3).value;
-        hydro_real slope = (behind - before) / HYDRO_R(2e-3);
-        CHECK(hydro_abs(slope - hydro_advance(&reference, time).rate) < HYDRO_R(1.5));
+        derivatives(hydro_advance(&reference, time - 1e-3), hydro_advance(&reference, time),
+                    hydro_advance(&reference, time + 1e-3), 1.5, 60, 3000);
+    }
+    for (uint32_t form = HYDRO_HOLD; form <= HYDRO_SMOOTH_STEP; form++) {
+        const hydro_signal signal = {form, 100, -20, 2.0, 0.5, 0.0};
+        for (double time = 0.055; time < 0.5; time += 0.01) { /* no kink within a millisecond of these */
+            derivatives(hydro_play(&signal, time - 1e-3), hydro_play(&signal, time), hydro_play(&signal, time + 1e-3),
+                        12, 1200, 70000);
+        }
     }
 }
 
@@ -130,8 +145,8 @@ static void test_force_law(void)
     CHECK(near(hydro_volume_b(bench, HYDRO_R(0.05)) * HYDRO_R(1e6) / 100, 2.03654));
     CHECK(hydro_input_gain(bench, STILL[6], STILL[4], STILL[5], 0) == forward); /* 0 is forward */
     CHECK(hydro_input_gain(bench, STILL[6], STILL[4], STILL[5], HYDRO_R(0.5)) == forward);
-    CHECK(near(hydro_nominal_current(&CONFIG, STILL, 0, 0, -1e4f, 15) * backward, -1e4)); /* g of its own side */
-    CHECK(near(hydro_nominal_current(&CONFIG, STILL, 0, 0, 1e4f, 15) * forward, 1e4));
+    CHECK(near(hydro_nominal_current(&CONFIG, STILL, 0, 0, -1e4f, 15, WHOLE) * backward, -1e4)); /* g of its own side */
+    CHECK(near(hydro_nominal_current(&CONFIG, STILL, 0, 0, 1e4f, 15, WHOLE) * forward, 1e4));
     CHECK(hydro_action(1, 3, 5) == 15 && hydro_action(HYDRO_BUMPLESS, 3, 5) == 3);
     CHECK(near(hydro_integrate(1, 3, 100, 5, 0), 3.1) && near(hydro_integrate(HYDRO_BUMPLESS, 3, 100, 5, 0), 3.5));
     CHECK(hydro_integrate(1, 3, 100, 5, 1) == 3 && hydro_integrate(HYDRO_BUMPLESS, 3, 100, 5, 1) == 3);
@@ -150,11 +165,51 @@ static void test_currents_of_the_page(void)
     back[7] = HYDRO_R(-0.01);
     config.bench.valve_gain = HYDRO_R(1.67e-4 / 0.05) / HYDRO_SQRT(HYDRO_R(3.5e6));
     config.gain_floor = HYDRO_R(1.173882e6);
-    CHECK(near(hydro_nominal_current(&config, x, error, 2, 100, 15) * 1000, 0.3187407));
-    CHECK(near(hydro_nominal_current(&config, back, error, 2, -100, 15) * 1000, -0.3972830));
+    CHECK(near(hydro_nominal_current(&config, x, error, 2, 100, 15, WHOLE) * 1000, 0.3187407));
+    CHECK(near(hydro_nominal_current(&config, back, error, 2, -100, 15, WHOLE) * 1000, -0.3972830));
+    CHECK(near(hydro_nominal_current(&config, x, error, 2, 100, 15, SCALED) * 1000, 0.0433425));
     config.bench.tank_pressure = HYDRO_R(1e6); /* 5 MPa over b's land, 3 MPa over a's */
     CHECK(near(hydro_input_gain(&config.bench, x[6], x[4], x[5], 1) * HYDRO_R(1e-7), 1.1023128));
     CHECK(near(hydro_input_gain(&config.bench, x[6], x[4], x[5], -1) * HYDRO_R(1e-7), 0.8458449));
+}
+
+/* f_c and f_c' of given derivatives; each step towards what is wanted within its bound; the cut. */
+static void test_compensation(void)
+{
+    const hydro_law *law = &CONFIG.laws[HYDRO_COMPENSATED];
+    const hydro_wave wave = {100, -2000, 8000, 160000};
+    const hydro_real far[HYDRO_SHAPING] = {0, 1, -1, 1000, 1, -1};
+    hydro_law_state state = {HYDRO_COMPENSATED, 0, 0, {1, HYDRO_R(0.0625), HYDRO_R(0.001953125), 3, HYDRO_R(0.25), 1}};
+    hydro_real first[HYDRO_SHAPING];
+    memcpy(first, state.shaping, sizeof first);
+    hydro_compensate(&state, law, first, &wave); /* at rest */
+    CHECK(near(state.reference / 100, (100 - 125 + 15.625 + 3) / 100));
+    CHECK(near(state.reference_rate / 1000, (-2000 + 500 + 312.5) / 1000));
+    CHECK(memcmp(first, state.shaping, sizeof first) == 0);
+    hydro_compensate(&state, law, far, &wave);
+    for (int i = 0; i < HYDRO_SHAPING; i++) {
+        hydro_real step = law->rate[i] * HYDRO_R(1e-3) * HYDRO_R(i % 2 == 0 && i != 4 ? -1 : i == 5 ? -1 : 1);
+        CHECK(near((state.shaping[i] - first[i] - step) / law->rate[i], 0.0));
+    }
+    /* a' f: -0.5 * 100, 0.125 * -2000, -0.0078125 * 8000, 100; beside a f' of what acts now */
+    CHECK(near(state.reference_rate / 1000, (-1999 + 501 + 311.25 - 50 - 250 - 62.5 + 100) / 1000));
+    state.shaping[3] = 60;
+    for (int side = -1; side < 2; side += 2) { /* -690 and 690 beside 60: cut on one side */
+        const hydro_wave high = {HYDRO_R(690 * side), 2000, 0, 0};
+        hydro_real still[HYDRO_SHAPING] = HYDRO_NEUTRAL;
+        still[3] = 60;
+        memcpy(state.shaping, still, sizeof still);
+        hydro_compensate(&state, law, still, &high);
+        CHECK(state.reference == (side < 0 ? -630 : 700) && state.reference_rate == (side < 0 ? 2000 : 0));
+        still[3] = HYDRO_R(10 * side); /* the limit itself is not beyond it */
+        memcpy(state.shaping, still, sizeof still);
+        hydro_compensate(&state, law, still, &high);
+        CHECK(state.reference == 700 * side && state.reference_rate == 2000);
+        still[3] = HYDRO_R(20 * side);
+        memcpy(state.shaping, still, sizeof still);
+        hydro_compensate(&state, law, still, &high);
+        CHECK(state.reference == 700 * side && state.reference_rate == 0);
+    }
 }
 
 /* Rates lag by their age; a reading that is none leaves the rate beside it, and is shown. */

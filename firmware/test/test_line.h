@@ -41,15 +41,17 @@ static void test_stream(void)
     wire[HYDRO_ENCODED_MAX + 1] = 0;
     CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 2) == 0 && stream.bad == 6); /* a byte too long */
     for (uint8_t version = 0; version < 5; version++) {
-        count = host_frame(version, HYDRO_COMMAND, 1, payload, 40, wire);
-        CHECK(feed(&stream, &body, wire, count) == (version == 1 || version == 2));
+        count = host_frame(version, HYDRO_COMMAND, 1, payload, version < 3 ? 40 : 72, wire);
+        CHECK(feed(&stream, &body, wire, count) == (version > 0 && version < 4));
         count = host_frame(version, HYDRO_HELLO, 1, payload, 72, wire);
         CHECK(feed(&stream, &body, wire, count) == (version == 0));
     }
-    CHECK(stream.foreign == 3 + 4 && stream.unknown == 0 && stream.frames == 5);
+    CHECK(stream.foreign == 2 + 4 && stream.unknown == 0 && stream.frames == 6);
     CHECK(feed(&stream, &body, wire, host_frame(1, HYDRO_STATE, 1, payload, 64, wire)) == 0 && stream.unknown == 1);
     CHECK(feed(&stream, &body, wire, host_frame(1, HYDRO_COMMAND, 1, payload, 41, wire)) == 0 && stream.bad == 7);
     CHECK(feed(&stream, &body, wire, host_frame(0, HYDRO_HELLO, 1, payload, 73, wire)) == 0 && stream.bad == 8);
+    CHECK(feed(&stream, &body, wire, host_frame(3, HYDRO_COMMAND, 1, payload, 40, wire)) == 0 && stream.bad == 9);
+    CHECK(feed(&stream, &body, wire, host_frame(2, HYDRO_COMMAND, 1, payload, 72, wire)) == 0 && stream.bad == 10);
 }
 
 /* Pieces of the shortest and the longest length that may be a frame, and a byte beyond each. */
@@ -91,14 +93,14 @@ static void test_numbers(void)
     CHECK(hydro_max(1, 2) == 2 && hydro_max(2, 1) == 2);
 }
 
-/* A command of a waveform that is none, numbers that are none, hosts of both versions, and what DETAILS tell. */
+/* A command of a waveform that is none, numbers that are none, hosts of all versions, and what DETAILS tell. */
 static void test_conversation(void)
 {
     static hydro_box box;
     hydro_config hydraulic = CONFIG;
     uint8_t payload[72] = {0}, wire[HYDRO_ENCODED_MAX], out[HYDRO_BURST_MAX];
     const float broken[3] = {number(0x7FC00000u), number(0x7F800000u), 0.001f};
-    size_t old, new;
+    size_t sent[10];
     hydraulic.feedback = 0;
     hydro_box_power_on(&box, &hydraulic, 9);
     CHECK(box.hellos == 0);
@@ -110,22 +112,23 @@ static void test_conversation(void)
     CHECK(box.now.broken == 3 && box.now.delta_kp == 0 && box.now.delta_u == HYDRO_R(0.001f));
     (void)hydro_box_tick(&box, STILL, 0.001);
     CHECK(box.guard.refused[0] == 2 && box.guard.refused[1] == 0);
-    memset(payload, 0, sizeof payload);
-    payload[1] = 1; /* a host of version 1 */
-    hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, payload, 72, wire));
-    CHECK(box.version == 1 && box.hellos == 1);
-    (void)hydro_box_tick(&box, STILL, 0.002);
-    old = hydro_box_frames(&box, out);
-    payload[1] = 9; /* one of a version to come speaks 2 with this box */
-    hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, payload, 72, wire));
-    CHECK(box.version == 2 && box.hellos == 2);
-    (void)hydro_box_tick(&box, STILL, 0.003);
-    new = hydro_box_frames(&box, out);
-    CHECK(new >= old + 8 + HYDRO_HEADER + 60 + 4 && new <= HYDRO_BURST_MAX); /* DETAILS, and two more counters */
-    CHECK(hydro_unstuff(wire + 1, hydro_encode_details(1, 0, 9, &CONFIG, wire) - 2) == HYDRO_HEADER + 60 + 4);
-    CHECK(wire[1 + HYDRO_HEADER + 16] == 1); /* the load force */
-    CHECK(hydro_unstuff(out + 1, hydro_encode_details(1, 0, 9, &hydraulic, out) - 2) == HYDRO_HEADER + 60 + 4);
-    CHECK(out[1 + HYDRO_HEADER + 16] == 2);
+    for (uint8_t host = 0; host < 10; host++) { /* one of a version to come speaks 3 with this box */
+        memset(payload, 0, sizeof payload);
+        payload[1] = host;
+        hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, payload, 72, wire));
+        CHECK(box.version == (host < 2 ? 1u : host < 3 ? 2u : 3u) && box.hellos == host + 1u);
+        (void)hydro_box_tick(&box, STILL, 0.002 + 1e-3 * host);
+        sent[host] = hydro_box_frames(&box, out);
+    }
+    CHECK(sent[0] == 93 + 85 && sent[1] == 93 + 85); /* HELLO and STATE */
+    CHECK(sent[2] == 93 + 81 + 93 && sent[3] == 93 + 81 + 129 + 129 && sent[9] == sent[3]); /* DETAILS; and LAW */
+    for (uint32_t version = 2; version < 4; version++) {
+        CHECK(hydro_unstuff(wire + 1, hydro_encode_details(version, 1, 0, 9, &CONFIG, wire) - 2) == HYDRO_HEADER + 64);
+        CHECK(wire[1] == version && wire[1 + HYDRO_HEADER + 16] == 1); /* the load force */
+        CHECK(wire[1 + HYDRO_HEADER + 17] == (version == 2u ? 0 : 3)); /* both laws */
+        CHECK(hydro_unstuff(out + 1, hydro_encode_details(version, 1, 0, 9, &hydraulic, out) - 2) == HYDRO_HEADER + 64);
+        CHECK(out[1 + HYDRO_HEADER + 16] == 2);
+    }
 }
 
 /* A frame of the box, between its delimiters, as its body: into `data`; how many bytes it took of `wire`. */

@@ -62,7 +62,7 @@ def parser() -> argparse.ArgumentParser:
         help="numbers of the bench file that are not known, or only roughly: they are estimated from the recordings",
     )
     options.add_argument(
-        "--as-wired", action="store_true", help="go on where channels contradict each other or the bench file"
+        "--as-wired", action="store_true", help="take the recordings as they are: try no repairs of wiring or units"
     )
     options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")

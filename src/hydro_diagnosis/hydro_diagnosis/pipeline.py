@@ -16,9 +16,10 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
 from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.stages.hypotheses import reconsidered, understood
 from hydro_diagnosis.stages.modelling import modelled
 from hydro_diagnosis.stages.naming import named, trusted
-from hydro_diagnosis.stages.reading import Progress, Question, read
+from hydro_diagnosis.stages.reading import Progress, Question
 from hydro_diagnosis.stages.reporting import reported, unfinished
 from hydro_sim.model.bench import Bench
 
@@ -57,7 +58,7 @@ def diagnose(
     estimate
         Numbers of the bench file that are not known, or only roughly: they are estimated, and are no causes.
     as_wired
-        Continue where channels contradict each other or the bench file (`wiring`), instead of refusing them.
+        Take the recordings as they are: repairs of wiring are not tried (`stages.hypotheses`).
     settings
         Of the search.
     progress
@@ -75,11 +76,16 @@ def diagnose(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
         estimate=estimate, as_wired=as_wired,
     )  # fmt: skip
-    case = read(question, progress)
+    with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
+        case = understood(question, progress)
     search = Search(case.problem, case.candidates, settings or NAMES, progress)
     try:
-        with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
+        with threadpool_limits(1, "blas"):
             names = named(search, case.held)
+            before, case = case, reconsidered(case, names, progress)
+            if case.problem is not before.problem:
+                search = Search(case.problem, case.candidates, settings or NAMES, progress)
+                names = named(search, case.held)
             found = trusted(modelled(names, search.library, progress), names)
             return reported(case, search, found, begun)
     except KeyboardInterrupt as interruption:

@@ -64,7 +64,7 @@ def test_network_alone_is_refused_with_the_reason(tmp_path: Path) -> None:
         baseline(None, path)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_healthy_bench_matches_the_model_that_was_learned_on_it(tmp_path: Path) -> None:
     bags = recorded({}, tmp_path)
     report = diagnose(bags[:2], holdout=bags[2:], model=shipped()).report
@@ -72,7 +72,7 @@ def test_healthy_bench_matches_the_model_that_was_learned_on_it(tmp_path: Path) 
     assert report.baseline["model"] == "learned default_weights.safetensors"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_overlap_and_air_are_named_relative_to_the_learned_model(tmp_path: Path) -> None:
     bags = recorded(
         {"valve_deadband": {"half_width": 3e-4}, "entrained_air": {"volume_fraction": 5e-3}},

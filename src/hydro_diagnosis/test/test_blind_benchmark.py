@@ -82,7 +82,7 @@ def test_attempts_ask_for_less_from_one_to_the_next_and_tell_the_box_alone() -> 
     assert replace(told, valve_nominal_flow=nominal.valve_nominal_flow) == nominal
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("effects", [
     {"valve_gain": {"ratio": 1.12}},
     {"supply_pressure": {"ratio": 1.1}, "valve_gain": {"ratio": 1.15}, "piston_area": {"ratio": 0.92}},
@@ -192,7 +192,7 @@ def test_two_names_of_the_same_bench_are_both_right() -> None:
     assert not result(shifted, answer("explained", "valve_offset")).exact
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_truth_plant_agrees_that_those_benches_are_the_same(tmp_path: Path) -> None:
     ways = {
         "rest": {"spring_rest": {"position": 0.041}},

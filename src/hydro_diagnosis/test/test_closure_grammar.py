@@ -183,15 +183,19 @@ def test_a_position_with_play_is_undone() -> None:
     assert np.max(np.abs(found - position)) < 1e-6 < 5e-5 < np.max(np.abs(reading - position))
 
 
-@pytest.mark.parametrize("one", [*grammar.LAWS, *grammar.COMPOSITIONS], ids=lambda one: f"{one.equation} {one.form}")
-def test_what_says_that_it_reverses_does(one: Law) -> None:
+def test_what_says_that_it_reverses_does() -> None:
     """Either direction, each side of any threshold."""
     still = Signals(position=0.03, pressure_a=6e6, pressure_b=5e6, current=1e-3, force=90.0, drop=1e6, opened=1e-8,
                     feeds=1.0, memory=0.3, second=0.02)  # fmt: skip
     places = [replace(still, velocity=velocity, pressure_b=pressure, number=number)
               for velocity in (-2e-3, 2e-3) for pressure in (5e6, 7e6) for number in (1e-4, 0.04, 1e9)]  # fmt: skip
-    moved = [one.shape(at, BENCH) != one.shape(replace(at, turn=5e-3), BENCH) for at in places]
-    assert any(moved) == one.reverses
+    turned = [replace(at, turn=5e-3) for at in places]
+    wrong = []
+    for one in (*grammar.LAWS, *grammar.COMPOSITIONS):
+        moved = [one.shape(at, BENCH) != one.shape(other, BENCH) for at, other in zip(places, turned, strict=True)]
+        if any(moved) != one.reverses:
+            wrong.append(f"{one.equation} {one.form}")
+    assert not wrong
 
 
 def test_a_curved_gauge_is_undone() -> None:
@@ -202,76 +206,80 @@ def test_a_curved_gauge_is_undone() -> None:
     assert effect.unmeasure("pressure_b", reading, memory, values) is reading
 
 
+FOUND = [
+    ("motion", "drag towards the outer end", {"coefficient": 2e4, "threshold": 0.043}, 0.02),
+    ("motion", "warming drag", {"coefficient": 120.0, "path": 0.25, "time": 4.0}, 0.1),
+    ("motion", "drag outwards", {"coefficient": 800.0}, 0.03),
+    ("pressure", "leak while moving out", {"coefficient": 8e-14}, 0.03),
+    ("pressure_b", "relief", {"coefficient": 1e-13, "threshold": 9.5e6}, 0.05),
+    ("actuation", "laminar edges", {"coefficient": 1.0, "transition": 8e5}, 0.05),
+    ("load", "second spring outwards", {"coefficient": 2e3, "threshold": 0.045}, 0.03),
+    ("sensor", "quadratic reading of load_force", {"coefficient": 8e-5}, 0.02),
+    ("sensor", "quadratic reading of pressure_a", {"coefficient": 2e-9}, 0.1),
+    ("sensor", "pick-up of current of hydraulic_force", {"coefficient": 2000.0}, 0.01),
+    ("sensor", "zero of pressure_b, from the start", {"coefficient": 2e5, "time": 4.0}, 0.03),
+    ("pressure_b", "carried oil, outwards", {"coefficient": 0.03}, 0.03),
+    ("pressure", "leak, at a place", {"coefficient": 2e-13, "centre": 0.043, "width": 4e-3}, 0.05),
+    ("actuation", "null, as throttling warms", {"coefficient": 0.1, "time": 3.0}, 0.05),
+    ("actuation", "throttled flow, of the return", {"coefficient": 1.0, "resistance": 2e15}, 0.1),
+    ("motion", "drag, levelling off", {"coefficient": 400.0, "level": 0.03}, 0.05),
+    ("load", "rubbing by deflection", {"coefficient": 500.0}, 0.05),
+    ("load", "rubbing by deflection, reversing over turn", {"coefficient": 570.0, "turn": 5e-3}, 0.1),
+    ("motion", "friction by pressure difference, reversing over turn", {"coefficient": 4e-6, "turn": 5e-3}, 0.2),
+    ("motion", "creeping stiffness", {"coefficient": 2000.0, "time": 0.2}, 0.05),
+    ("motion", "fading drag", {"coefficient": 300.0, "time": 0.1}, 0.05),
+    ("motion", "drag, fading from the start", {"coefficient": 300.0, "time": 4.0}, 0.05),
+    ("load", "inertia", {"coefficient": 1.5}, 0.03),
+    ("pressure", "leak, since a reversal", {"coefficient": 3e-13, "path": 5e-4}, 0.05),
+    ("pressure_b", "flow of the tank's edge", {"coefficient": 0.1}, 0.03),
+    ("actuation", "null by pressure difference", {"coefficient": -3e-11}, 0.05),
+    ("sensor", "reading of load_force, in pull", {"coefficient": -0.08}, 0.03),
+    ("sensor", "reading of piston_position, with hysteresis", {"coefficient": -8e-5, "path": 3e-4}, 0.05),
+    ("sensor", "gain of pressure_b", {"coefficient": 0.02}, 0.05),
+    ("actuation", "gain near null", {"coefficient": -0.2, "threshold": 1.5e-3}, 0.05),
+    ("motion", "drag up to a speed", {"coefficient": 300.0, "threshold": 0.03}, 0.05),
+    ("load", "gas spring", {"coefficient": 1500.0, "gap": 0.05}, 0.05),
+    ("sensor", "reading of load_force, within a span", {"coefficient": -0.1, "threshold": 60.0}, 0.05),
+    ("sensor", "pick-up of current of pressure_b, to one side", {"coefficient": 1e8}, 0.05),
+    ("motion", "stiffness, times p_b", {"coefficient": 3e-4}, 0.05),
+    ("motion", "drag, times |p_a - p_b|", {"coefficient": 6e-5}, 0.05),
+    ("motion", "pressing by B, with presliding", {"coefficient": 2e-6, "path": 1e-3}, 0.05),
+    ("motion", "force, in ripples", {"coefficient": -12.0, "pitch": 5e-3, "phase": 1.0}, 0.05),
+    ("load", "bending, with presliding", {"coefficient": 1800.0, "path": 2e-3}, 0.05),
+    ("pressure", "leak, times |x - x_rest|", {"coefficient": 1.5e-11}, 0.05),
+    ("pressure", "leak, after rest", {"coefficient": 2e-13, "path": 6e-3, "time": 0.15}, 0.1),
+    ("pressure_b", "late relief", {"coefficient": 4e-13, "threshold": 9.5e6, "time": 0.04}, 0.1),
+    ("pressure_b", "hole, times |v|", {"coefficient": 1e-8}, 0.05),
+    ("pressure_b", "leak, while B rises", {"coefficient": 3e-20, "time": 0.1}, 0.1),
+    ("actuation", "null by opening and pressure of B", {"coefficient": -2e-8}, 0.05),
+    ("actuation", "choked flow, of the return", {"coefficient": 0.4, "choked": 4e6}, 0.1),
+    ("sensor", "gain of hydraulic_force, times |u|", {"coefficient": -15.0}, 0.05),
+    ("sensor", "pick-up of jet of pressure_b", {"coefficient": 2e7}, 0.05),
+    ("sensor", "reading of piston_position, in ripples", {"coefficient": -5e-5, "pitch": 5e-3, "phase": 1.0}, 0.05),
+    ("actuation", "rises and falls", {"coefficient": 1.0, "rising": 3e-3, "falling": 6e-4}, 0.1),
+    ("motion", "drag past its peak", {"coefficient": 400.0, "level": 0.02}, 0.05),
+    ("actuation", "rounded gain", {"coefficient": -1.0, "level": 4e-3}, 0.2),
+    ("load", "stiffness, times |v|", {"coefficient": 1e4}, 0.05),
+    ("pressure_b", "flow, fading from the start", {"coefficient": -3e-7, "time": 4.0}, 0.05),
+    ("pressure_a", "flow of the port, below a place", {"coefficient": 10.0, "threshold": 0.037}, 0.05),
+    ("actuation", "falling supply", {"coefficient": 8e5, "time": 4.0}, 0.05),
+    ("motion", "even drag", {"coefficient": 500.0}, 0.05),
+    ("load", "rounded stiffness", {"coefficient": 4000.0, "level": 6e-3}, 0.05),
+    ("motion", "drag, in waves", {"coefficient": 250.0, "pitch": 8e-3, "phase": 5.0}, 0.05),
+    ("motion", "drag, while B is above its past", {"coefficient": 2e-4, "time": 0.2}, 0.05),
+    ("pressure_a", "pocket", {"coefficient": 3e-14, "rising": 0.02, "falling": 0.3}, 0.1),
+    ("actuation", "late share", {"coefficient": 0.03, "time": 0.05}, 0.05),
+    ("pressure", "leak, after motion", {"coefficient": 3e-13, "path": 2e-2, "time": 0.5}, 0.1),
+    ("pressure_a", "throttled flow of the port", {"coefficient": 1.0, "resistance": 2e15}, 0.1),
+    ("pressure_b", "null of the port", {"coefficient": 1e-4}, 0.05),
+    ("load", "speed ahead outwards", {"coefficient": 300.0, "rising": 0.06, "falling": 0.6}, 0.1),
+]
+"""Laws of each kind: every eleventh in `make test`, all in `make test-slow`."""
+
+
 @pytest.mark.parametrize(
     ("equation", "form", "numbers", "tolerance"),
-    [
-        ("motion", "drag towards the outer end", {"coefficient": 2e4, "threshold": 0.043}, 0.02),
-        ("motion", "warming drag", {"coefficient": 120.0, "path": 0.25, "time": 4.0}, 0.1),
-        ("motion", "drag outwards", {"coefficient": 800.0}, 0.03),
-        ("pressure", "leak while moving out", {"coefficient": 8e-14}, 0.03),
-        ("pressure_b", "relief", {"coefficient": 1e-13, "threshold": 9.5e6}, 0.05),
-        ("actuation", "laminar edges", {"coefficient": 1.0, "transition": 8e5}, 0.05),
-        ("load", "second spring outwards", {"coefficient": 2e3, "threshold": 0.045}, 0.03),
-        ("sensor", "quadratic reading of load_force", {"coefficient": 8e-5}, 0.02),
-        ("sensor", "quadratic reading of pressure_a", {"coefficient": 2e-9}, 0.1),
-        ("sensor", "pick-up of current of hydraulic_force", {"coefficient": 2000.0}, 0.01),
-        ("sensor", "zero of pressure_b, from the start", {"coefficient": 2e5, "time": 4.0}, 0.03),
-        ("pressure_b", "carried oil, outwards", {"coefficient": 0.03}, 0.03),
-        ("pressure", "leak, at a place", {"coefficient": 2e-13, "centre": 0.043, "width": 4e-3}, 0.05),
-        ("actuation", "null, as throttling warms", {"coefficient": 0.1, "time": 3.0}, 0.05),
-        ("actuation", "throttled flow, of the return", {"coefficient": 1.0, "resistance": 2e15}, 0.1),
-        ("motion", "drag, levelling off", {"coefficient": 400.0, "level": 0.03}, 0.05),
-        ("load", "rubbing by deflection", {"coefficient": 500.0}, 0.05),
-        ("load", "rubbing by deflection, reversing over turn", {"coefficient": 570.0, "turn": 5e-3}, 0.1),
-        ("motion", "friction by pressure difference, reversing over turn", {"coefficient": 4e-6, "turn": 5e-3}, 0.2),
-        ("motion", "creeping stiffness", {"coefficient": 2000.0, "time": 0.2}, 0.05),
-        ("motion", "fading drag", {"coefficient": 300.0, "time": 0.1}, 0.05),
-        ("motion", "drag, fading from the start", {"coefficient": 300.0, "time": 4.0}, 0.05),
-        ("load", "inertia", {"coefficient": 1.5}, 0.03),
-        ("pressure", "leak, since a reversal", {"coefficient": 3e-13, "path": 5e-4}, 0.05),
-        ("pressure_b", "flow of the tank's edge", {"coefficient": 0.1}, 0.03),
-        ("actuation", "null by pressure difference", {"coefficient": -3e-11}, 0.05),
-        ("sensor", "reading of load_force, in pull", {"coefficient": -0.08}, 0.03),
-        ("sensor", "reading of piston_position, with hysteresis", {"coefficient": -8e-5, "path": 3e-4}, 0.05),
-        ("sensor", "gain of pressure_b", {"coefficient": 0.02}, 0.05),
-        ("actuation", "gain near null", {"coefficient": -0.2, "threshold": 1.5e-3}, 0.05),
-        ("motion", "drag up to a speed", {"coefficient": 300.0, "threshold": 0.03}, 0.05),
-        ("load", "gas spring", {"coefficient": 1500.0, "gap": 0.05}, 0.05),
-        ("sensor", "reading of load_force, within a span", {"coefficient": -0.1, "threshold": 60.0}, 0.05),
-        ("sensor", "pick-up of current of pressure_b, to one side", {"coefficient": 1e8}, 0.05),
-        ("motion", "stiffness, times p_b", {"coefficient": 3e-4}, 0.05),
-        ("motion", "drag, times |p_a - p_b|", {"coefficient": 6e-5}, 0.05),
-        ("motion", "pressing by B, with presliding", {"coefficient": 2e-6, "path": 1e-3}, 0.05),
-        ("motion", "force, in ripples", {"coefficient": -12.0, "pitch": 5e-3, "phase": 1.0}, 0.05),
-        ("load", "bending, with presliding", {"coefficient": 1800.0, "path": 2e-3}, 0.05),
-        ("pressure", "leak, times |x - x_rest|", {"coefficient": 1.5e-11}, 0.05),
-        ("pressure", "leak, after rest", {"coefficient": 2e-13, "path": 6e-3, "time": 0.15}, 0.1),
-        ("pressure_b", "late relief", {"coefficient": 4e-13, "threshold": 9.5e6, "time": 0.04}, 0.1),
-        ("pressure_b", "hole, times |v|", {"coefficient": 1e-8}, 0.05),
-        ("pressure_b", "leak, while B rises", {"coefficient": 3e-20, "time": 0.1}, 0.1),
-        ("actuation", "null by opening and pressure of B", {"coefficient": -2e-8}, 0.05),
-        ("actuation", "choked flow, of the return", {"coefficient": 0.4, "choked": 4e6}, 0.1),
-        ("sensor", "gain of hydraulic_force, times |u|", {"coefficient": -15.0}, 0.05),
-        ("sensor", "pick-up of jet of pressure_b", {"coefficient": 2e7}, 0.05),
-        ("sensor", "reading of piston_position, in ripples", {"coefficient": -5e-5, "pitch": 5e-3, "phase": 1.0}, 0.05),
-        ("actuation", "rises and falls", {"coefficient": 1.0, "rising": 3e-3, "falling": 6e-4}, 0.1),
-        ("motion", "drag past its peak", {"coefficient": 400.0, "level": 0.02}, 0.05),
-        ("actuation", "rounded gain", {"coefficient": -1.0, "level": 4e-3}, 0.2),
-        ("load", "stiffness, times |v|", {"coefficient": 1e4}, 0.05),
-        ("pressure_b", "flow, fading from the start", {"coefficient": -3e-7, "time": 4.0}, 0.05),
-        ("pressure_a", "flow of the port, below a place", {"coefficient": 10.0, "threshold": 0.037}, 0.05),
-        ("actuation", "falling supply", {"coefficient": 8e5, "time": 4.0}, 0.05),
-        ("motion", "even drag", {"coefficient": 500.0}, 0.05),
-        ("load", "rounded stiffness", {"coefficient": 4000.0, "level": 6e-3}, 0.05),
-        ("motion", "drag, in waves", {"coefficient": 250.0, "pitch": 8e-3, "phase": 5.0}, 0.05),
-        ("motion", "drag, while B is above its past", {"coefficient": 2e-4, "time": 0.2}, 0.05),
-        ("pressure_a", "pocket", {"coefficient": 3e-14, "rising": 0.02, "falling": 0.3}, 0.1),
-        ("actuation", "late share", {"coefficient": 0.03, "time": 0.05}, 0.05),
-        ("pressure", "leak, after motion", {"coefficient": 3e-13, "path": 2e-2, "time": 0.5}, 0.1),
-        ("pressure_a", "throttled flow of the port", {"coefficient": 1.0, "resistance": 2e15}, 0.1),
-        ("pressure_b", "null of the port", {"coefficient": 1e-4}, 0.05),
-        ("load", "speed ahead outwards", {"coefficient": 300.0, "rising": 0.06, "falling": 0.6}, 0.1),
-    ],
+    [pytest.param(*one, marks=[pytest.mark.study] if k % 11 else []) for k, one in enumerate(FOUND)],
 )
 def test_a_law_is_found_with_all_of_its_numbers(
     record: Callable[..., StateArray], equation: str, form: str, numbers: dict[str, float], tolerance: float

@@ -77,7 +77,7 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(dragged:
     assert dragged.doubted != law.problem.doubted  # dry friction leaves its sign in doubt: there, not in the judgement
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_diagnosis_hands_back_name_and_law_as_one_model(
     record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path
 ) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.fluid import EntrainedAir
 from hydro_diagnosis.effects.valve_dynamics import TransportDelay, ValveLag, ValveLagFirstOrder
+from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 
@@ -39,34 +42,33 @@ def test_labels_are_unique() -> None:
     assert len(labels) == len(set(labels))
 
 
-@pytest.mark.parametrize("effect", ADAPTED, ids=lambda effect: effect.label)
-def test_probes_lie_inside_the_bounds(effect: Effect) -> None:
-    for one in effect.parameters:
-        assert one.low <= one.neutral <= one.high
-        assert all(one.low < probe < one.high for probe in one.probes)
+def test_probes_lie_inside_the_bounds() -> None:
+    for effect in ADAPTED:
+        for one in effect.parameters:
+            assert one.low <= one.neutral <= one.high, effect.label
+            assert all(one.low < probe < one.high for probe in one.probes), effect.label
 
 
-@pytest.mark.parametrize("effect", [e for e in ADAPTED if not e.needs], ids=lambda effect: effect.label)
-def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(effect: Effect, problem: Problem) -> None:
-    from hydro_diagnosis.estimation.layout import CHANNELS
-    from hydro_diagnosis.model.segment_model import BLOCKS
+def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(problem: Problem, each: Callable[..., None]) -> None:
+    nothing = problem.residual([])
 
-    change = problem.residual([Claim(effect, values_at(effect, "probe"))]) - problem.residual([])
-    power = np.bincount(problem.layout.channel, np.square(change), len(CHANNELS))
-    shown = {CHANNELS[k] for k in np.flatnonzero(power > 1e-9 * power.max())}
-    may = {name for block in effect.touches for name in BLOCKS[block]} | {"motion"}  # arcs of forces reach the motion
-    assert shown
-    assert shown <= may
+    def check(effect: Effect) -> None:
+        change = problem.residual([Claim(effect, values_at(effect, "probe"))]) - nothing
+        power = np.bincount(problem.layout.channel, np.square(change), len(CHANNELS))
+        shown = {CHANNELS[k] for k in np.flatnonzero(power > 1e-9 * power.max())}
+        may = {name for block in effect.touches for name in BLOCKS[block]} | {"motion"}  # forces reach the motion
+        assert shown
+        assert shown <= may
+
+    each([effect for effect in ADAPTED if not effect.needs], check, lambda effect: effect.label)
 
 
-@pytest.mark.parametrize(
-    "effect",
-    [e for e in ADAPTED if e.parameters[0].smallest > 0.0 and not e.needs and "soft" not in e.label],
-    ids=lambda effect: effect.label,
-)
-def test_effect_vanishes_at_its_neutral_value(effect: Effect, problem: Problem) -> None:
-    change = problem.residual([Claim(effect, values_at(effect, "neutral"))]) - problem.residual([])
-    assert np.max(np.abs(change)) < 1e-6
+def test_effect_vanishes_at_its_neutral_value(problem: Problem) -> None:
+    nothing = problem.residual([])
+    for effect in ADAPTED:
+        if effect.parameters[0].smallest > 0.0 and not effect.needs and "soft" not in effect.label:
+            change = problem.residual([Claim(effect, values_at(effect, "neutral"))]) - nothing
+            assert np.max(np.abs(change)) < 1e-6, effect.label
 
 
 def test_delay_of_whole_samples_is_a_shift() -> None:

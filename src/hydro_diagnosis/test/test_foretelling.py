@@ -76,7 +76,7 @@ def test_a_held_out_channel_that_is_made_worse_is_said() -> None:
     assert not made_worse_in_all({"holdout": {"load_force": error(2e-6, 4e-6), "pressure_a": error(6e-6, 4e-6)}})
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_is_not_foretold_is_said_in_the_terminal(
     record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -116,7 +116,7 @@ def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_ar
         assert all(error["rmse_after"] <= 1.1 * error["rmse_before"] + error["noise_floor"] for error in errors)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_names_that_explain_a_part_and_predict_the_held_out_recordings_worse_are_not_claimed_either(
     record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

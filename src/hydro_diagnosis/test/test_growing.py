@@ -7,7 +7,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,17 +69,26 @@ SMOOTH = {"equation": "load", "form": "smooth", "expression": "f(position)", "te
           "sentence": "A smooth function.", "share_closed": 1.0, "share_by_form": {}}  # fmt: skip
 
 
-@pytest.mark.parametrize("law", EVERY, ids=lambda law: f"{law.equation} {law.form}")
-def test_the_written_shape_is_the_laws(law: Law) -> None:
-    shape = eval(f"lambda at, n: {shape_text(law)}", {"np": np})
-    assert shape(SIGNALS, Bench.nominal()) == pytest.approx(law.shape(SIGNALS, Bench.nominal()), rel=1e-14)
+def title(law: Law) -> str:
+    return f"{law.equation} {law.form}"
 
 
-@pytest.mark.parametrize("law", EVERY, ids=lambda law: f"{law.equation} {law.form}")
-def test_a_report_says_which_law_it_holds(law: Law, tmp_path: Path) -> None:
-    numbers = {name: around(0.1 * (k + 1)) for k, name in enumerate(law.names)}
-    folders = [report(tmp_path / name, closure(law, numbers)) for name in "ab"]
-    assert [one.law for one in sightings(folders)] == [law, law]
+def test_the_written_shape_is_the_laws(each: Callable[..., None]) -> None:
+    def check(law: Law) -> None:
+        shape = eval(f"lambda at, n: {shape_text(law)}", {"np": np})
+        assert shape(SIGNALS, Bench.nominal()) == pytest.approx(law.shape(SIGNALS, Bench.nominal()), rel=1e-14)
+
+    each(EVERY, check, title)
+
+
+def test_a_report_says_which_law_it_holds(each: Callable[..., None], tmp_path: Path) -> None:
+    def check(number_and_law: tuple[int, Law]) -> None:
+        number, law = number_and_law
+        numbers = {name: around(0.1 * (k + 1)) for k, name in enumerate(law.names)}
+        folders = [report(tmp_path / str(number) / name, closure(law, numbers)) for name in "ab"]
+        assert [one.law for one in sightings(folders)] == [law, law]
+
+    each(enumerate(EVERY), check, lambda case: title(case[1]))
 
 
 def test_one_value_fits_benches_whose_intervals_overlap_and_not_others(tmp_path: Path) -> None:
@@ -174,7 +183,9 @@ def test_the_table_shows_the_numbers_side_by_side(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("which", "values"), GROWN[:3], ids=[form for (_, form), _ in GROWN[:3]])
+@pytest.mark.parametrize(
+    ("which", "values"), [GROWN[0], *(pytest.param(*one, marks=pytest.mark.study) for one in GROWN[1:3])]
+)
 def test_a_grown_effect_passes_its_own_test(which: tuple[str, str], values: dict[str, float], tmp_path: Path) -> None:
     folder = grow(tmp_path, which, values)
     words = [

@@ -86,7 +86,9 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, states
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize(
+    "name", ["MDF 4", *(pytest.param(one, marks=pytest.mark.study) for one in FORMATS if one != "MDF 4")]
+)
 def test_every_format_is_diagnosed_as_the_bag(
     name: str, tmp_path: Path, of_the_bag: Report, states: StateArray
 ) -> None:

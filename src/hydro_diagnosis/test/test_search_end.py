@@ -35,6 +35,7 @@ def worn(problem_of: Callable[..., Problem]) -> Problem:
     return problem_of(**WORN)
 
 
+@pytest.mark.study
 def test_eight_causes_are_found(worn: Problem) -> None:
     outcome = Search(worn, ADAPTED, NAMES).run()
     assert {claim.effect.id for claim in outcome.fit.claims} == {*WORN} - {"dead_volume_a", "viscous_friction",

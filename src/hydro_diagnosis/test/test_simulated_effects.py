@@ -61,12 +61,12 @@ def apart(segment: Segment, states: FloatArray, claims: Sequence[Claim]) -> dict
     }
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.label)
-def test_every_value_that_a_diagnosis_may_report_is_simulated(effect: Effect) -> None:
-    entry = Claim(effect, {one.name: one.probes[0] for one in effect.parameters}).to_mapping()
-    simulated = {quantity.name: quantity for quantity in CATALOGUE[label(entry)].parameters}
-    for one in effect.parameters:
-        assert simulated[one.name].low <= one.low and one.high <= simulated[one.name].high
+def test_every_value_that_a_diagnosis_may_report_is_simulated() -> None:
+    for effect in EFFECTS:
+        entry = Claim(effect, {one.name: one.probes[0] for one in effect.parameters}).to_mapping()
+        simulated = {quantity.name: quantity for quantity in CATALOGUE[label(entry)].parameters}
+        for one in effect.parameters:
+            assert simulated[one.name].low <= one.low and one.high <= simulated[one.name].high, effect.label
 
 
 @pytest.mark.proves("diagnosed")

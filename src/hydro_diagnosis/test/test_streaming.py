@@ -123,7 +123,7 @@ def test_last_third_is_held_out_over_gaps(minute: tuple[Path, Recording]) -> Non
     assert last[0].start == pytest.approx(first[0].start + 20.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
     """15 min are 113 MB of numbers; held are a stretch, its check and the windows."""
     path = bag(tmp_path, 900.0)

@@ -152,7 +152,7 @@ def test_unknown_numbers_of_a_cylinder_beside_a_hidden_leak(record: Record, fram
     assert type(Bench.from_mapping(found.corrected.to_mapping())) is Bench
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_double_rod_cylinder(record: Record, frame: Frame, tmp_path: Path) -> None:
     dry = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
     believed = replace(Bench.nominal(), area_ratio=1.0)

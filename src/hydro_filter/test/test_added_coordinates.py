@@ -107,7 +107,9 @@ def whole_loop(bench: Bench, gain: float) -> FloatArray:
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("gain", [10.0, 60.0, 120.0])
+@pytest.mark.parametrize(
+    "gain", [pytest.param(10.0, marks=pytest.mark.study), 60.0, pytest.param(120.0, marks=pytest.mark.study)]
+)
 def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: str, gain: float) -> None:
     """But for the sum of the pressures, which no force moves, and what the coordinates leave out of it."""
     free, push, feedback = rest_loop(of(case), gain)

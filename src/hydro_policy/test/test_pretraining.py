@@ -93,7 +93,7 @@ def test_an_update_is_owed_for_every_transition_after_the_warm_up() -> None:
     assert pretraining.sac.updates == 4 * 60 - 40
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_minute_of_pretraining_learns() -> None:
     """From an untrained agent's 1.39 of the RMSE of (90, 15), gains near the middle of their range, a good way down.
 
@@ -290,12 +290,9 @@ def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--bench", "nowhere.yaml"], "nowhere.yaml"),
+        (["--model", "nowhere.safetensors"], "nowhere.safetensors"),
         (["--bench", "b.yaml", "--model", "shipped"], "a bench of its own"),
         (["--bench", "b.yaml", "--model", "c.yaml"], "which of them is simulated?"),
-        (["--model", "nowhere.yaml"], "nowhere.yaml"),
-        (["--model", "nowhere.safetensors"], "nowhere.safetensors"),
-        (["--benches", "0"], "benches must be within"),
         (["--episodes", "0"], "episodes must be within"),
     ],
 )

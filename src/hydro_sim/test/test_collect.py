@@ -179,8 +179,8 @@ HOLD = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}
 def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_n(
     plant: Callable[..., None], listener: Listener, tmp_path: Path
 ) -> None:
-    plant()
-    words = _collect(tmp_path, [HOLD, HOLD])
+    plant("-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
+    words = _collect(tmp_path, [{**HOLD, "kp": 80.0, "ki": 12.0}] * 2)
     ended = subprocess.run([str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False)
     assert ended.returncode == 0
     listener.wait(lambda: listener.flags)
@@ -191,6 +191,9 @@ def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_
     assert yaml.safe_load(bag.attachments["bench.yaml"]) == Bench.nominal().to_mapping()
     assert bag.state["load_force"].max() > 250.0
     assert bag.state["flags"][-1] & Flag.ARMED == 0
+    played = bag.state[(bag.state["flags"] & Flag.ARMED) != 0][200:-200]  # arming fades in
+    gains = {(round(float(s["proportional_gain"]), 6), round(float(s["integral_gain"]), 6)) for s in played}
+    assert gains == {(80.0, 12.0)}, "in all, whatever the box's base gains"
     assert "/diagnostics" in bag.topics
 
 
@@ -217,19 +220,6 @@ def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener:
 
 
 @pytest.mark.graph
-def test_a_bench_is_armed_by_a_person_only(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
-    """The simulation under another name: nothing in the graph says that it is one."""
-    plant("-r", "__node:=bench")
-    collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]))
-    listener.wait(lambda: HOW_TO_ARM[False] in collect.last_words)
-    assert not listener.fresh() & Flag.ARMED
-    subprocess.run([str(executable_path("hydro_bridge", "arm"))], timeout=30, check=True)
-    listener.wait(lambda: not collect.running)
-    assert collect.stop() == 0
-    assert (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED).sum() > 900
-
-
-@pytest.mark.graph
 def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a_person_is_asked(
     plant: Callable[..., None], listener: Listener, tmp_path: Path
 ) -> None:
@@ -250,6 +240,7 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
 
 
 @pytest.mark.graph
+@pytest.mark.study
 def test_a_terminal_that_has_gone_changes_nothing(plant: Callable[..., None], tmp_path: Path) -> None:
     plant("-r", "__node:=bench")
     ours, theirs = pty.openpty()
@@ -302,18 +293,6 @@ def test_beside_another_who_commands_it_refuses_to_start(
         assert process.returncode == 2 and process.stderr is not None
         assert process.stderr.read().splitlines()[-1].startswith(sentence)
     assert not (tmp_path / "bag").exists()
-
-
-@pytest.mark.graph
-def test_gains_in_all_are_played_whatever_the_boxs_base_gains(plant: Callable[..., None], tmp_path: Path) -> None:
-    plant("-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
-    words = _collect(tmp_path, [{**HOLD, "offset": 100.0, "kp": 80.0, "ki": 12.0}])
-    ended = subprocess.run([str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False)
-    assert ended.returncode == 0
-    states = read_bag(tmp_path / "bag").state
-    played = states[(states["flags"] & Flag.ARMED) != 0][200:-200]  # arming fades in
-    gains = {(round(float(s["proportional_gain"]), 6), round(float(s["integral_gain"]), 6)) for s in played}
-    assert gains == {(80.0, 12.0)}
 
 
 @pytest.mark.graph

@@ -125,7 +125,7 @@ def test_training_stops_when_validation_no_longer_gets_better(data):
     assert progress.epoch < 20
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_identification_finds_the_benchs_constants(data):
     chosen = training.Settings(identify_windows=90)
     start = training.start(data, chosen, Bench.nominal())

@@ -18,7 +18,7 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, is_bag, read_table
 from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SHORTEST
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
-from hydro_diagnosis.wiring.wiring import wiring_checked
+from hydro_diagnosis.wiring.sizes import Doubt, doubts
 from hydro_sim.model.bench import Bench
 
 LONGEST = 100.0
@@ -36,12 +36,11 @@ def load_dataset(
     holdout: Sequence[str | Path],
     bench: Bench,
     columns: ColumnMap | None = None,
-    *,
-    as_wired: bool = False,
+    doubted: list[Doubt] | None = None,
 ) -> tuple[list[Segment], list[Segment], list[str]]:
     """Return segments to fit, segments held out, and notes on their quality; `column_map`: see `read_table`.
 
-    `as_wired` continues where channels contradict each other (`wiring`).
+    `doubted` is told of fields whose numbers they cannot have, of each recording, also where none can be diagnosed.
 
     Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
 
@@ -50,8 +49,9 @@ def load_dataset(
     InputError
         If none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
     """
-    to_fit, notes = _read(recordings, bench, columns, as_wired)
-    to_check, more_notes = _read(holdout, bench, columns, as_wired, spare=True)
+    doubted = [] if doubted is None else doubted
+    to_fit, notes = _read(recordings, bench, columns, doubted)
+    to_check, more_notes = _read(holdout, bench, columns, doubted, spare=True)
     _refuse_twice([*to_fit, *to_check])
     fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
     _refuse_too_little(fitted, bench, notes)
@@ -112,15 +112,16 @@ def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
 
 
 def _read(
-    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, as_wired: bool, *, spare: bool = False
+    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, doubted: list[Doubt], *, spare: bool = False
 ) -> tuple[list[Recording], list[str]]:
     """Recordings with information, and a note on each without.
 
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
     """
-    looked = Parallel()(delayed(_look)(path, bench, columns, as_wired) for path in paths)
-    recordings = [one for one in looked if isinstance(one, Recording)]
-    refused = [one for one in looked if not isinstance(one, Recording)]
+    looked = Parallel()(delayed(_look)(path, bench, columns) for path in paths)
+    doubted += [doubt for _, found in looked for doubt in found]
+    recordings = [one for one, _ in looked if isinstance(one, Recording)]
+    refused = [one for one, _ in looked if not isinstance(one, Recording)]
     if refused and not recordings and not spare:
         raise refused[0]
     notes = [f"{error}; it was left out" for error in refused]
@@ -128,19 +129,20 @@ def _read(
 
 
 def _look(
-    path: str | Path, bench: Bench, columns: ColumnMap | None, as_wired: bool
-) -> Recording | UnusableRecordingError:
-    path = Path(path)
+    path: str | Path, bench: Bench, columns: ColumnMap | None
+) -> tuple[Recording | UnusableRecordingError, list[Doubt]]:
+    path, found = Path(path), list[Doubt]()
 
     def inspected(table: RawTable) -> RawTable:
-        return table if as_wired else wiring_checked(table, bench, columns)
+        found.extend(doubts(table, bench))
+        return table
 
     try:
         if path.exists() and is_bag(path) and has_states(path):
-            return read_bag_within(path, bench, columns, inspected)
-        return table_within(inspected(read_table(path, columns)), bench)
+            return read_bag_within(path, bench, columns, inspected), found
+        return table_within(inspected(read_table(path, columns)), bench), found
     except UnusableRecordingError as error:
-        return error
+        return error, found
 
 
 def _split(

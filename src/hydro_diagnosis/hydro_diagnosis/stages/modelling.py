@@ -25,7 +25,7 @@ from hydro_diagnosis.validation.equations import equations_told
 
 def modelled(names: Standing, library: Sequence[Effect], progress: Progress) -> Standing:
     """Names and closure together; the names alone where nothing remains, or no closure is admitted."""
-    if not names.assessment.remainder or names.late:
+    if not names.assessment.remainder:
         return names
     progress(stage_bar.MODELLING)
     problem, unseen = names.problem, names.unseen

@@ -15,7 +15,6 @@ from hydro_diagnosis.experiment_design.next_recording import next_recording
 from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.current_alignment import current_is_late
 from hydro_diagnosis.selection.foretelling import made_worse, made_worse_in_all, withheld
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
@@ -41,8 +40,6 @@ class Standing:
     """Of the held-out recordings."""
     proof: dict[str, Any]
     """`fit` of report.json."""
-    late: str | None
-    """Note on a current that was logged after it acted; None where it was not."""
     taken_back: str = ""
     """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
     closures: list[ClosureReport] = field(default_factory=list)
@@ -62,7 +59,6 @@ def named(search: Search, held: Sequence[Segment]) -> Standing:
     outcome = search.run()
     progress(stage_bar.JUDGING)
     assessment, bounds = _judged(problem, outcome)
-    late = current_is_late(problem, assessment)
     models = [SegmentModel(segment, problem.bench) for segment in held]
     progress(stage_bar.CHECKING)
     unseen = Problem(held, problem.bench, problem.baseline, noise=problem.sensor_noise)
@@ -71,7 +67,7 @@ def named(search: Search, held: Sequence[Segment]) -> Standing:
     proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
     found = Standing(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, models=models, unseen=unseen,
-        simulated=simulated, proof=proof, late=late,
+        simulated=simulated, proof=proof,
     )  # fmt: skip
     if assessment.verdict == "explained" and (worse := made_worse(proof)):
         return _withdrawn(found, worse)

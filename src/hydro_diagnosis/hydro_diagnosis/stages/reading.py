@@ -26,6 +26,7 @@ from hydro_diagnosis.model.baseline import baseline
 from hydro_diagnosis.partial_bench import hiding, lacks
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import claims_of
+from hydro_diagnosis.wiring.sizes import Doubt
 from hydro_sim.model.bench import Bench
 
 Progress = Callable[[str], None]
@@ -56,6 +57,7 @@ class Question:
 class Case:
     """A question, read."""
 
+    question: Question
     problem: Problem
     candidates: list[Effect]
     held: list[Segment]
@@ -64,10 +66,12 @@ class Case:
     """Fields of the report that are known already."""
     numbers: dict[str, float | None]
     """Numbers to be estimated, as they were given."""
+    wiring: str = ""
+    """Note on how the recordings were taken, as they are or repaired, where both can be meant; else empty."""
 
 
-def read(question: Question, progress: Progress) -> Case:
-    """Read the recordings, check them against the bench file, begin the estimated numbers.
+def read(question: Question, progress: Progress, doubted: list[Doubt] | None = None) -> Case:
+    """Read the recordings, check them against the bench file, begin the estimated numbers; `doubted`: `load_dataset`.
 
     Raises
     ------
@@ -81,8 +85,7 @@ def read(question: Question, progress: Progress) -> Case:
     unruled = _candidates(question.without)
     progress(stage_bar.READING)
     fitted, held, quality = load_dataset(
-        question.recordings, question.holdout, hiding(given, estimate), ColumnMap.load(question.columns),
-        as_wired=question.as_wired,
+        question.recordings, question.holdout, hiding(given, estimate), ColumnMap.load(question.columns), doubted
     )  # fmt: skip
     channels = set.intersection(*(set(segment.channels) for segment in fitted))
     refuse_missing(channels, given, estimate)
@@ -105,7 +108,14 @@ def read(question: Question, progress: Progress) -> Case:
         "versions": {"hydro_diagnosis": _version()},
     }
     numbers = {name: None if lacks(given, name) else float(getattr(given, name)) for name in estimate}
-    return Case(problem=problem, candidates=_acting(unruled, believed), held=held, facts=facts, numbers=numbers)
+    return Case(
+        question=question,
+        problem=problem,
+        candidates=_acting(unruled, believed),
+        held=held,
+        facts=facts,
+        numbers=numbers,
+    )
 
 
 def _acting(effects: Sequence[Effect], bench: Bench) -> list[Effect]:

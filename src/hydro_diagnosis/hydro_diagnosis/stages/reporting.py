@@ -26,7 +26,7 @@ def reported(case: Case, search: Search, found: Standing, begun: float) -> Diagn
     problem.forget()
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, found.unseen, found.outcome, assessment, found.bounds)
-    notes = _notes(found, effects, hidden)
+    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden))
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
@@ -66,7 +66,7 @@ def _notes(found: Standing, effects: Sequence[EffectReport], hidden: str | None)
     early = current_is_early(found.problem, effects)
     beyond = "" if assessment.remainder else not_foretold(found.unseen, assessment.fit.claims)
     distrust = distrusted(made_worse(found.proof))
-    return tuple(note for note in (found.late, early, hidden, cut_short, beyond, found.taken_back, distrust) if note)
+    return tuple(note for note in (early, hidden, cut_short, beyond, found.taken_back, distrust) if note)
 
 
 def _steps(search: Search) -> list[dict[str, Any]]:

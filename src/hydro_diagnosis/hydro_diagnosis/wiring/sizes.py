@@ -1,124 +1,159 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of magnitude: pressures, positions and currents against supply, stroke and valve."""
+"""Channels that cannot hold what they are named: numbers far beyond the bench's, another sensor's noise, a velocity.
+
+Such recordings cannot be read as they are, or only in part; which of the repairs is right the evidence tells
+(`stages.hypotheses`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
+from itertools import chain, combinations
 
 import numpy as np
 
-from hydro_diagnosis.wiring.complaint import MOVES, SIZE, TOGETHER, Complaint
-from hydro_diagnosis.wiring.repairs import Channels, Repair, Scale, in_unit
-from hydro_diagnosis.wiring.signals import correlation, slope, slow
+from hydro_bridge.signals import FloatArray
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.partial_bench import UnknownNumberError, guarded
+from hydro_diagnosis.recording import MEASURED
+from hydro_diagnosis.wiring.repairs import Channels, Rename, Repair, Scale, in_unit
 from hydro_sim.model.bench import Bench
 
+LOOKED_AT = 200_000
+"""Number of samples examined, from the first."""
 PRESSURES = (0.05, 3.0)
 """Range of the highest pressure, over that of the supply, that a bench can have."""
 BEYOND = 1.5
 """Multiple of the stroke or largest current above which a number is in another unit."""
-MARGIN = 0.05
+MARGIN = 0.01
 """Share of the stroke by which a position may lie outside of it."""
-_PRESSURE_UNITS = ("bar", "kPa", "MPa", "psi", "hPa")
-_LENGTH_UNITS = ("mm", "cm", "um", "in")
+SIZE = 3.0
+"""Times by which the spring's force may differ from the bench file's."""
+TOGETHER = 0.9
+"""Correlation above which a slope is one."""
+MEAN = 10
+"""Samples over which channels are averaged before they are compared."""
+
+Doubt = tuple[Repair, ...]
+"""Repairs of one field, one of which is needed, the likeliest first."""
 
 
-def pressure_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """Check that the pressures reach a share of the supply's."""
-    for name in ("pressure_a", "pressure_b"):
-        if name not in channels:
-            continue
-        share = float(np.quantile(channels[name], 0.99)) / bench.supply_pressure
-        if share > PRESSURES[1] or share < PRESSURES[0]:
-            alive = float(np.quantile(channels[name], 0.05)) > -0.02 * share * bench.supply_pressure
-            units = [in_unit(name, unit) for unit in _PRESSURE_UNITS if alive]
-            fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
-            fitting.sort(key=lambda one: abs(float(np.log(one.factor * share / 0.6))))
-            yield Complaint(
-                f"{name} reaches {share * bench.supply_pressure:.3g} Pa, the supply has {bench.supply_pressure:.3g} Pa",
-                tuple(fitting),
+def doubts(table: RawTable, bench: Bench) -> list[Doubt]:
+    """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
+    channels = {name: values[:LOOKED_AT] for name, values in table.columns.items()}
+    finite = {name: values for name, values in channels.items() if len(values) and np.isfinite(values).all()}
+    checks = (_copies(finite), _pressures(finite, bench), _position(finite, bench), _current(finite, bench))
+    return list(chain.from_iterable(_as_far_as_known(check) for check in checks))
+
+
+def _as_far_as_known(found: Iterator[Doubt]) -> Iterator[Doubt]:
+    with suppress(UnknownNumberError):
+        yield from (doubt for doubt in found if doubt)
+
+
+def _copies(channels: Channels) -> Iterator[Doubt]:
+    """Two sensors never have the same noise."""
+    sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
+    for one, other in combinations(sensors, 2):
+        if _line(channels[one], channels[other], 1)[1] < 1e-12:
+            pairs = [(other, one), (one, other)]
+            if one == "pressure_a" and _line(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0:
+                pairs.reverse()  # it falls as the force grows
+            yield tuple(
+                Rename(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out")
+                for wrong, right in pairs
             )
 
 
-def position_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """Check that the piston stays within the stroke, which begins at 0."""
+def _pressures(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+    supply = guarded(bench).supply_pressure
+    for name in ("pressure_a", "pressure_b"):
+        if name not in channels:
+            continue
+        share = float(np.quantile(channels[name], 0.99)) / supply
+        alive = float(np.quantile(channels[name], 0.05)) > -0.02 * share * supply
+        if alive and not PRESSURES[0] < share < PRESSURES[1]:
+            units = [in_unit(name, unit) for unit in ("bar", "kPa", "MPa", "psi", "hPa")]
+            fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
+            yield tuple(sorted(fitting, key=lambda one: abs(float(np.log(one.factor * share / 0.6)))))
+
+
+def _position(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+    """The piston stays within the stroke, which begins at 0."""
     if "piston_position" not in channels:
         return
-    position = channels["piston_position"]
-    low, high = float(position.min()) / bench.stroke, float(position.max()) / bench.stroke
-    said = f"piston_position runs from {position.min():.4g} to {position.max():.4g} m, the stroke is {bench.stroke:g} m"
-    if max(-low, high) > BEYOND:
-        units = [in_unit("piston_position", unit) for unit in _LENGTH_UNITS]
-        fitting = [one for one in units if _fits_spring(one.factor, channels, step, bench)]
-        yield Complaint(said, (*fitting, *_counts(channels, step, bench)))
-    elif low < -MARGIN or high > 1.0 + MARGIN:
-        yield Complaint(f"{said} and begins where chamber A is smallest", tuple(_zeros(channels, step, bench)))
-
-
-def _fits_spring(factor: float, channels: Channels, step: float, bench: Bench) -> bool:
-    """Return whether the position times `factor` compresses the spring about as much as the load's force says."""
-    span = factor * float(np.ptp(channels["piston_position"]))
-    if "load_force" in channels:
-        force, position = slow(channels["load_force"], step), slow(channels["piston_position"], step)
-        if abs(correlation(force, position)) > TOGETHER:
-            return 1.0 / SIZE < abs(slope(force, position)) / factor / bench.spring_stiffness < SIZE
-    return MOVES * bench.stroke < span <= (1.0 + 2.0 * MARGIN) * bench.stroke
-
-
-def _counts(channels: Channels, step: float, bench: Bench) -> Iterator[Repair]:
-    """The size of one count, judged by the spring."""
-    if "load_force" not in channels:
+    position, stroke = channels["piston_position"], guarded(bench).stroke
+    low, high = float(position.min()) / stroke, float(position.max()) / stroke
+    if low >= -MARGIN and high <= 1.0 + MARGIN:
         return
-    force, position = slow(channels["load_force"], step), slow(channels["piston_position"], step)
-    if abs(correlation(force, position)) > TOGETHER:
-        factor = abs(slope(force, position)) / bench.spring_stiffness
-        factor = float(f"{factor:.2g}")
+    factor, offset = _by_spring(channels, bench)
+    if max(-low, high) > BEYOND:
+        yield tuple(_lengths(factor, max(-low, high)))
+        return
+    zero = offset if factor else 0.5 * stroke - 0.5 * float(position.min() + position.max())
+    sign = -1.0 if factor < 0.0 else 1.0
+    judged = "the spring's force" if factor else "the middle of what it travels"
+    which = " and the wrong sign" if sign < 0.0 else ""
+    yield (
+        Rename("piston_position", "piston_position is the velocity", becomes="piston_velocity"),
+        Scale(
+            "piston_position",
+            f"piston_position has its zero elsewhere{which} (judged by {judged}: write what was measured)",
+            factor=sign, offset=float(f"{zero:.3g}"),
+        ),
+    )  # fmt: skip
+
+
+def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
+    """Factor and offset [m] by which the position would compress the spring as the load's force says; else 0, 0."""
+    if "load_force" not in channels:
+        return 0.0, 0.0
+    known = guarded(bench)
+    slope, left = _line(channels["piston_position"], channels["load_force"])
+    if left > 1.0 - TOGETHER**2:
+        return 0.0, 0.0
+    factor = slope / known.spring_stiffness
+    rest = float(np.median(channels["load_force"] / known.spring_stiffness - factor * channels["piston_position"]))
+    return factor, known.spring_rest_position + rest
+
+
+def _lengths(factor: float, share: float) -> Iterator[Repair]:
+    """Units in which the position would lie in the stroke and go with the spring; else the size of one count."""
+    units = [in_unit("piston_position", unit) for unit in ("mm", "cm", "um", "in")]
+    for one in units:
+        if one.factor * share < 1.0 + MARGIN and (not factor or 1.0 / SIZE < abs(factor) / one.factor < SIZE):
+            yield one
+    if factor:
+        size = float(f"{abs(factor):.2g}")
         yield Scale(
             "piston_position",
-            f"piston_position is in counts of about {factor:.2g} m (judged by the spring: write the encoder's own)",
-            factor=factor,
+            f"piston_position is in counts of about {size:.2g} m (judged by the spring: write the encoder's own)",
+            factor=size,
         )
 
 
-def _zeros(channels: Channels, step: float, bench: Bench) -> Iterator[Repair]:
-    """Zero of the position, judged by the spring, else from the middle of the stroke."""
-    position = slow(channels["piston_position"], step)
-    offset, judged = 0.5 * bench.stroke - 0.5 * float(position.min() + position.max()), "the middle of what it travels"
-    if "load_force" in channels:
-        force = slow(channels["load_force"], step)
-        if correlation(force, position) > TOGETHER:
-            offset = bench.spring_rest_position + float(np.median(force / bench.spring_stiffness - position))
-            judged = "the spring's force"
-    offset = float(f"{offset:.3g}")
-    yield Scale(
-        "piston_position",
-        f"piston_position has its zero elsewhere (judged by {judged}: write what was measured)",
-        offset=offset,
-    )
-
-
-def current_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """Check that the current stays within the valve's limit."""
+def _current(channels: Channels, bench: Bench) -> Iterator[Doubt]:
     if "valve_current" not in channels:
         return
-    largest = float(np.max(np.abs(channels["valve_current"])))
-    limit = bench.valve_current_max
-    if largest <= BEYOND * limit:
-        return
-    scales = [
-        in_unit("valve_current", "mA"),
-        Scale("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),
-        Scale("valve_current", f"valve_current is in volts, 10 V for {limit:g} A", factor=limit / 10.0),
-        Scale("valve_current", f"valve_current is in per cent of {limit:g} A", factor=limit / 100.0),
-    ]
-    fitting = [one for one in scales if one.factor * largest <= BEYOND * limit]
-    fitting.sort(key=lambda one: abs(float(np.log(max(_opening(channels, step, bench, one.factor), 1e-9)))))
-    yield Complaint(f"valve_current reaches {largest:.3g} A, the valve takes {limit:g} A", tuple(fitting))
+    largest, limit = float(np.max(np.abs(channels["valve_current"]))), guarded(bench).valve_current_max
+    if largest > BEYOND * limit:
+        scales = (
+            in_unit("valve_current", "mA"),
+            Scale("valve_current", f"valve_current is in per cent of {limit:g} A", factor=limit / 100.0),
+            Scale("valve_current", f"valve_current is in volts, 10 V for {limit:g} A", factor=limit / 10.0),
+            Scale("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),
+        )
+        yield tuple(one for one in scales if one.factor * largest <= BEYOND * limit)
 
 
-def _opening(channels: Channels, step: float, bench: Bench, factor: float) -> float:
-    """Flow that the current would pass, over what the piston displaces; 1 where that cannot be said."""
-    if "piston_position" not in channels:
-        return 1.0
-    velocity = np.gradient(slow(channels["piston_position"], step)) / max(step, 0.01)
-    flow = slow(factor * channels["valve_current"], step) * bench.valve_gain * (bench.supply_pressure / 2.0) ** 0.5
-    return abs(slope(flow, bench.piston_area * velocity))
+def _line(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
+    """Least-squares slope of means over so many samples, and the share of the variance that it leaves; else 0, 1."""
+    count = len(on) // samples * samples
+    one, other = (values[:count].reshape(-1, samples).mean(axis=1) for values in (on, dependent))
+    one, other = one - one.mean(), other - other.mean()
+    size, power = float(one @ one), float(other @ other)
+    if not size * power > 0.0:
+        return 0.0, 1.0
+    slope = float(one @ other) / size
+    return slope, float(np.sum(np.square(other - slope * one))) / power

@@ -59,7 +59,7 @@ class CompensatorSettings:
     """Time constant of forgetting under good excitation."""
     settling: Annotated[float, quantity("s", 0.01, 10.0)] = 0.3
     """Time constant with which the coefficients follow the fit."""
-    weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
+    weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-4
     """Of neutral coefficients in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
     force_scale: Annotated[float, quantity("N", 0.1, 1e6)] = 300.0
     """Usual amplitude of the force."""

@@ -18,6 +18,7 @@ from hydro_sim.identification import bench_learning
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.quality import READINGS
 
+pytestmark = pytest.mark.study
 SEALED = {kind.name for kind in KINDS if kind.half == "sealed"}
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.beyond_the_table_log import AREA_B, BENCH, GAIN, PERIOD, REST, START, FloatArray, Signals
+from benchmarks.test.beyond_the_table_log import AREA_B, BENCH, GAIN, PERIOD, REST, START, FloatArray, Signals
 
 
 def lag(signal: FloatArray, seconds: float) -> FloatArray:

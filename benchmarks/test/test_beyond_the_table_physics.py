@@ -7,6 +7,7 @@ Rates at drawn states: which ones a kind changes, what is conserved, what is dis
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from benchmarks.foreign_truth.equations import CELL_RATE, POSITION, PRESSURE_A, 
 from benchmarks.foreign_truth.recordings import reference
 
 FloatArray = npt.NDArray[np.float64]
+pytestmark = pytest.mark.study
 BENCH = numbers()
 AREA_B = BENCH.area_ratio * BENCH.piston_area
 CORNER = 2.0 * math.pi * BENCH.load_cell_bandwidth
@@ -53,9 +55,12 @@ def changed(kind: Kind, seed: int) -> tuple[FloatArray, FloatArray]:
     return state, there - none
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=NAMES)
-def test_a_kind_moves_the_states_of_its_equation_alone(kind: Kind) -> None:
+def test_a_kind_moves_the_states_of_its_equation_alone(each: Callable[..., None]) -> None:
     """What leaves one chamber for the other arrives there; what the load's cell reads, the piston feels."""
+    each(KINDS, moves_its_own_states, lambda kind: kind.name)
+
+
+def moves_its_own_states(kind: Kind) -> None:
     own = {
         "motion": {VELOCITY},
         "load": {VELOCITY, CELL_RATE},
@@ -81,8 +86,11 @@ def test_a_kind_moves_the_states_of_its_equation_alone(kind: Kind) -> None:
     assert moved == allowed
 
 
-@pytest.mark.parametrize("kind", SIZED, ids=[kind.name for kind in SIZED])
-def test_a_kind_of_size_0_is_not_there(kind: Kind) -> None:
+def test_a_kind_of_size_0_is_not_there(each: Callable[..., None]) -> None:
+    each(SIZED, vanishes, lambda kind: kind.name)
+
+
+def vanishes(kind: Kind) -> None:
     wanted, noise = reference("steps", 400, 3), np.zeros((400, 4))
     none = plant.run(numbers(), -1, 0.0, 1.0, wanted, gain=80.0, noise=noise, quantum=0.0)
     there = plant.run(numbers(), NAMES.index(kind.name), 0.0, kind.shape, wanted, gain=80.0, noise=noise, quantum=0.0)

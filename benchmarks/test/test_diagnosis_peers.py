@@ -25,6 +25,7 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
+pytestmark = pytest.mark.study
 
 
 def recorded(truth: Bench) -> SegmentModel:

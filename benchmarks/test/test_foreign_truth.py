@@ -20,7 +20,8 @@ from benchmarks.foreign_truth.plant import FloatArray, advance, run
 from benchmarks.foreign_truth.recordings import recorded, reference
 from benchmarks.foreign_truth.score import scored
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.study
 STEP = 5e-6
 
 
@@ -88,7 +89,6 @@ def test_every_case_conceals_what_it_says() -> None:
         assert bool(case.causes) == (case.kind in ("single", "later", "pair", "Stribeck", "Stribeck later"))
 
 
-@pytest.mark.slow
 def test_clean_bench_and_a_leak_are_diagnosed_end_to_end(tmp_path: Path) -> None:
     (clean,), (leak,) = chosen(["clean_csv"]), chosen(["leakage_internal"])
     assert carried_out(clean, tmp_path / "clean", seconds=6.0)["right"]

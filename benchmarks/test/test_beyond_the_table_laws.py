@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.beyond_the_table.kinds import KINDS, Kind
-from tests.beyond_the_table_log import (
+from benchmarks.test.beyond_the_table_log import (
     AREA_B,
     BENCH,
     GAIN,
@@ -28,7 +28,7 @@ from tests.beyond_the_table_log import (
     seen,
     signals,
 )
-from tests.beyond_the_table_parts import (
+from benchmarks.test.beyond_the_table_parts import (
     behind_play,
     bump,
     choked,
@@ -67,6 +67,8 @@ from tests.beyond_the_table_parts import (
     unrippled,
     warmth,
 )
+
+pytestmark = pytest.mark.study
 
 EXPECTED: dict[str, tuple[str, Callable[[Signals, float, float], FloatArray]]] = {
     "friction_lag": ("motion", lambda s, c, h: c * np.exp(-((lag(s.v, h) / 0.05) ** 2)) * np.tanh(s.v / 2e-3)),
@@ -248,9 +250,12 @@ def test_every_sealed_kind_has_its_law_here() -> None:
     assert {kind.name for kind in KINDS if kind.half == "sealed"} <= EXPECTED.keys()
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.name in EXPECTED], ids=lambda kind: kind.name)
-def test_a_kind_follows_the_law_it_says(kind: Kind) -> None:
+def test_a_kind_follows_the_law_it_says(each: Callable[..., None]) -> None:
     """Its residual is the law's, number and all; and no equation but its own leaves more than on a clean bench."""
+    each([kind for kind in KINDS if kind.name in EXPECTED], follows_its_law, lambda kind: kind.name)
+
+
+def follows_its_law(kind: Kind) -> None:
     log, clean = logged(kind), residuals(logged(None))
     equation, law = EXPECTED[kind.name]
     found, left = residuals(log), law(signals(log, halfway=equation.startswith("pressure")), kind.size[1], kind.shape)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +13,10 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.paper import metric, report, sensitivity, times
-from benchmarks.paper.__main__ import main
+from benchmarks.paper import metric, report, sensitivity
 from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
-from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.foreign import ForeignPlant
-from benchmarks.paper.reasons import MISSING, REASONS, why
 from benchmarks.paper.store import FULL, PRINTED, QUICK, RESULTS, Store
-from benchmarks.paper.verdicts import AS_PAPER, CONTRARY, EQUAL, NOT_RUN, less, verdict
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.controller.filter import Result
@@ -33,6 +27,7 @@ from hydro_sim.files.recordings import Run
 from hydro_sim.neural.network_model import NetworkModel
 
 STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
+pytestmark = pytest.mark.study
 SCALE = np.array([150.0, 1500.0, 150.0, 1500.0, 7e5, 7e5, 7e-3, 7e-2])
 
 
@@ -70,71 +65,9 @@ def test_a_piece_is_made_once_and_again_for_another_size(tmp_path: Path) -> None
     assert Store(tmp_path, replace(QUICK, seeds=3)).kept("one") is None
 
 
-def test_results_that_came_with_the_program_count_as_made(tmp_path: Path) -> None:
-    first = Store(tmp_path / "here", QUICK)
-    first.piece("one", lambda: {"value": 1.0})
-    first.piece("other", lambda: {"value": 2.0})
-    first.ship(tmp_path / "results")
-    there = Store(tmp_path / "there", QUICK, tmp_path / "results")
-    assert there.names() == ["one", "other"]
-    assert there.piece("one", lambda: {"value": 3.0}) == first.kept("one")
-    assert Store(tmp_path / "there", replace(QUICK, seeds=3), tmp_path / "results").names() == []
-    assert Store(tmp_path / "fresh", QUICK).names() == []
-    there.piece("third", lambda: {"value": 4.0})
-    there.ship(tmp_path / "results")
-    assert Store(tmp_path / "later", QUICK, tmp_path / "results").names() == ["one", "other", "third"]
-
-
-def test_a_piece_whose_weights_are_gone_is_made_again(tmp_path: Path) -> None:
-    made: list[int] = []
-    weights = tmp_path / "weights"
-
-    def make() -> dict[str, object]:
-        made.append(1)
-        weights.write_text("")
-        return {}
-
-    store = Store(tmp_path, QUICK)
-    for _ in range(2):
-        store.piece("one", make, weights)
-    weights.unlink()
-    store.piece("one", make)
-    assert len(made) == 1
-    store.piece("one", make, weights)
-    assert len(made) == 2
-
-
-def test_a_seed_that_no_size_has_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["paper", "--show", "--seeds", "5"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code
-    assert "the seeds of this size are 0 to 4" in capsys.readouterr().err
-
-
 def test_the_page_is_made_from_the_results_that_came_with_it(tmp_path: Path) -> None:
     page = (RESULTS.parents[2] / "docs/reports/paper.md").read_text(encoding="utf-8")
     assert page == report.text(Store(tmp_path, FULL, RESULTS), Store(tmp_path, QUICK, RESULTS))
-
-
-def test_a_piece_that_another_one_needs_has_its_own_time(tmp_path: Path) -> None:
-    store = Store(tmp_path, QUICK)
-
-    def inner() -> dict[str, object]:
-        end = time.process_time() + 0.3
-        while time.process_time() < end:
-            pass
-        return {}
-
-    def outer() -> dict[str, object]:
-        store.piece("inner", inner)
-        return {}
-
-    assert store.piece("outer", outer)["cpu"] < 0.2
-    found = store.kept("inner")
-    assert found is not None and found["cpu"] >= 0.3
 
 
 def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
@@ -186,12 +119,6 @@ def test_the_long_training_ends_when_twenty_epochs_have_gained_less_than_a_hundr
     assert metric.converged(flat) and not metric.converged([*flat, 0.98 * flat[-1]])
 
 
-def test_the_shipped_metric_says_what_it_is_worth() -> None:
-    told = metric._ours()
-    assert told["epochs"] == 0
-    assert told["stable_verified"] > 0.9 and told["unstable_found"] > 0.5
-
-
 def test_a_correction_is_held_for_ten_samples() -> None:
     class Counting:
         calls = 0
@@ -216,55 +143,6 @@ def test_the_foreign_bench_rests_and_repeats() -> None:
     assert first[-1][6] > first[0][6], "current above 0 drives the piston out"
 
 
-@pytest.mark.parametrize(
-    ("found", "cell"),
-    [
-        ([], NOT_RUN),
-        ([[AS_PAPER], [AS_PAPER]], "holds (2 of 2)"),
-        ([[AS_PAPER, CONTRARY]], "holds in part (1 of 2; 1 of 2 seeds)"),
-        ([[AS_PAPER, EQUAL], [EQUAL, EQUAL]], "holds in part (1 of 4, 3 equal)"),
-        ([[CONTRARY], [EQUAL]], "does not hold here (0 of 2, 1 equal)"),
-        ([[EQUAL], [EQUAL]], "no difference (0 of 2, 2 equal)"),
-    ],
-)
-def test_verdicts(found: list[list[int]], cell: str) -> None:
-    assert verdict(found).cell(2) == cell
-
-
-def test_what_is_equal_to_the_bit_is_no_difference(tmp_path: Path) -> None:
-    quick = Store(tmp_path, QUICK)
-    for name in ("one-0", "other-0"):
-        quick.piece(name, lambda: {"rmse": [1.0, float("nan")]})
-    assert verdict(less("one-{}", "other-{}", "rmse")(quick)).words == "no difference"
-
-
-def test_every_claim_has_reasons_and_says_where_none_is_left(tmp_path: Path) -> None:
-    quick = Store(tmp_path, QUICK)
-    assert set(REASONS) == {claim.key for claim in CLAIMS}
-    assert {why(claim.key, quick) for claim in CLAIMS} == {MISSING}
-
-
-def test_a_reason_follows_the_pieces(tmp_path: Path) -> None:
-    """The analytic model is near the emulator's truth: said with the share that it errs by, and only while it is."""
-    told = []
-    for number, error in enumerate((0.004, 0.5)):
-        quick = Store(tmp_path / str(number), QUICK)
-        quick.piece("model-analytic", lambda e=error: {"over_range": [e] * 8})  # type: ignore[misc]
-        told.append(why("model", quick))
-    assert "err by 0.4 % of f_l's range, not by 91 % as" in told[0]
-    assert told[1] == MISSING
-
-
-def test_an_agent_that_is_the_one_that_came_is_said_to_be(tmp_path: Path) -> None:
-    quick = Store(tmp_path, QUICK)
-    quick.piece("rmse-default-paper-II-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0]})
-    quick.piece("rmse-default-paper-I-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0], "last": [8.0, 10.0, 16.0, 18.0]})
-    page = report.text(Store(tmp_path, FULL), quick)
-    assert "| 0 of 4, 4 equal; 1 of 2 seeds | *quick*: RMSE after 2 episodes, to II's: I +0 %" in page
-    assert "its last policy +100 %. In 1 of 1 I is II" in page
-    assert "| default | I, paper, last policy | 8.00 | 10.00 | 16.00 | 18.00 | 1 |" in page
-
-
 def test_held_out_are_rollouts_of_each_label(model: NetworkModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every fourth is unstable, as the gains are drawn: with every fifth held out none or few of them would be."""
     states = np.zeros(1000, STATE_DTYPE)
@@ -278,50 +156,6 @@ def test_held_out_are_rollouts_of_each_label(model: NetworkModel, monkeypatch: p
     assert labels == {"stable": 6, "unstable": 2, "neither": 0}
     for part, stable in ((training, 15), (held_out, 3)):
         assert [int(part.stable.sum()), len(part.stable) - int(part.stable.sum())] == [stable, 3]
-
-
-def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
-    full, quick = Store(tmp_path, FULL), Store(tmp_path, QUICK)
-    report.write(full, quick, tmp_path / "paper.md", tmp_path / "claims.json")
-    rows = json.loads((tmp_path / "claims.json").read_text())["rows"]
-    assert [row["full"] for row in rows] == [NOT_RUN] * len(CLAIMS)
-    page = (tmp_path / "paper.md").read_text()
-    assert page.count("0 pieces are there") == 2
-    assert "### Table" not in page
-    assert "| metrics, long | 0 of 5 |  | 0 of 2 |  |" in page and "All pieces of a size" not in page
-
-
-def test_a_whole_run_costs_what_its_pieces_do_or_smaller_ones_scaled(tmp_path: Path) -> None:
-    full, quick = Store(tmp_path, FULL), Store(tmp_path, QUICK)
-    for kind in times.KINDS:
-        for name in kind.names(QUICK):
-            _keep(quick, name, 36.0)
-    expected = {kind.name: len(kind.names(FULL)) * kind.work(FULL) / kind.work(QUICK) for kind in times.KINDS}
-    assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
-    _keep(full, "metric-long-3", 360.0)
-    expected["metrics, long"] = 10.0 * 5
-    assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
-
-
-def _keep(store: Store, name: str, cpu: float) -> None:
-    store.piece(name, dict)
-    file = store.folder / f"{name}.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"cpu": cpu}))
-
-
-def test_a_page_shows_what_is_there_and_judges_it(tmp_path: Path) -> None:
-    quick = Store(tmp_path, QUICK)
-    for seed in range(QUICK.seeds):
-        quick.piece(f"rmse-default-III-{seed}", lambda: {"rmse": [3.0, 6.0, 9.0, 12.0]})
-        quick.piece(
-            f"rmse-default-paper-I-{seed}",
-            lambda: {"rmse": [4.0, 5.0, 8.0, float("nan")], "last": [4.0, 5.0, 8.0, 9.0]},
-        )
-    page = report.text(Store(tmp_path, FULL), quick)
-    claim = "I beats fixed (90, 15) (each sine; paper: three of four)"
-    assert f"| {claim} | not run yet | 4 of 8 |" in page
-    assert "| default | I, paper | 4.00 ± 0.00 | 5.00 ± 0.00 | 8.00 ± 0.00 | stopped 2/2 | 2 |" in page
-    assert "| paper's | III | 3.27 | 6.31 | 9.73 | 12.97 |" in page
 
 
 def test_another_normaliser_is_that_of_the_first_actors_observations_and_only_for_its_piece() -> None:
