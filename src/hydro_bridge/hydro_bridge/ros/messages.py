@@ -110,8 +110,11 @@ def law_from_message(message: BoxLawMessage) -> BoxLaw | None:
     """Return a box's compensated law from its message; None: it has none."""
     if not message.offered:
         return None
-    numbers: dict[str, Any] = {name: getattr(message, name) for name in _LAW_NUMBERS}
-    return BoxLaw(**{name: value if isinstance(value, float) else tuple(value) for name, value in numbers.items()})
+    told = {name: getattr(message, name) for name in _LAW_NUMBERS}
+    numbers: dict[str, Any] = {
+        name: value if isinstance(value, float) else tuple(value) for name, value in told.items()
+    }
+    return BoxLaw(**numbers)
 
 
 def fill_law_command(message: LawCommandMessage, command: LawCommand) -> LawCommandMessage:
