@@ -102,8 +102,11 @@ def _mismatch(problem: Problem) -> bool:
 def _plausible(
     question: Question, doubted: Iterable[Doubt], progress: Progress
 ) -> tuple[tuple[Repair, ...], Case | None]:
-    """Of the repairs that numbers ask for which cannot be what they are named, those that leave least; their case."""
-    best: tuple[tuple[Repair, ...], Case | None] = ((), None)
+    """Of the repairs that numbers ask for which cannot be what they are named, those that leave least; their case.
+
+    Where they leave out different channels, causes are searched for in each.
+    """
+    best: dict[frozenset[str], tuple[tuple[Repair, ...], Case]] = {}
     for repairs in islice(product(*_merged(doubted)), MOST):
         further: list[Doubt] = []
         try:
@@ -113,9 +116,14 @@ def _plausible(
                 case = read(_repaired(question, repairs), progress)
         except InputError:
             continue
-        if best[1] is None or gain(left(best[1].problem, ()), left(case.problem, ())) > 0.0:
-            best = repairs, case
-    return best
+        key = frozenset(case.problem.models[0].channels)
+        if key not in best or gain(left(best[key][1].problem, ()), left(case.problem, ())) > 0.0:
+            best[key] = repairs, case
+    found = list(best.values())
+    if len(found) < 2:
+        return found[0] if found else ((), None)
+    explained = [_tried(case, progress) for _, case in found]
+    return found[max(range(len(found)), key=lambda k: gain(explained[0].fitted, explained[k].fitted))]
 
 
 def _merged(doubted: Iterable[Doubt]) -> list[Doubt]:
