@@ -82,7 +82,8 @@ def _pressures(channels: Channels, bench: Bench) -> Iterator[Doubt]:
         if alive and not PRESSURES[0] < share < PRESSURES[1]:
             units = [in_unit(name, unit) for unit in ("bar", "kPa", "MPa", "psi", "hPa")]
             fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
-            yield tuple(sorted(fitting, key=lambda one: abs(float(np.log(one.factor * share / 0.6)))))
+            fitting.sort(key=lambda one: abs(float(np.log(one.factor * share / 0.6))))
+            yield tuple(fitting)
 
 
 def _position(channels: Channels, bench: Bench) -> Iterator[Doubt]:
