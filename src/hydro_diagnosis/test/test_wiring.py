@@ -49,14 +49,11 @@ def exchanged(one: str, other: str) -> Callable[[Channels], Channels]:
 
 MISTAKES: dict[str, tuple[Callable[[Channels], Channels], str]] = {
     "valve_current has the wrong sign": (scaled("valve_current", by=-1.0), "valve_current=valve_current*-1"),
-    "hydraulic_force has the wrong sign": (scaled("hydraulic_force", by=-1.0), "hydraulic_force=hydraulic_force*-1"),
     "load_force has the wrong sign": (scaled("load_force", by=-1.0), "load_force=load_force*-1"),
     "pressure_a and pressure_b are exchanged": (
         exchanged("pressure_a", "pressure_b"),
         "pressure_a=pressure_b,pressure_b=pressure_a",
     ),
-    "piston_position is in mm": (scaled("piston_position", by=1e3), "piston_position=piston_position[mm]"),
-    "piston_position is in counts": (scaled("piston_position", by=2e5), "piston_position=piston_position*"),
     "piston_position has its zero elsewhere": (
         scaled("piston_position", by=1.0, plus=-0.04),
         "piston_position=piston_position+0.0",
@@ -65,7 +62,6 @@ MISTAKES: dict[str, tuple[Callable[[Channels], Channels], str]] = {
         scaled("pressure_a", "pressure_b", by=1e-5),
         "pressure_a=pressure_a[bar],pressure_b=pressure_b[bar]",
     ),
-    "valve_current is in mA": (scaled("valve_current", by=1e3), "valve_current=valve_current[mA]"),
     "hydraulic_force is in kN, and load_force is in kN": (
         scaled("hydraulic_force", "load_force", by=1e-3),
         "hydraulic_force=hydraulic_force[kN],load_force=load_force[kN]",
@@ -78,12 +74,7 @@ MISTAKES: dict[str, tuple[Callable[[Channels], Channels], str]] = {
         lambda c: {**c, "load_force": c["hydraulic_force"]},
         "load_force=none",
     ),
-    "pressure_a holds the column of pressure_b": (
-        lambda c: {**c, "pressure_a": c["pressure_b"]},
-        "pressure_a=none",
-    ),
     "pressure_a was recorded about 40 ms late": (moved("pressure_a", 40), "pressure_a=pressure_a@40ms"),
-    "valve_current was recorded about 30 ms late": (moved("valve_current", 30), "valve_current=valve_current@30ms"),
     "piston_position is in mm, and valve_current has the wrong sign": (
         lambda c: {**c, "valve_current": -c["valve_current"], "piston_position": 1e3 * c["piston_position"]},
         "piston_position=piston_position[mm],valve_current=valve_current*-1",
@@ -115,7 +106,7 @@ def read(recordings: list[Path], **options: Any) -> Case:
 def runs(record: Record) -> list[Channels]:
     """Of a bench with much that is wrong with it."""
     worn = replace(BENCH, spring_stiffness=18500.0, viscous_friction=110.0, bulk_modulus=1.0e9)
-    return [fields(record(worn, 31, 8.0)), fields(record(worn, 32, 8.0, waveform=Waveform.SMOOTH_STEP))]
+    return [fields(record(worn, 31, 6.0)), fields(record(worn, 32, 6.0, waveform=Waveform.SMOOTH_STEP))]
 
 
 def test_every_mistake_is_undone_and_told_with_its_repair(runs: list[Channels], tmp_path: Path) -> None:

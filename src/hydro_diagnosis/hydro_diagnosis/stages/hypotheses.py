@@ -89,10 +89,11 @@ def understood(question: Question, progress: Progress) -> Case:
 
 def reconsidered(case: Case, found: Standing, progress: Progress) -> Case:
     """The same case, or it repaired, where causes leave something: what they leave may be a mistake of wiring."""
-    if case.question.as_wired or not found.assessment.remainder:
-        return case
     claims = found.outcome.fit.claims
-    repairs = suspected(case.problem, claims)
+    left_over = found.assessment.remainder or noticeable(found.unseen, found.unseen.residual(claims))
+    if case.question.as_wired or not left_over:
+        return case
+    repairs = suspected(case.problem, claims, case.held)
     if not repairs:
         return case
     other = read(_repaired(case.question, repairs), progress)
@@ -126,7 +127,7 @@ def _plausible(question: Question, doubted: Iterable[Doubt], progress: Progress)
 
 def _freed(question: Question, repairs: tuple[Repair, ...], case: Case, progress: Progress) -> Repaired:
     """A reading without the mistakes that the model suspects in it too."""
-    further = suspected(case.problem, ())
+    further = suspected(case.problem, (), case.held)
     if not further:
         return repairs, case
     return (*repairs, *further), read(_repaired(question, (*repairs, *further)), progress)
