@@ -83,7 +83,7 @@ def understood(question: Question, progress: Progress) -> Case:
     if any(isinstance(repair, Rename) and not repair.becomes for repair in repairs):
         refusal = "no two sensors have the same noise"
     if case is None or refusal:
-        return replace(other, wiring=_told(repairs, other.question, refusal.split(" (")[0]))
+        return replace(other, wiring=_told(repairs, other.question, f"as recorded: {refusal.split(' (')[0]}"))
     return _decided(case, _tried(case, progress), repairs, other, progress)
 
 
