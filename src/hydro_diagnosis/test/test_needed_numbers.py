@@ -20,7 +20,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.partial_bench import NONE, Guarded, PartialBench, completed, knows, numbers, read_bench
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.wiring.wiring import mistakes
+from hydro_diagnosis.wiring.sizes import doubts
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -142,12 +142,11 @@ def test_causes_that_need_what_is_not_known_are_not_tried() -> None:
 
 
 def test_wiring_is_checked_as_far_as_the_bench_is_known(nominal: StateArray) -> None:
-    columns = {name: nominal[name].astype(np.float64) for name in ("hydraulic_force", "piston_position", "load_force")}
-    columns["load_force"] = -columns["load_force"]
+    columns = {"piston_position": 1e3 * nominal["piston_position"].astype(np.float64)}
     table = RawTable("run", nominal["time"].astype(np.float64), None, columns)
-    assert mistakes(table, completed({"moving_mass": 1.0})) is None  # a stroke says whether the piston moves at all
-    found = mistakes(table, completed({"moving_mass": 1.0, "stroke": 0.08}))
-    assert found is not None and [repair.field for repair in found.repairs] == ["load_force"]
+    assert doubts(table, completed({"moving_mass": 1.0})) == []
+    (doubt,) = doubts(table, completed({"moving_mass": 1.0, "stroke": 0.08}))
+    assert "piston_position is in mm" in [repair.sentence for repair in doubt]
 
 
 def test_guard_tells_what_is_not_known() -> None:

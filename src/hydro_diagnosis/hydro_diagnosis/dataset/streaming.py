@@ -50,8 +50,7 @@ def read_bag_within(
 ) -> Recording:
     """Read a recording that can be diagnosed, whole if it is short, else its informative windows.
 
-    `column_map` is applied to its fields (`table.mapped`); `inspected` sees its first stretches, may refuse it and
-    add notes.
+    `column_map` is applied to its fields (`table.mapped`); `inspected` sees its first stretches.
 
     Raises
     ------
@@ -64,10 +63,9 @@ def read_bag_within(
         if len(head) <= WHOLE:
             return checked(inspected(_joined(path, head)), bench)
         first = head[0].table
-        notes = tuple(f"{path.name}: {note}" for note in inspected(first).notes[len(first.notes) :])
+        inspected(first)
         del head, stretches, first
-        found = _telling(path.name, bench, lambda: _stretches(path, columns))
-        return replace(found, quality=(*notes, *found.quality))
+        return _telling(path.name, bench, lambda: _stretches(path, columns))
     except RecordingError as error:
         raise InputError(str(error)) from None
 

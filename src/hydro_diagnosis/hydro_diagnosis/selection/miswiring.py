@@ -81,9 +81,12 @@ def times(found: Left) -> float:
     return float(np.sqrt(sum(squares for squares, _ in found.values()) / sum(count for _, count in found.values())))
 
 
-def suspected(problem: Problem, claims: Sequence[Claim]) -> tuple[Repair, ...]:
-    """The repairs that together leave much less under these claims, the most telling first; empty if none does."""
-    segments = [replace(model.segment, thinner=None) for model in problem.models]
+def suspected(problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = ()) -> tuple[Repair, ...]:
+    """The repairs that together leave much less under these claims, the most telling first; empty if none does.
+
+    `held`: recordings that are judged besides those of the problem.
+    """
+    segments = [replace(one, thinner=None) for one in (*(model.segment for model in problem.models), *held)]
     found: list[Repair] = []
     while len(found) < MOST:
         trial = _Trial(problem, claims, segments)

@@ -30,8 +30,14 @@ from hydro_diagnosis.wiring.sizes import Doubt
 
 TRIAL = replace(NAMES, restarts=1, effort=1500)
 """Search by which two readings of the same recordings are compared."""
+LAGS = frozenset({"sensor_lag", "transport_delay", "valve_lag"})
+"""Causes that a delay of a channel found too short or too long would pass for."""
 MOST = 8
 """Ways of reading that are tried where numbers cannot be what they are named."""
+
+
+Repaired = tuple[tuple[Repair, ...], Case]
+"""Repairs, and the recordings after them."""
 
 
 @dataclass(frozen=True)
@@ -67,28 +73,27 @@ def understood(question: Question, progress: Progress) -> Case:
         refusal = str(error)
     if case is not None and (question.as_wired or not (doubted or _mismatch(case.problem))):
         return case
-    repairs, other = _plausible(question, doubted, progress) if doubted else ((), case)
-    if other is None:
+    readings = _plausible(question, doubted, progress) if doubted or case is None else [((), case)]
+    readings = [_freed(question, *one, progress) for one in readings]
+    if not readings:
         return read(question, progress)
-    further = suspected(other.problem, ())
-    if further:
-        repairs = (*repairs, *further)
-        other = read(_repaired(question, repairs), progress)
+    repairs, other = _least(readings, progress)
     if not repairs:
         return other
     if any(isinstance(repair, Rename) and not repair.becomes for repair in repairs):
         refusal = "no two sensors have the same noise"
     if case is None or refusal:
-        return replace(other, wiring=_told(repairs, other.question, refusal.split(" (")[0]))
+        return replace(other, wiring=_told(repairs, other.question, f"as recorded: {refusal.split(' (')[0]}"))
     return _decided(case, _tried(case, progress), repairs, other, progress)
 
 
 def reconsidered(case: Case, found: Standing, progress: Progress) -> Case:
     """The same case, or it repaired, where causes leave something: what they leave may be a mistake of wiring."""
-    if case.question.as_wired or not found.assessment.remainder:
-        return case
     claims = found.outcome.fit.claims
-    repairs = suspected(case.problem, claims)
+    left_over = found.assessment.remainder or noticeable(found.unseen, found.unseen.residual(claims))
+    if case.question.as_wired or not left_over:
+        return case
+    repairs = suspected(case.problem, claims, case.held)
     if not repairs:
         return case
     other = read(_repaired(case.question, repairs), progress)
@@ -99,11 +104,12 @@ def _mismatch(problem: Problem) -> bool:
     return noticeable(problem, problem.residual(()))
 
 
-def _plausible(
-    question: Question, doubted: Iterable[Doubt], progress: Progress
-) -> tuple[tuple[Repair, ...], Case | None]:
-    """Of the repairs that numbers ask for which cannot be what they are named, those that leave least; their case."""
-    best: tuple[tuple[Repair, ...], Case | None] = ((), None)
+def _plausible(question: Question, doubted: Iterable[Doubt], progress: Progress) -> list[Repaired]:
+    """Of the repairs that numbers ask for which cannot be what they are named, those that leave least.
+
+    One for each choice of channels that is left.
+    """
+    best: dict[frozenset[str], Repaired] = {}
     for repairs in islice(product(*_merged(doubted)), MOST):
         further: list[Doubt] = []
         try:
@@ -113,9 +119,26 @@ def _plausible(
                 case = read(_repaired(question, repairs), progress)
         except InputError:
             continue
-        if best[1] is None or gain(left(best[1].problem, ()), left(case.problem, ())) > 0.0:
-            best = repairs, case
-    return best
+        key = frozenset(case.problem.models[0].channels)
+        if key not in best or gain(left(best[key][1].problem, ()), left(case.problem, ())) > 0.0:
+            best[key] = repairs, case
+    return list(best.values())
+
+
+def _freed(question: Question, repairs: tuple[Repair, ...], case: Case, progress: Progress) -> Repaired:
+    """A reading without the mistakes that the model suspects in it too."""
+    further = suspected(case.problem, (), case.held)
+    if not further:
+        return repairs, case
+    return (*repairs, *further), read(_repaired(question, (*repairs, *further)), progress)
+
+
+def _least(readings: Sequence[Repaired], progress: Progress) -> Repaired:
+    """The reading of which the best causes leave least."""
+    if len(readings) == 1:
+        return readings[0]
+    explained = [_tried(case, progress) for _, case in readings]
+    return readings[max(range(len(readings)), key=lambda k: gain(explained[0].fitted, explained[k].fitted))]
 
 
 def _merged(doubted: Iterable[Doubt]) -> list[Doubt]:
@@ -155,10 +178,13 @@ def _left(case: Case, unseen: Problem, claims: Sequence[Claim]) -> Explained:
 def _decided(case: Case, here: Explained, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
     """The better of the two, with a note on both."""
     there = _tried(other, progress)
-    again = retimed(other.problem, there.claims, repairs)
+    again = retimed(other.problem, [claim for claim in there.claims if claim.effect.id not in LAGS], repairs)
     if again != tuple(repairs):
-        repairs, other = again, read(_repaired(case.question, again), progress)
-        there = _tried(other, progress)
+        nearer = read(_repaired(case.question, again), progress)
+        closer = _tried(nearer, progress)
+        gained = gain(there.fitted, closer.fitted)
+        if gained > ALIKE or (gained > -ALIKE and closer.numbers <= there.numbers):
+            repairs, other, there = again, nearer, closer
     clearer = min(gain(here.fitted, there.fitted), gain(here.held, there.held))
     simpler = there.numbers + sum(_fitted(repair) for repair in repairs) < here.numbers
     if clearer >= CLEAR or (clearer > -ALIKE and simpler):

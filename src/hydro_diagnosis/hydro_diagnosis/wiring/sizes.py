@@ -41,10 +41,16 @@ Doubt = tuple[Repair, ...]
 
 def doubts(table: RawTable, bench: Bench) -> list[Doubt]:
     """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
-    channels = {name: values[:LOOKED_AT] for name, values in table.columns.items()}
-    finite = {name: values for name, values in channels.items() if len(values) and np.isfinite(values).all()}
-    checks = (_copies(finite), _pressures(finite, bench), _position(finite, bench), _current(finite, bench))
+    channels = _whole({name: values[:LOOKED_AT] for name, values in table.columns.items()})
+    checks = (_copies(channels), _pressures(channels, bench), _position(channels, bench), _current(channels, bench))
     return list(chain.from_iterable(_as_far_as_known(check) for check in checks))
+
+
+def _whole(columns: Channels) -> Channels:
+    """The rows that are numbers in all channels that mostly are."""
+    kept = {name: values for name, values in columns.items() if np.isfinite(values).sum() > 0.5 * len(values)}
+    rows = np.all([np.isfinite(values) for values in kept.values()], axis=0)
+    return {name: values[rows] for name, values in kept.items() if np.any(rows)}
 
 
 def _as_far_as_known(found: Iterator[Doubt]) -> Iterator[Doubt]:
@@ -76,7 +82,8 @@ def _pressures(channels: Channels, bench: Bench) -> Iterator[Doubt]:
         if alive and not PRESSURES[0] < share < PRESSURES[1]:
             units = [in_unit(name, unit) for unit in ("bar", "kPa", "MPa", "psi", "hPa")]
             fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
-            yield tuple(sorted(fitting, key=lambda one: abs(float(np.log(one.factor * share / 0.6)))))
+            fitting.sort(key=lambda one: abs(float(np.log(one.factor * share / 0.6))))
+            yield tuple(fitting)
 
 
 def _position(channels: Channels, bench: Bench) -> Iterator[Doubt]:
@@ -88,21 +95,16 @@ def _position(channels: Channels, bench: Bench) -> Iterator[Doubt]:
     if low >= -MARGIN and high <= 1.0 + MARGIN:
         return
     factor, offset = _by_spring(channels, bench)
+    velocity = Rename("piston_position", "piston_position is the velocity", becomes="piston_velocity")
     if max(-low, high) > BEYOND:
-        yield tuple(_lengths(factor, max(-low, high)))
+        yield (velocity, *_lengths(factor, max(-low, high)))
         return
     zero = offset if factor else 0.5 * stroke - 0.5 * float(position.min() + position.max())
     sign = -1.0 if factor < 0.0 else 1.0
     judged = "the spring's force" if factor else "the middle of what it travels"
     which = " and the wrong sign" if sign < 0.0 else ""
-    yield (
-        Rename("piston_position", "piston_position is the velocity", becomes="piston_velocity"),
-        Scale(
-            "piston_position",
-            f"piston_position has its zero elsewhere{which} (judged by {judged}: write what was measured)",
-            factor=sign, offset=float(f"{zero:.3g}"),
-        ),
-    )  # fmt: skip
+    said = f"piston_position has its zero elsewhere{which} (judged by {judged}: write what was measured)"
+    yield velocity, Scale("piston_position", said, factor=sign, offset=float(f"{zero:.3g}"))
 
 
 def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
@@ -118,7 +120,7 @@ def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
     return factor, known.spring_rest_position + rest
 
 
-def _lengths(factor: float, share: float) -> Iterator[Repair]:
+def _lengths(factor: float, share: float) -> Iterator[Scale]:
     """Units in which the position would lie in the stroke and go with the spring; else the size of one count."""
     units = [in_unit("piston_position", unit) for unit in ("mm", "cm", "um", "in")]
     for one in units:
