@@ -122,7 +122,7 @@ class Compensator:
         self._states = np.zeros((count, 2, ORDER))  # f_c and f, filtered, with their derivatives
         self._last = np.zeros((count, 2))
         self._matrix, self._vector = np.zeros((count, 4, 4)), np.zeros((count, 4))
-        self._steps = np.zeros(count, np.int64)  # since the last gap
+        self._steps: npt.NDArray[np.int64] = np.zeros(count, np.int64)  # since the last gap
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
@@ -178,7 +178,7 @@ class Compensator:
 
 def _regressors(cell: LoadCell | None) -> FloatArray:
     """Matrix from the filtered force and its derivatives to those of the force to control, shape (3, `ORDER`)."""
-    inverse = (1.0,)
+    inverse: tuple[float, ...] = (1.0,)
     if cell is not None:
         omega = 2.0 * math.pi * cell.bandwidth
         inverse = (1.0, 2.0 * cell.damping / omega, 1.0 / omega**2)
@@ -202,7 +202,8 @@ def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:
     half = 0.5 * SAMPLE_PERIOD * a
     inverse = np.linalg.inv(np.eye(ORDER) - half)
     one, gain = inverse @ (np.eye(ORDER) + half), inverse @ b * 0.5 * SAMPLE_PERIOD
-    transition, inputs = np.eye(ORDER), np.zeros((ORDER, SAMPLES_PER_STEP + 1))
+    transition: FloatArray = np.eye(ORDER)
+    inputs: FloatArray = np.zeros((ORDER, SAMPLES_PER_STEP + 1))
     for k in range(SAMPLES_PER_STEP):
         transition, inputs = one @ transition, one @ inputs
         inputs[:, k] += gain
