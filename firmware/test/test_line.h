@@ -238,6 +238,7 @@ static void test_a_current_that_cannot_be(void)
     box.guard.delta_kp = (hydro_real)number(0x7F800000u);
     CHECK(hydro_box_tick(&box, STILL, 0.051) == 0 && box.sample.flags == HYDRO_TRIPPED);
     CHECK(box.sample.values[HYDRO_NOMINAL] == 0 && box.sample.values[HYDRO_REFERENCE] == STILL[2]);
+    CHECK(box.acting.reference == STILL[2] && box.acting.reference_rate == 0);
 }
 
 #endif
