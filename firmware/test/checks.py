@@ -51,6 +51,7 @@ EQUIVALENT = {
     "protocol.h: #define HYDRO_FRAME_MAX 130u": "a buffer may be larger",
     "protocol.h: uint8_t body[HYDRO_HEADER + 73 + 4];": "a buffer may be larger",
     "protocol.h: uint8_t body[HYDRO_HEADER + 109 + 4];": "a buffer may be larger",
+    "protocol.h: (void)hydro_write_reals(at, law->rate, 5);": "the check sum is written over it",
     "protocol.h: uint8_t body[HYDRO_HEADER + 61 + 4];": "a buffer may be larger",
     "reference.h: /* reference->leaving.waveform = HYDRO_HOLD; */": "without an amplitude it is a hold",
     "reference.h: /* reference->leaving.amplitude = HYDRO_R(0); */": "a hold is its offset",

@@ -101,7 +101,7 @@ static void test_a_command_of_the_page(void)
     CHECK(feed(&stream, &body, wire, bytes_of(HOST_HELLO, wire)) == 1 && body.kind == HYDRO_HELLO);
     for (uint32_t version = 2; version < 4; version++) {
         const hydro_real wanted[2][HYDRO_SHAPING] = {
-            HYDRO_NEUTRAL, {1, HYDRO_R(0.0625), HYDRO_R(0.001953125), -2, HYDRO_R(0.25), HYDRO_R(1.5)}};
+            {1, 0, 0, 0, 1, 1}, {1, HYDRO_R(0.0625), HYDRO_R(0.001953125), -2, HYDRO_R(0.25), HYDRO_R(1.5)}};
         const char *const text = version == 2u ? COMMAND_2 : COMMAND;
         memset(&command, 0xAA, sizeof command);
         CHECK(feed(&stream, &body, wire, bytes_of(text, wire)) == 1 && body.kind == HYDRO_COMMAND);
