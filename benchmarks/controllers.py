@@ -7,8 +7,9 @@ not run again: the same command goes on after an interruption.
 
 policy           the shipped policy, its mean action
 compensated      the compensated law, adaptive, from neutral coefficients
+compensated_specimen  the same for the force in front of the load cell, whose amplifier is known: see true_rmse
 paper_fixed      the paper's law at its gains (90, 15)
-robust_fixed     the paper's law at the best gains that trip on no truth of another draw (--robust finds them)
+robust_fixed     the paper's law at the gains that trip on the fewest truths of another draw (--robust finds them)
 hindsight_fixed  the paper's law at the best gains of a grid on that truth
 """
 
@@ -38,7 +39,7 @@ from hydro_bridge.files.settings_file import from_mapping
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_policy.compensation.estimator import Compensator
+from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
@@ -51,13 +52,14 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, truth_from_mapping
 
 PAPER_GAINS = (90.0, 15.0)
-ROBUST_GAINS = (30.0, 10.0)
-"""Of `--robust`: least interquartile mean of those that trip on none of 40 truths of seed 7."""
+ROBUST_GAINS = (40.0, 5.0)
+"""Of `--robust`. No pair holds everywhere: where the valve has more gain than believed, full compensation of the
+velocity is unstable at any gain, so these trip on the fewest of 40 truths of seed 7, then have the least error."""
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide"))
 SETTINGS = EvaluationSettings(multisine=True, steps=True)
 SHORT = EvaluationSettings(settle=1.0, measure=2.0)
 GRID = GridSettings()
-CONTROLLERS = ("policy", "compensated", "paper_fixed", "robust_fixed", "hindsight_fixed")
+CONTROLLERS = ("policy", "compensated", "compensated_specimen", "paper_fixed", "robust_fixed", "hindsight_fixed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,13 +133,24 @@ def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
 
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
     """One controller on one truth."""
-    if name == "compensated":
-        law = BoxConfig().compensated
-        return measure(config, cases, held((law.base_kp, law.base_ki), law), Compensator(len(cases), law=law))
+    if name.startswith("compensated"):
+        law, cell = BoxConfig().compensated, load_cell(config) if name == "compensated_specimen" else None
+        return measure(
+            config, cases, held((law.base_kp, law.base_ki), law), Compensator(len(cases), law=law, cell=cell)
+        )
     if name == "policy":
         return measure(config, cases, shipped_policy())
     gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
     return measure(config, cases, held(gains))
+
+
+def load_cell(config: TruthConfig) -> LoadCell | None:
+    """Amplifier of this truth's load cell; None: ideal, or of first order."""
+    for lag in config.effects.sensor_lag:
+        if lag.sensor == "load_force":
+            return LoadCell(bandwidth=lag.bandwidth, damping=lag.damping) if lag.order == 2 else None
+    bandwidth = config.bench.load_cell_bandwidth
+    return None if bandwidth is None else LoadCell(bandwidth=bandwidth, damping=config.bench.load_cell_damping)
 
 
 def held(gains: tuple[float, float], law: BoxLaw | None = None) -> Chooser:
@@ -163,13 +176,17 @@ def shipped_policy() -> Chooser:
 
 
 def robust_gains(truths: Iterable[TruthConfig]) -> tuple[float, float]:
-    """Pair with the least interquartile mean over these truths of those that trip on none of them; prints all."""
+    """Pair that trips on the fewest of these truths, then with the least interquartile mean; prints all.
+
+    A trip counts as the reference's RMS.
+    """
     configs, cases = list(truths), SHORT.cases
-    scores: dict[tuple[float, float], float] = {}
-    for pair in ((kp, ki) for kp in (15.0, 22.0, 30.0, 40.0, 50.0, 60.0, 75.0) for ki in (5.0, 10.0, 15.0)):
+    scores: dict[tuple[float, float], tuple[int, float]] = {}
+    for pair in ((kp, ki) for kp in (15.0, 22.0, 30.0, 40.0, 50.0, 60.0) for ki in (5.0, 10.0, 15.0)):
         rmse = np.array([vector_runs.rmse(truth_fleet(len(cases), each), cases, held(pair), SHORT) for each in configs])
-        scores[pair] = math.inf if np.isnan(rmse).any() else float(interquartile_mean(rmse.mean(axis=1)))
-        print(f"{pair}: {np.isnan(rmse).any(axis=1).sum()} truths with a trip, {scores[pair]:.1f} N", flush=True)
+        mean = interquartile_mean(np.nan_to_num(rmse, nan=SHORT.amplitude / math.sqrt(2.0)).mean(axis=1))
+        scores[pair] = int(np.isnan(rmse).any(axis=1).sum()), mean
+        print(f"{pair}: {scores[pair][0]} truths with a trip, {mean:.1f} N", flush=True)
     return min(scores, key=scores.__getitem__)
 
 
