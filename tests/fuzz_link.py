@@ -19,9 +19,18 @@ from random import Random
 from cobs import cobs
 
 from hydro_bridge.cli.console import Table, add_json_argument, progress
-from hydro_bridge.serial.protocol import MAX_ENCODED, BoxInfo, Frame, decode, encode_command, encode_hello, encode_state
+from hydro_bridge.serial.protocol import (
+    MAX_ENCODED,
+    BoxInfo,
+    Frame,
+    LawState,
+    decode,
+    encode_command,
+    encode_hello,
+    encode_state,
+)
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import Command, ReferenceSignal, Waveform
+from hydro_bridge.signals import Command, Law, ReferenceSignal, Waveform
 
 BATCH = 2000
 
@@ -109,9 +118,10 @@ def make_frame(sequence: int, random: Random) -> bytes:
     """A frame of any type with random content."""
     time_us, kind = random.getrandbits(64), random.random()
     if kind < 0.6:
-        return encode_state(
-            sequence, time_us, [random.gauss(0, 1e4) for _ in range(14)], random.getrandbits(8), sequence
-        )
+        numbers = [random.gauss(0, 1e4) for _ in range(14)]
+        acting = LawState(Law.COMPENSATED, *numbers[:2], (1.0, *numbers[2:5]), *numbers[5:7])
+        told = random.choice(((), ((sequence, 1),), ((sequence, 1), acting)))
+        return encode_state(sequence, time_us, numbers, random.getrandbits(8), sequence, *told)
     if kind < 0.98:
         numbers = [random.gauss(0, 100) for _ in range(7)]
         signal = ReferenceSignal(
@@ -129,8 +139,10 @@ def make_frame(sequence: int, random: Random) -> bytes:
             reference=signal,
             corrects=random.getrandbits(32),
             filter_fresh=random.random() < 0.5,
+            law=random.choice(tuple(Law)),
+            coefficients=(1.0, *numbers[:3]),
         )
-        return encode_command(sequence, time_us, command)
+        return encode_command(sequence, time_us, command, random.randint(1, 3))
     return encode_hello(sequence, time_us, BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None)
 
 

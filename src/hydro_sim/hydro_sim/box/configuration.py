@@ -45,9 +45,9 @@ REAL_FIELDS = ("delta_u_max", "load_force_limit", "gain_floor", "force_range")
 def structure(real: type[Any]) -> type[ctypes.Structure]:
     """`hydro_config` with numbers of `ctypes.c_double` or `ctypes.c_float`."""
     numbers = [(name, real) for name in LAW_FIELDS] + [(name, real * 6) for name in SHAPING_FIELDS]
-    law: type[Any] = type("HydroLaw", (ctypes.Structure,), {"_fields_": numbers})
+    law: type[ctypes.Structure] = type("HydroLaw", (ctypes.Structure,), {"_fields_": numbers})
     fields: list[tuple[str, Any]] = [(name, real) for name in BENCH_FIELDS]
-    fields += [("laws", law * 2), *((name, real) for name in REAL_FIELDS)]
+    fields += [("laws", ctypes.ARRAY(law, 2)), *((name, real) for name in REAL_FIELDS)]
     fields += [("low", real * 8), ("high", real * 8), ("force_rate_age", real), ("velocity_age", real)]
     fields += [("hold_timeout", ctypes.c_double), ("trip_timeout", ctypes.c_double)]
     fields += [("feedback", ctypes.c_uint32), ("integral_form", ctypes.c_uint32)]
