@@ -35,6 +35,27 @@ def table(session: EvaluationSession) -> Table:
     return result
 
 
+def best(session: EvaluationSession) -> str:
+    """Return which controller is the best, and by how much; empty where fewer than two completed every run.
+
+    The best has the least mean over the references of its RMSE over the smallest there.
+    """
+    cases = [case.name for case in session.settings.cases]
+    names = dict.fromkeys(score.controller for score in session.scores)
+    each = {name: [[score.rmse for score in runs(session.scores, name, case)] for case in cases] for name in names}
+    whole = {
+        name: np.array([np.mean(values) for values in found])
+        for name, found in each.items()
+        if all(values and np.isfinite(values).all() for values in found)
+    }
+    if len(whole) < 2:
+        return ""
+    smallest = np.min(list(whole.values()), axis=0)
+    first, second, *_ = sorted(whole, key=lambda name: float(np.mean(whole[name] / smallest)))
+    ratio = whole[first] / whole[second]
+    return f"Best: {first}, with {ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}."
+
+
 def authority(reach: GainRange, base: tuple[float, float]) -> str:
     """Return a controller's range of total gains on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
     changes = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
@@ -90,7 +111,7 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
 def sections(session: EvaluationSession, picture: Path) -> list[Section]:
     """Return the sections of a page; `picture` is that of `plot`."""
     shown = table(session)
-    found = [Section(heading=shown.title, text=" ".join(session.warnings), table=shown)]
+    found = [Section(heading=shown.title, text=" ".join([best(session), *session.warnings]).strip(), table=shown)]
     return [*found, Section(heading="Tracking at the fastest sine", picture=picture)] if picture.is_file() else found
 
 

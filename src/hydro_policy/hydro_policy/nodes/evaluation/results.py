@@ -82,7 +82,7 @@ def show_results(
     if not results.scores:
         return
     under = ", ".join(f"{name} {value}" for name, value in notes.items())
-    print(f"\n{report.table(results).text()}\n{under}")
+    print("\n".join(filter(None, ("", report.table(results).text(), report.best(results), under))))
     for file in filter(None, (run.evaluation, json)):
         report.write_json(results, file, notes)
     report.plot(results, run.tracking_plot)
