@@ -2,8 +2,8 @@
 """Controllers side by side on any folder of truths: python -m benchmarks.controllers --truths FOLDER --json FILE.
 
 Each truth file (truth.md) is a bench whose box believes the shipped bench.yaml. Everything runs on the emulator's plant
-without clock, serial line or filter: the same samples to the bit, many times as fast. Rows that are there already are
-not run again: the same command goes on after an interruption.
+without clock, serial line or filter: the same samples to the bit, many times as fast. Rows of this version that are there
+already are not run again: the same command goes on after an interruption.
 
 policy           the shipped policy, its mean action
 compensated      the compensated law, adaptive, from neutral coefficients
@@ -34,6 +34,7 @@ import yaml
 
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
+from hydro_bridge.bags.recording_run import code_version
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.files.settings_file import from_mapping
 from hydro_bridge.serial.frames import BoxLaw
@@ -214,7 +215,7 @@ def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
 
 def complete(truths: Sequence[Path], names: Sequence[str], cases: Sequence[Case], kept: Path) -> list[dict[str, Any]]:
     """All rows, those in `kept` (a row a line) first, the missing ones run on all cores and added there."""
-    digest = hashlib.sha256(repr((cases, SETTINGS)).encode()).hexdigest()[:12]
+    digest = hashlib.sha256(repr((cases, SETTINGS, code_version())).encode()).hexdigest()[:12]
     keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] + digest for path in truths}
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     if kept.exists():
