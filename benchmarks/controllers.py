@@ -2,8 +2,8 @@
 """Controllers side by side on any folder of truths: python -m benchmarks.controllers --truths FOLDER --json FILE.
 
 Each truth file (truth.md) is a bench whose box believes the shipped bench.yaml. Everything runs on the emulator's plant
-without clock, serial line or filter: the same samples to the bit, many times as fast. Rows of this version that are there
-already are not run again: the same command goes on after an interruption.
+without clock, serial line or filter: the same samples to the bit, many times as fast. Rows of this version that are
+there already are not run again: the same command goes on after an interruption.
 
 policy           the shipped policy, its mean action
 compensated      the compensated law, adaptive, from neutral coefficients
