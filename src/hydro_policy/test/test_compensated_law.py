@@ -16,6 +16,7 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated, FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.sessions.offline import OfflineGraph
+from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -110,6 +111,59 @@ def test_frozen_coefficients_hold_until_released() -> None:
     live.frozen = False
     pairs(live, range(200, 300))
     assert live.command != before
+
+
+def test_a_frozen_estimator_keeps_its_coefficients_into_the_next_run() -> None:
+    live = LiveCompensation(LAW)
+    pairs(live, range(200))
+    live.frozen, before = True, live.command
+    live.reset()
+    assert live.command == before
+    live.frozen = False
+    live.reset()
+    assert live.command.coefficients == NEUTRAL
+
+
+class Held(Heard):
+    """A person holds (90, 15) from before the law changes until 2 s after."""
+
+    def __init__(self, override: GainOverride) -> None:
+        super().__init__()
+        self.override, self.gained = override, []
+
+    def gains(self, delta_kp, delta_ki, step):
+        self.gained.append((int(self.box.state["law"][0]), delta_kp))
+        super().gains(delta_kp, delta_ki, step)
+
+
+def test_gains_held_by_a_person_are_those_of_the_law_that_acts() -> None:
+    override, live = GainOverride(), LiveCompensation(LAW)
+    graph = Held(override)
+    controllers = [Compensated(live), FixedGains(90.0, 15.0)]
+    settings = EvaluationSettings(frequencies=(1.0,), measure=1.0)
+    session = EvaluationSession(settings, controllers, graph, override=override, compensation=live)
+    while not session.scores:
+        graph.run(session, 0.01, compensation=live)
+    assert graph.armed[-1] == (True, Law.PAPER), "the law is about to change"
+    override.hold(90.0, 15.0, 2.0, graph.time)
+    graph.gained.clear()
+    graph.run(session, 1.5, compensation=live)
+    assert graph.gained and set(graph.gained) <= {(int(Law.PAPER), 75.0), (int(Law.COMPENSATED), 90.0 - LAW.base_kp)}
+    graph.run(session, 30.0, compensation=live)
+    assert session.finished and session.scores[1].controller == "compensated" and not session.scores[1].stopped
+
+
+def test_a_plant_that_does_not_take_up_the_law_ends_its_runs() -> None:
+    live = LiveCompensation(LAW)
+    graph = Heard()
+    graph.guard.offer(None)
+    controllers = [Compensated(live), FixedGains(90.0, 15.0)]
+    session = EvaluationSession(
+        EvaluationSettings(frequencies=(1.0,), measure=1.0), controllers, graph, compensation=live
+    )
+    graph.run(session, 60.0, compensation=live)
+    assert session.finished and "does not take up" in session.scores[1].stopped
+    assert sum(not before[0] and now[0] for before, now in pairwise(graph.armed)) <= 5
 
 
 def test_a_lost_message_holds_one_policy_step_and_what_comes_out_of_order_is_paired() -> None:

@@ -13,12 +13,14 @@ one, and no correction does. It is taken up and left only while the plant is dis
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from math import inf, isfinite
+
+import numpy as np
 
 from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
+from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
 
@@ -39,9 +41,21 @@ UNFILTERED_LAW = (
     "compensated law: its gains pass without the filter, which does not know it, within the law's own limits "
     "(guard.require_filter is about the paper's law)"
 )
+UNSOUND_LAW = "the box tells limits of its compensated law that are no limits: that law is not used"
+MISMATCHED_LAW = "the filter said that its model is not this bench's: base gains of the compensated law"
 STALE_LAW = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
 
 MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
+
+
+def _sound(law: BoxLaw) -> bool:
+    """Return whether all numbers are finite, the limits in order, and the safe record is within them."""
+    numbers = np.hstack(astuple(law))
+    low = (law.delta_kp_min, law.delta_ki_min, law.velocity_compensation_min, law.valve_gain_scale_min)
+    high = (law.delta_kp_max, law.delta_ki_max, law.velocity_compensation_max, law.valve_gain_scale_max)
+    safe = np.array((0.0, 0.0, law.velocity_compensation, law.valve_gain_scale, *NEUTRAL))
+    within = ((*low, *law.coefficient_min) <= safe) & (safe <= (*high, *law.coefficient_max))
+    return bool(np.isfinite(numbers).all() and within.all())
 
 
 def safe_command(law: BoxLaw) -> LawCommand:
@@ -187,7 +201,9 @@ class CommandGuard:
 
     def offer(self, law: BoxLaw | None) -> None:
         """Take a box's compensated law, None if it has none, and begin with the paper's."""
-        self.offered = law
+        sound = law is None or _sound(law)
+        self._tell("law record", not sound, UNSOUND_LAW, "the box's record of its compensated law is sound")
+        self.offered = law if sound else None
         self.release_law()
 
     def release_law(self) -> None:
@@ -344,7 +360,9 @@ class CommandGuard:
             STALE_LAW,
             "the compensated law is commanded",
         )
+        self._tell("mismatch", self._mismatched, MISMATCHED_LAW, "the filter's model fits again")
         shaping, gains = self._law, (0.0, 0.0) if self._mismatched else self._gains
+        self.counts.narrowed += gains != self._gains
         if not (gained and fresh):
             gains, shaping = (0.0, 0.0), safe_command(safe)
         return Command(

@@ -9,6 +9,7 @@ repaired, with the same small effort, and what is left on fitted and held-out re
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice, product
 
@@ -96,7 +97,10 @@ def reconsidered(case: Case, found: Standing, progress: Progress) -> Case:
     repairs = suspected(case.problem, claims, case.held)
     if not repairs:
         return case
-    other = read(_repaired(case.question, repairs), progress)
+    try:
+        other = read(_repaired(case.question, repairs), progress)
+    except InputError:
+        return case
     return _decided(case, _left(case, found.unseen, claims), repairs, other, progress)
 
 
@@ -130,7 +134,10 @@ def _freed(question: Question, repairs: tuple[Repair, ...], case: Case, progress
     further = suspected(case.problem, (), case.held)
     if not further:
         return repairs, case
-    return (*repairs, *further), read(_repaired(question, (*repairs, *further)), progress)
+    try:
+        return (*repairs, *further), read(_repaired(question, (*repairs, *further)), progress)
+    except InputError:
+        return repairs, case
 
 
 def _least(readings: Sequence[Repaired], progress: Progress) -> Repaired:
@@ -143,10 +150,15 @@ def _least(readings: Sequence[Repaired], progress: Progress) -> Repaired:
 
 def _merged(doubted: Iterable[Doubt]) -> list[Doubt]:
     """One doubt of each field: of those of several recordings the one with the middle number."""
-    by_field: dict[tuple[str, ...], list[Doubt]] = {}
+    groups: list[tuple[set[str], list[Doubt]]] = []
     for doubt in doubted:
-        by_field.setdefault(tuple(one.field for one in doubt), []).append(doubt)
-    middle = [sorted(found, key=lambda doubt: str(doubt[-1]))[len(found) // 2] for found in by_field.values()]
+        fields = {one.field for one in doubt}
+        met = [group for group in groups if group[0] & fields]
+        groups = [group for group in groups if not group[0] & fields]
+        groups.append(
+            (fields.union(*(group[0] for group in met)), [one for group in met for one in group[1]] + [doubt])
+        )
+    middle = [sorted(found, key=lambda doubt: str(doubt[-1]))[len(found) // 2] for _, found in groups]
     return [tuple(doubt) for doubt in middle]
 
 
@@ -180,11 +192,12 @@ def _decided(case: Case, here: Explained, repairs: Sequence[Repair], other: Case
     there = _tried(other, progress)
     again = retimed(other.problem, [claim for claim in there.claims if claim.effect.id not in LAGS], repairs)
     if again != tuple(repairs):
-        nearer = read(_repaired(case.question, again), progress)
-        closer = _tried(nearer, progress)
-        gained = gain(there.fitted, closer.fitted)
-        if gained > ALIKE or (gained > -ALIKE and closer.numbers <= there.numbers):
-            repairs, other, there = again, nearer, closer
+        with suppress(InputError):
+            nearer = read(_repaired(case.question, again), progress)
+            closer = _tried(nearer, progress)
+            gained = gain(there.fitted, closer.fitted)
+            if gained > ALIKE or (gained > -ALIKE and closer.numbers <= there.numbers):
+                repairs, other, there = again, nearer, closer
     clearer = min(gain(here.fitted, there.fitted), gain(here.held, there.held))
     simpler = there.numbers + sum(_fitted(repair) for repair in repairs) < here.numbers
     if clearer >= CLEAR or (clearer > -ALIKE and simpler):

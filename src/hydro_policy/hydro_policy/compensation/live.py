@@ -59,8 +59,9 @@ class LiveCompensation:
         self._taken, self._told, self._seen = -1, -1, -1
 
     def reset(self) -> None:
-        """Begin anew, at neutral coefficients."""
-        self._estimator.reset()
+        """Begin anew, at neutral coefficients; frozen ones stay."""
+        if not self.frozen:
+            self._estimator.reset()
         self._steps.clear()
 
     @property

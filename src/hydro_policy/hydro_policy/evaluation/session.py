@@ -31,6 +31,10 @@ from hydro_policy.task.step_aggregator import HELD, StepClock
 HELD_MAX = 0.01
 """Share of a run's samples for which the box may hold base gains."""
 
+LAW_TRIALS = 3
+"""Times that a plant is armed with another law than the one commanded, before the runs under that are given up."""
+NOT_TAKEN_UP = "the plant does not take up the force law that is commanded"
+FROZEN = "A person had frozen the coefficients of the compensated law."
 ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed anew with that"
 
 __all__ = ["EvaluationSession", "EvaluationSettings", "Score", "Trace"]
@@ -101,6 +105,7 @@ class EvaluationSession:
             self.plan.sort(key=lambda run: controllers.index(run[2]))
         self.plan.sort(key=lambda run: run[2].law.law)
         self._lead, self.compensation = lead, compensation
+        self._wrong_law, self._law_trials = False, 0
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
@@ -141,7 +146,9 @@ class EvaluationSession:
         if self.finished:
             return False
         if self.compensation is not None:
-            self._follow_law(self.compensation, sequence, sample, flags)
+            self._follow_law(self.compensation, sequence, sample, flags, now)
+            if self.finished:
+                return False
         if not flags & Flag.ARMED:
             if flags & Flag.TRIPPED:
                 self._on_trip()
@@ -162,20 +169,42 @@ class EvaluationSession:
         self.watch.acted(now)
         return self._advance(self._run, sequence, sample, flags)
 
-    def _follow_law(self, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int) -> None:
-        """Command the law of the present controller, or the next; a plant armed with another is disarmed first."""
+    def _follow_law(
+        self, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int, now: float
+    ) -> None:
+        """Command the law of the present controller, or the next; a plant armed with another is disarmed first.
+
+        While a person holds the gains, nothing changes. A plant that does not take up the law ends the runs under it.
+        """
         law = self._controller.law
         holds = self._run is None or law.law is Law.PAPER or self.watch.mismatched
         compensation.on_sample(sequence, float(sample[LOAD_FORCE]), flags, holds=holds)
-        if flags & Flag.ARMED and compensation.acting is not law.law:
+        wrong = bool(flags & Flag.ARMED) and compensation.acting is not law.law
+        self._law_trials += wrong and not self._wrong_law
+        self._law_trials *= wrong or not flags & Flag.ARMED
+        self._wrong_law = wrong
+        if self._law_trials > LAW_TRIALS:
+            self._give_up_law()
+        elif wrong and self.override.gains(now) is None:
             self._run = None
             self.watch.spoil(ANOTHER_LAW)
-        elif sequence % SAMPLES_PER_STEP == 0:
+        elif not wrong and sequence % SAMPLES_PER_STEP == 0:
             self._outputs.command_law(law, self._steps)
 
+    def _give_up_law(self) -> None:
+        """Score what is left, which is all under one law, as stopped."""
+        self._outputs.say(f"{NOT_TAKEN_UP}: its runs are left out", warning=True)
+        for repeat, case, controller in self.plan[len(self.scores) :]:
+            frequency = case.signal.frequency
+            self.scores.append(
+                Score(
+                    controller=controller.name, case=case.name, frequency=frequency, repeat=repeat, stopped=NOT_TAKEN_UP
+                )
+            )
+
     def _in_law(self, gains: tuple[float, float]) -> tuple[float, float]:
-        """Return changes [1/s], [1/s^2] of the paper's base gains as changes of those of the present law."""
-        if self.compensation is None or self._controller.law.law is Law.PAPER:
+        """Return changes [1/s], [1/s^2] of the paper's base gains as changes of those of the law that acts."""
+        if self.compensation is None or self.compensation.acting is Law.PAPER:
             return gains
         base, law = self.override.base, self.compensation.law
         return base[0] + gains[0] - law.base_kp, base[1] + gains[1] - law.base_ki
@@ -200,6 +229,9 @@ class EvaluationSession:
     def _begin(self, sequence: int) -> _Run:
         repeat, case, controller = self.plan[len(self.scores)]
         controller.reset()
+        frozen = self.compensation is not None and self.compensation.frozen and controller.law.law is not Law.PAPER
+        if frozen and FROZEN not in self.warnings:
+            self.warnings.append(FROZEN)
         self._clock = StepClock()  # the step in progress is not this run's
         if self.monitor is not None:
             self.monitor.reset()

@@ -110,6 +110,12 @@ def begin_session(
     return session
 
 
+LAW_LEFT_OUT = (
+    "the compensated law is not compared, since a person would have to arm the plant for it: "
+    "`evaluate --law compensated` does that"
+)
+
+
 def drive(
     options: argparse.Namespace,
     node: GraphNode,
@@ -137,7 +143,10 @@ def drive(
     session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
     controllers = paper_controllers(session, start)
-    results = evaluate_on(node, controllers, rearm=may_rearm(options), after=session.watch, law=node.law)
+    rearm = may_rearm(options)
+    if node.law is not None and not rearm:
+        node.say(LAW_LEFT_OUT)
+    results = evaluate_on(node, controllers, rearm=rearm, after=session.watch, law=node.law if rearm else None)
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots
