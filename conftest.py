@@ -20,8 +20,11 @@ def pytest_configure() -> None:
 
     A shell's background job ignores the one, nohup the other; what has a handler here is by default in a new program.
     No live page is beside each run. Tests' own nodes stay on this machine and are found as soon as those of the
-    executables.
+    executables. Each worker has a ROS domain of its own: nodes that one starts are not in the graphs of the other.
     """
+    if WORKER in os.environ:
+        domain = int(os.environ.get("ROS_DOMAIN_ID", "0")) + int(os.environ[WORKER].removeprefix("gw"))
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, lambda *_: None)

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import wraps
 from math import isfinite
@@ -58,7 +60,9 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
             try:
                 with endings.raised():
                     status = main() or 0
-            except BrokenPipeError:  # `| head` has seen enough
+            except BrokenPipeError:  # `| head` has seen enough; what is buffered goes nowhere
+                with suppress(OSError):
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 sys.stderr.close()
                 status = 0
             except endings.Ended as ended:
