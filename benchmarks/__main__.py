@@ -24,7 +24,6 @@ STUDIES = frozenset(
         "diagnosis_peers",
         "effect_table",
         "foreign_truth",
-        "learned_structures",
         "model_mismatch",
         "pairings",
         "paper",

@@ -16,7 +16,6 @@ import argparse
 import json
 import math
 import time
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -30,12 +29,13 @@ from benchmarks.beyond_the_table.cases import Case, drawn
 from benchmarks.beyond_the_table.kinds import KINDS
 from benchmarks.beyond_the_table.recordings import SECONDS, simulated
 from benchmarks.foreign_truth.recordings import FORCE_NOISE, PRESSURE_NOISE, QUANTUM, RUNS, states_of
+from benchmarks.paper import network
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
 from hydro_sim.files import recordings
 from hydro_sim.files.recordings import READING_COLUMNS, Data, Run
-from hydro_sim.identification import adam, bench_learning, evaluation, training
+from hydro_sim.identification import bench_learning, evaluation
 from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.evaluation import Predictor
 from hydro_sim.model.bench import Bench
@@ -58,14 +58,12 @@ SUSPECTS: dict[str, dict[str, float]] = {
     "spring_stiffness": {"ratio": 1.0},
 }
 """Effects that a user would name who suspects everything usual."""
-NETWORK = training.Settings(structure="network", hidden=(32, 32), batch=256, adam=adam.Settings(epochs=1000))
-"""The paper's, in batches that 42 s of recordings fill."""
 MODELS = {
     "bench.yaml": "the equations with the numbers that the user believes",
     "network": "the paper's, two layers of 32",
     "names": "bench.yaml with seven usual effects, learnt; no closure",
     "diagnosed": "the corrected.yaml of `diagnose`, closures included",
-    "learnt": "corrected.yaml refined by `learn --structure bench`, if it has anything to learn",
+    "learnt": "corrected.yaml refined by `learn`, if it has anything to learn",
 }
 COLUMNS = {
     "case": "", "seed": "", "model": "; ".join(f"{name}: {text}" for name, text in MODELS.items()),
@@ -103,9 +101,9 @@ def made(name: str, case: Case, folder: Path, data: Data) -> tuple[Bench | Predi
     if name == "bench.yaml":
         return Bench.nominal(), 0.0
     if name == "network":
-        first = training.start(data, NETWORK, Bench.nominal())
-        ((_, best),) = deque(training.steps(first, data, NETWORK), maxlen=1)
-        return best, None
+        model = network.NetworkModel.untrained(data.training, (32, 32), 0)
+        network.train(model, data, batch=256, seed=0, epochs=1000)
+        return model, None
     if name == "names":
         effects = tuple({"id": one, "parameters": values} for one, values in SUSPECTS.items())
         return bench_learning.learn(replace(Bench.nominal(), effects=effects), data).bench, None

@@ -12,19 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.paper.network import NetworkModel
 from benchmarks.paper.store import PRINTED
 from hydro_bridge.signals import FloatArray
 from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings, Result
 from hydro_filter.model.dynamics import Linearization
 from hydro_filter.model.force_law import ForceLaw
-from hydro_filter.model.network_tangent import network_slopes
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import STATES
 from hydro_sim.model.bench import Bench
-from hydro_sim.neural import mlp
-from hydro_sim.neural.network import INPUTS
-from hydro_sim.neural.network_model import NetworkModel
 
 PERIOD = 10
 """Samples between two decisions: 100 Hz."""
@@ -35,18 +32,11 @@ class NetworkDynamics:
     """x' of the network model, with its exact slopes. See `hydro_filter.model.dynamics.Dynamics`."""
 
     def __init__(self, model: NetworkModel) -> None:
-        self.model, self.layers = model, mlp.layers(model.flat, INPUTS, model.hidden, STATES)
-        self._x, self._y, self._slopes = np.empty(INPUTS), np.empty(STATES), np.empty((STATES, INPUTS))
-        self._a1, self._a2 = np.empty(model.hidden[0]), np.empty(model.hidden[1])
+        self.model = model
 
     def linearize(self, state: FloatArray, current: float) -> Linearization:
         """A, B and x' at state x, shape (8,), and valve current [A]."""
-        model = self.model
-        self._x[:STATES], self._x[STATES] = (state - model.center) / model.scale, current / model.current_scale
-        network_slopes(self.layers, self._x, self._a1, self._a2, self._y, self._slopes)
-        rate = model.rate_scale[:, np.newaxis]
-        matrix, push = rate * self._slopes[:, :STATES] / model.scale, model.rate_scale * self._slopes[:, STATES]
-        return Linearization(matrix, push / model.current_scale, model.rate_scale * self._y)
+        return Linearization(*self.model.linearized(state, current))
 
 
 @dataclass(frozen=True)

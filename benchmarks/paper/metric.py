@@ -19,6 +19,7 @@ import torch
 
 from benchmarks.paper import models
 from benchmarks.paper.certificate import COLUMNS, ROWS, NetworkDynamics, NetworkMetric
+from benchmarks.paper.network import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.learned import LearnedMetric
@@ -26,10 +27,7 @@ from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import LOAD_FORCE, STATES
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
-from hydro_sim.neural.network_model import NetworkModel
 
 TABLE = PRINTED["training_metric"]
 TRAININGS = ("short", "long")
@@ -147,7 +145,7 @@ def judged(network: torch.nn.Module, samples: Samples) -> dict[str, float]:
 
 def material(model: NetworkModel, rollouts: int, seed: int) -> tuple[Samples, Samples, dict[str, int]]:
     """Windows to train on and held out, and how many rollouts have which label."""
-    plant, bench = LearnedPlant(Learned(model=model, region=Learned.load().region), noise=0.0), Bench.nominal()
+    plant, bench = NetworkPlant(model), Bench.nominal()
     settings = DataSettings(rollouts=rollouts, gain_max=200.0, seed=seed)
     parts: tuple[list[Samples], list[Samples]] = ([], [])
     labels, used = {"stable": 0, "unstable": 0, "neither": 0}, {STABLE: 0, UNSTABLE: 0}

@@ -16,6 +16,7 @@ import torch
 from benchmarks.paper import metric, report, sensitivity
 from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
 from benchmarks.paper.foreign import ForeignPlant
+from benchmarks.paper.network import NetworkModel, NetworkPlant, train
 from benchmarks.paper.store import FULL, PRINTED, QUICK, RESULTS, Store
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_filter.certificate.continuous import Certificate
@@ -23,8 +24,7 @@ from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.training.data import STABLE, UNSTABLE, Rollout
 from hydro_policy.task import mdp
-from hydro_sim.files.recordings import Run
-from hydro_sim.neural.network_model import NetworkModel
+from hydro_sim.files.recordings import Data, Run
 
 STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
 pytestmark = pytest.mark.study
@@ -81,6 +81,23 @@ def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
         np.testing.assert_allclose(linear.state_matrix[:, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
     up, down = (dynamics.linearize(STATE, 1e-3 + sign * 1e-9).state_rate for sign in (1.0, -1.0))
     np.testing.assert_allclose(linear.input_vector, (up - down) / 2e-9, rtol=1e-4, atol=1e-3)
+
+
+def test_training_lowers_the_error_and_the_plant_steps_as_the_model_predicts(model: NetworkModel) -> None:
+    rng = np.random.default_rng(1)
+    u = 1e-3 * np.cumsum(rng.standard_normal(6000)) / 10.0
+    x = model.center + np.outer(np.convolve(u, np.ones(50) / 50, "same") / u.std(), SCALE)
+    data = Data(training=[Run(name="a", x=x, u=u)], validation=[Run(name="b", x=x[:3000], u=u[:3000])], digests={})
+    began = NetworkModel.untrained(data.training, (16, 16), 0)
+    starts, currents = x[1000:1500:50], u[1000:1500:50, None].repeat(20, 1)
+    before = began.predict(starts, currents)
+    told = train(began, data, batch=64, seed=0, epochs=20, horizon=10)
+    assert told["best_epoch"] > 5
+    assert not np.allclose(before, began.predict(starts, currents))
+    plant = NetworkPlant(began)
+    plant.state = starts[0].copy()
+    stepped = np.array([plant.step(float(currents[0, 0])) for _ in range(20)])
+    np.testing.assert_allclose(stepped, began.predict(starts[:1], currents[:1])[0], rtol=1e-3, atol=1e-3 * SCALE.max())
 
 
 def test_the_metrics_rate_is_its_difference_along_the_motion(model: NetworkModel) -> None:

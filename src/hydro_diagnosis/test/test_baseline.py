@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
@@ -17,11 +16,8 @@ from hydro_diagnosis import InputError, Report, diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.model.baseline import baseline
 from hydro_diagnosis.report.corrected_bench import claims_of
-from hydro_sim.files.recordings import Run
 from hydro_sim.files.weights import shipped
-from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
-from hydro_sim.neural.network_model import NetworkModel
 
 DRIVES = (
     {"seconds": 15, "waveform": "multisine", "amplitude": 260, "frequency": 0.7, "kp": 60, "ki": 10},
@@ -52,16 +48,6 @@ def test_bench_and_weights_together_are_refused() -> None:
 def test_missing_weights_are_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such file"):
         baseline(None, tmp_path / "none.safetensors")
-
-
-def test_network_alone_is_refused_with_the_reason(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    run_ = Run(name="x", first=0, x=rng.normal(size=(50, 8)), u=rng.normal(size=50))
-    region = Learned.load(None).region
-    path = tmp_path / "network.safetensors"
-    Learned(model=NetworkModel.untrained([run_], (4, 4), 0), region=region).save(path)
-    with pytest.raises(InputError, match="no equations in which something could be missing"):
-        baseline(None, path)
 
 
 @pytest.mark.study

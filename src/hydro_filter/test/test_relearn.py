@@ -63,6 +63,6 @@ def test_a_minute_of_a_changed_bench_gives_a_filter_for_it(tmp_path: Path) -> No
     subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
     done = relearn(bag, "--out", out)
     assert done.returncode == 0, done.stderr
-    learned = {entry["name"]: entry["value"] for entry in load_model(out / MODEL).header()["constants"]}
-    assert learned["spring_stiffness"] == pytest.approx(3e4, rel=0.01)
+    effects = {effect["id"]: effect["parameters"] for effect in load_model(out / MODEL).effects}
+    assert effects["spring_stiffness"]["ratio"] == pytest.approx(1.5, rel=0.01)
     assert not FilterChoice(bench=Bench.nominal(), metric=str(out / METRIC), model=out / MODEL).trouble()

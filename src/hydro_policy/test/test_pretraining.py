@@ -185,12 +185,6 @@ def test_an_examination_on_benches_that_bear_no_gains_ends_and_knows_what_no_tra
         Examination(fleet, BENCH, evaluation, lambda number: drawn, 1)
 
 
-def test_a_network_cannot_be_randomised() -> None:
-    learned = replace(Learned.load(None), model=object())  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="no constants"):
-        draw_bench(Randomisation(), learned, 0)
-
-
 def test_many_gains_are_those_of_one_action_each() -> None:
     gains, actions = GainRange(delta_kp_max=285.0), np.random.default_rng(0).uniform(-1.3, 1.3, (50, 2))
     for row, action in zip(gains.changes(actions), actions, strict=True):

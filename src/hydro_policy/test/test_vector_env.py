@@ -25,13 +25,9 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import GainRange, TaskSettings, observe
 from hydro_policy.task.step_aggregator import StepClock
 from hydro_sim.box.box import Box, BoxConfig, Integral
-from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
-from hydro_sim.neural.mlp import initial
-from hydro_sim.neural.network import INPUTS, STATES
-from hydro_sim.neural.network_model import NetworkModel
 from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
@@ -39,21 +35,8 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.3)
 WITHOUT_REGION = ~np.uint32(Flag.EXTRAPOLATING)
 
 
-def network() -> Learned:
-    """A network's plant with weights that nobody trained: what matters here is that its numbers are the same."""
-    shipped = Learned.load(None)
-    flat = 0.05 * initial(np.random.default_rng(0), INPUTS, (8, 8), STATES)
-    scale = np.array([300.0, 4e3, 300.0, 4e3, 3e6, 3e6, 0.015, 0.2])
-    rest = np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9e6, 0.04, 0.0])
-    model = NetworkModel(
-        flat=flat, hidden=(8, 8), center=rest, scale=scale, current_scale=0.01, rate_scale=scale, rest=rest
-    )
-    return replace(shipped, model=model)
-
-
 PLANTS = {
     "structured": lambda: LearnedPlant(),
-    "network": lambda: LearnedPlant(network()),
     "analytic": lambda: AnalyticPlant(BENCH),
     "analytic without noise": lambda: AnalyticPlant(replace(BENCH, load_cell_bandwidth=25.0), noise=0.0),
 }

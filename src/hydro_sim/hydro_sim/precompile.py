@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_sim.files import recordings
-from hydro_sim.identification import adam, evaluation, stages, training
+from hydro_sim.identification import bench_learning, evaluation
 from hydro_sim.identification.analytic import AnalyticModel
 from hydro_sim.identification.evaluation import Scored
 from hydro_sim.learned.model import Learned
@@ -19,7 +18,6 @@ from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.simulation.offline import Schedule, simulate
-from hydro_sim.structured.model import StructuredModel
 
 _SECONDS = 8.0
 """Length [s] of the training recording: the shortest that leaves validation data."""
@@ -39,40 +37,17 @@ def _simulated(plant: Plant) -> None:
     plant.step(0.0)
 
 
-def learned(structure: str, hidden: tuple[int, ...] = (32, 32)) -> Learned:
-    """Return a model after one epoch on a short recording."""
-    data = _data()
-    few = training.STRUCTURED_ADAM if structure == "structured" else adam.Settings()
-    settings = training.Settings(structure=structure, hidden=hidden, batch=64, stride=500, adam=replace(few, epochs=1))
-    model = training.start(data, settings, Bench.nominal())
-    if isinstance(model, StructuredModel):
-        stages.prediction_rms(model, data)
-    *_, (_, trained) = training.steps(model, data, settings)
-    return training.finished(trained, data, {})
-
-
-def _learning(structure: str, hidden: tuple[int, ...] = (32, 32)) -> None:
-    """`learn` in small, `validate` of its outcome, and the outcome as a plant."""
-    made = learned(structure, hidden)
-    _simulated(LearnedPlant(made))
-    scored = [Scored(run=run, truth=None) for run in _data().training]
-    for predictor in (made.model, AnalyticModel(Bench.nominal())):
+def _learning() -> None:
+    """`learn` and `validate` in small."""
+    reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
+    run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_SECONDS)
+    data = recordings.split({"recording": simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), run)})
+    bench_learning.learn(Bench.nominal(), data, count=4)
+    scored = [Scored(run=run, truth=None) for run in data.training]
+    for predictor in (Learned.load().model, AnalyticModel(Bench.nominal())):
         states = [predictor.estimate(item.run) for item in scored]
         evaluation.prediction_errors(predictor, states, scored, recorded=True, horizon=70, stride=500)
 
 
-@cache
-def _data() -> recordings.Data:
-    reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
-    run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_SECONDS)
-    return recordings.split({"recording": simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), run)})
-
-
-STEPS: dict[str, Callable[[], None]] = {
-    "simulation": _simulation,
-    "learning, structured": lambda: _learning("structured"),
-    "learning, network": lambda: _learning("network"),
-    "learning, residual": lambda: _learning("residual"),
-    "learning, deep network": lambda: _learning("network", (16, 16, 16)),
-}
+STEPS: dict[str, Callable[[], None]] = {"simulation": _simulation, "learning": _learning}
 """By the message shown while each runs."""

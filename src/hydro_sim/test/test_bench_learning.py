@@ -17,7 +17,7 @@ from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
-from hydro_sim.identification import bench_learning, learn, learn_bench, validate
+from hydro_sim.identification import bench_learning, learn, validate
 from hydro_sim.identification.bench_fit import Coordinates
 from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.bench_states import noise_of
@@ -52,7 +52,7 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     assert result.quality.over_noise < 1.2
     assert result.bench.effects[0]["parameters"]["ratio"] == pytest.approx(ratio.value, rel=1e-6)
     assert result.bench.closures[0]["form"] == "quadratic drag" and "id" not in result.bench.closures[0]
-    assert learn_bench.with_quality(result).unfit == ""
+    assert result.file().unfit == ""
 
 
 def test_what_is_far_larger_than_its_typical_size_is_found() -> None:
@@ -77,7 +77,7 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
         bag.write_states(states)
     mapping = replace(Bench.nominal(), effects=(DEADBAND,)).to_mapping()
     (tmp_path / "bench.yaml").write_text(yaml.safe_dump(mapping))
-    words = ["learn", str(tmp_path / "bag"), "--structure", "bench", "--bench", str(tmp_path / "bench.yaml")]
+    words = ["learn", str(tmp_path / "bag"), "--bench", str(tmp_path / "bench.yaml")]
     words += ["--windows", "20", "--out", str(tmp_path / "out.yaml"), "--json", str(tmp_path / "table.json")]
     monkeypatch.setattr("sys.argv", words)
     with pytest.raises(SystemExit) as ended:
@@ -100,20 +100,32 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "name one by --bench"),
-        (["--bench", "plain.yaml"], "plain.yaml names no effects"),
-        (["--bench", "plain.yaml", "--epochs", "3"], "--epochs means nothing for --structure bench"),
+        (["--out", "weights.safetensors"], "a bench file's name ends in .yaml or .yml"),
+        (["--out", "out.yaml", "--windows", "0"], "--windows needs 1 or more"),
+        (["--out", "/dev/null/x.yaml"], "argument --out: /dev/null/x.yaml cannot be written"),
     ],
 )
 def test_what_cannot_be_learnt_is_said_in_a_sentence(
     words: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("plain.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
-    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", "--structure", "bench", "--out", "out.yaml", *words])
+    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", *words])
     with pytest.raises(SystemExit) as ended:
         learn.main()
     assert ended.value.code == 2 and sentence in capsys.readouterr().err
+
+
+def test_the_usual_effects_are_learnt_where_a_file_names_none() -> None:
+    """The default truth from the bare bench file, in a minute: predictions are at the noise, numbers are its own."""
+    states = record_offline(truth_from_mapping({"profile": "default"}), draw(60.0, 11), seed=11).states
+    result = bench_learning.learn(Bench.nominal(), recordings.split({"one": states}))
+    found = {one.name: one.value for one in result.parameters}
+    assert found["spring_stiffness.ratio"] == pytest.approx(1.0, abs=2e-3)
+    assert found["friction_coulomb.force"] == pytest.approx(12.0, rel=0.02)
+    assert found["leakage_internal.coefficient"] == pytest.approx(1e-13, rel=0.01)
+    assert found["valve_lag.bandwidth"] == pytest.approx(110.0, rel=0.03)
+    assert found["sensor_lag sensor=load_force.bandwidth"] == pytest.approx(25.0, rel=0.02)
+    assert result.quality.over_noise < 1.1 and result.quality.unfit == ""
 
 
 def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordings.Data) -> None:

@@ -23,9 +23,7 @@ from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.learned.region import Region
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.neural import mlp
-from hydro_sim.neural.network_model import NetworkModel
 from hydro_sim.simulation.offline import Schedule, simulate
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
@@ -42,18 +40,6 @@ def held_out():
     recording = record_offline(profile("default"), draw(12.0, 977), seed=977)
     run = Run(name="held out", x=matrix(recording.states), u=recording.states["valve_current"].copy())
     return Scored(run=run, truth=matrix(recording.noise_free))
-
-
-def random_network(seed=0):
-    rng = np.random.default_rng(seed)
-    x = matrix(
-        simulate(
-            AnalyticPlant(Bench.nominal()), Bench.nominal(), Schedule(reference=SINE, gains=(50.0, 10.0), seconds=3.0)
-        )
-    )
-    run = Run(name="", x=x, u=1e-3 * rng.standard_normal(len(x)))
-    model = NetworkModel.untrained([run], (16, 8), seed)
-    return Learned(model=model, region=Region.about(run.x, run.u), training={"seed": seed})
 
 
 def test_predictions_reach_the_papers_level(shipped, held_out):
@@ -93,9 +79,8 @@ def test_closed_loop_errs_as_the_emulator(shipped):
     assert rmse[0] == pytest.approx(rmse[1], rel=0.05)
 
 
-@pytest.mark.parametrize("structure", ["shipped", "network"])
-def test_plant_stays_bounded_under_any_current(shipped, structure):
-    plant = LearnedPlant(shipped if structure == "shipped" else random_network())
+def test_plant_stays_bounded_under_any_current(shipped):
+    plant = LearnedPlant(shipped)
     plant.reset(3)
     rng = np.random.default_rng(4)
     for _ in range(60):
@@ -152,9 +137,8 @@ def test_still_bench_only_creeps(shipped):
     assert abs(moved[7]) < 5e-3
 
 
-@pytest.mark.parametrize("kind", ["shipped", "network"])
-def test_save_load(shipped, kind, tmp_path):
-    learned = shipped if kind == "shipped" else random_network()
+def test_save_load(shipped, tmp_path):
+    learned = shipped
     learned.save(tmp_path / "w.safetensors")
     again = Learned.load(tmp_path / "w.safetensors")
     assert again.training == learned.training

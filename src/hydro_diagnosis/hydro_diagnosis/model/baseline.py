@@ -76,11 +76,6 @@ def _learned(path: Path) -> Baseline:
         learned = Learned.load(path).model
     except WeightsError as error:
         raise InputError(str(error)) from None
-    if not isinstance(learned, StructuredModel):
-        raise InputError(
-            f"{path}: a network alone has no equations in which something could be missing, and its own errors on a "
-            "healthy bench are as large as wear: learn a structured model (`learn --structure structured`)"
-        )
     constants = {entry["name"]: float(entry["value"]) for entry in learned.header()["constants"]}
     return Baseline(bench_of(constants, learned.bench), f"learned {path.name}", tuple(_left_out(constants, learned)))
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ros2 run hydro_filter relearn BAG... --out FOLDER: the bench's model and the filter's metric from recordings.
 
-After a change of the bench (spring, supply, valve) a minute of recordings is enough: `learn` identifies the constants
-anew, `learn_metric` solves the metric of that model. Both are commands of their own, with more to choose.
+After a change of the bench (spring, supply, valve) a minute of recordings is enough: `learn` fits a bench file's
+effects, `learn_metric` solves the metric of that model. Both are commands of their own, with more to choose.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import UserError, command
 
-MODEL, METRIC = "model.safetensors", "metric.safetensors"
+MODEL, METRIC = "model.yaml", "metric.safetensors"
 _RECORDINGS = "recordings.txt"
 
 
@@ -28,8 +28,7 @@ def main() -> None:
     again = ["--resume"] if options.resume else []
     model, metric = folder / MODEL, folder / METRIC
     if not model.exists():
-        words = [*options.bags, "--out", str(model), "--epochs", "1", "--patience", "1", *box, *again]
-        _run("hydro_sim.identification.learn", *words)
+        _run("hydro_sim.identification.learn", *options.bags, "--out", str(model), *box)
     if not metric.exists():
         words = ["--model", str(model), "--out", str(metric), "--epochs", "0", "--json", str(folder / "metric.json")]
         _run("hydro_filter.training.learn_metric", *words, *box, *again)
@@ -40,8 +39,8 @@ def main() -> None:
 def _parser() -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(
         prog="relearn",
-        description="Learn the bench's model and the filter's metric anew from recordings: some minutes. The model's "
-        "equations have learned constants and no network, the metric is the solved one, as the shipped ones.",
+        description="Learn the bench's model and the filter's metric anew from recordings: some minutes. The model is "
+        "a bench file with learned effects (`learn`), the metric the solved one (`learn_metric --epochs 0`).",
     )
     result.add_argument("bags", nargs="+", metavar="BAG", help="recordings of the bench as it is now, a minute or more")
     result.add_argument("--out", required=True, metavar="FOLDER", help=f"folder for {MODEL} and {METRIC}")

@@ -89,13 +89,7 @@ class RandomisedBench:
 
 
 def draw_bench(settings: Randomisation, source: Bench | Learned, seed: int) -> RandomisedBench:
-    """Draw a bench around `source`.
-
-    Raises
-    ------
-    ValueError
-        `source` is a network, which has no constants to change.
-    """
+    """Draw a bench around `source`."""
     rng = np.random.default_rng(seed)
     spring = math.exp(rng.uniform(math.log(settings.spring_min), math.log(settings.spring_max)))
     supply = rng.uniform(settings.supply_min, settings.supply_max)
@@ -107,7 +101,7 @@ def draw_bench(settings: Randomisation, source: Bench | Learned, seed: int) -> R
         stroke = source.stroke
     else:
         plant = LearnedPlant(replace(source, model=_learned(source.model, spring, supply, factors)), noise=noise)
-        stroke = source.model.bench.stroke if isinstance(source.model, StructuredModel) else math.nan
+        stroke = source.model.bench.stroke
     return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=stroke)
 
 
@@ -135,9 +129,7 @@ def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping
     return {**effect, "parameters": parameters}
 
 
-def _learned(model: object, spring: float, supply: float, factors: dict[str, float]) -> StructuredModel:
-    if not isinstance(model, StructuredModel):
-        raise ValueError("domain randomisation needs a structured or analytic model: a network has no constants")
+def _learned(model: StructuredModel, spring: float, supply: float, factors: dict[str, float]) -> StructuredModel:
     c, _ = learned_constants.values(model.table, model.theta)
     theta, rest = model.theta.copy(), model.rest.copy()
     absolute: dict[str, Callable[[float], float]] = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plants of one kind as rows of arrays for compiled loops: analytic, structured and network models.
+"""Plants of one kind as rows of arrays for compiled loops: analytic and structured models.
 
 A kind is a NamedTuple of arrays with two compiled functions, `advance` and `measurement`, dispatched on its type
 (numba's overloading). Plants are created and reset as usual; this module only stacks their memories.
@@ -21,8 +21,7 @@ from hydro_sim.learned import plant as learned_plants
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model import plant as plants_of
 from hydro_sim.model.plant import AnalyticPlant, Plant
-from hydro_sim.neural import mlp, network
-from hydro_sim.neural.network_model import NetworkModel
+from hydro_sim.neural import mlp
 from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.model import StructuredModel
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS
@@ -56,23 +55,6 @@ class Structured(NamedTuple):
     scratch: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
-class Network(NamedTuple):
-    """Rows of `LearnedPlant` on a network; the same network for all."""
-
-    layers: Any
-    step: Any
-    center: FloatArray
-    scale: FloatArray
-    current_scale: float
-    sensors: Records
-    state: FloatArray
-    clean: FloatArray
-    error: FloatArray
-    last: Records
-    x: FloatArray
-    scratch: tuple[Any, ...]
-
-
 @dataclass
 class PlantRows:
     """Arrays for compiled code, and the plants that they represent (for resets and noise)."""
@@ -100,7 +82,7 @@ def stack_plants(plants: Sequence[Plant]) -> PlantRows:
                 copy(result.arrays, index, plant)
             return result
     kind = _kind(plants[0]).__name__
-    raise ValueError(f"many benches at once are structured models, networks of two layers or analytic ones, no {kind}")
+    raise ValueError(f"many benches at once are structured models or analytic ones, no {kind}")
 
 
 def replace_plant(rows: PlantRows, index: int, plant: Plant) -> None:
@@ -159,19 +141,6 @@ def _advance(plants, i, noise, current):
             plants.x[i] = plants.clean[i] + plants.error[i]
 
         return model
-    if getattr(plants, "instance_class", None) is Network:
-
-        def net(plants, i, noise, current):
-            x, a1, a2, y = plants.scratch
-            learned_plants.advance_network(
-                plants.layers, plants.step, plants.center, plants.scale, plants.state[i],
-                current / plants.current_scale, x, a1, a2, y, plants.clean[i],
-            )  # fmt: skip
-            one = slice(i, i + 1)
-            learned_plants.next_error(plants.sensors[one], noise, plants.clean[i], plants.last[one], plants.error[i])
-            plants.x[i] = plants.clean[i] + plants.error[i]
-
-        return net
     return None
 
 
@@ -217,25 +186,7 @@ def _copy_structured(arrays: Structured, index: int, plant: LearnedPlant) -> Non
     _copy_readings(arrays, index, plant)
 
 
-def _network(plants: Sequence[LearnedPlant]) -> Network:
-    model, count = plants[0].learned.model, len(plants)
-    assert isinstance(model, NetworkModel)
-    layers, step = model.compiled
-    sizes = network.INPUTS, *model.hidden, network.STATES
-    return Network(
-        layers, step, model.center, model.scale, model.current_scale,
-        np.concatenate([plant.sensors for plant in plants]), np.zeros((count, network.STATES)),
-        np.zeros((count, 8)), np.zeros((count, 8)), np.concatenate([plant._last for plant in plants]),
-        np.zeros((count, 8)), tuple(np.empty(size, np.float32) for size in sizes),
-    )  # fmt: skip
-
-
-def _copy_network(arrays: Network, index: int, plant: LearnedPlant) -> None:
-    arrays.state[index] = plant.state
-    _copy_readings(arrays, index, plant)
-
-
-def _copy_readings(arrays: Structured | Network, index: int, plant: LearnedPlant) -> None:
+def _copy_readings(arrays: Structured, index: int, plant: LearnedPlant) -> None:
     arrays.sensors[index], arrays.last[index] = plant.sensors[0], plant._last[0]
     arrays.clean[index], arrays.error[index] = plant.clean, plant.error
     arrays.x[index] = plant.clean + plant.error
@@ -244,6 +195,5 @@ def _copy_readings(arrays: Structured | Network, index: int, plant: LearnedPlant
 KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
     AnalyticPlant: (_analytic, _copy_analytic),
     StructuredModel: (_structured, _copy_structured),
-    NetworkModel: (_network, _copy_network),
 }
 """Kinds of plants, with the functions that stack them and write one into a row. A benchmark may add its own."""

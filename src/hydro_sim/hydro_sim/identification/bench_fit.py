@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.identification.objectives import Indices
+from hydro_sim.identification.bench_states import Indices
 from hydro_sim.model.bench_model import Named
 from hydro_sim.model.sensitivities import Sensitivities
 

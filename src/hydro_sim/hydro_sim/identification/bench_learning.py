@@ -18,8 +18,7 @@ import numpy as np
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Data, Run
 from hydro_sim.identification.bench_fit import PRIOR, Batch, Coordinates, Fit, Problem
-from hydro_sim.identification.bench_states import StateEstimator, noise_of
-from hydro_sim.identification.objectives import SETTLED, Indices
+from hydro_sim.identification.bench_states import SETTLED, Indices, StateEstimator, noise_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
 from hydro_sim.model.effects import catalogue, valve
@@ -74,17 +73,42 @@ class Result:
         """Quality of the learned bench."""
         return Quality.of((self.left / self.noise).tolist())
 
+    def file(self) -> Bench:
+        """The learned bench with its measured quality."""
+        return replace(self.bench, learned={"bench": self.bench.digest, **self.quality.to_mapping()})
+
+
+def _usual(name: str, **parameters: float) -> dict[str, Any]:
+    return {"id": name, "parameters": parameters}
+
+
+USUAL: tuple[dict[str, Any], ...] = (
+    _usual("spring_stiffness", ratio=1.0), _usual("supply_pressure", ratio=1.0), _usual("valve_gain", ratio=1.0),
+    _usual("bulk_modulus", ratio=1.0), _usual("friction_viscous", coefficient=0.0),
+    _usual("valve_lag", bandwidth=100.0, damping=0.8), _usual("friction_coulomb", force=10.0),
+    _usual("friction_stribeck", breakaway_force=1.0, velocity=0.02), _usual("friction_presliding", stiffness=2e5),
+    _usual("leakage_internal", coefficient=0.0),
+    {**_usual("sensor_lag", bandwidth=30.0, damping=0.7), "sensor": "load_force"},
+)  # fmt: skip
+"""Effects that a bench is likely to have, at typical values: what is learned where a bench file names none."""
+
+
+def with_usual_effects(bench: Bench) -> Bench:
+    """The bench with `USUAL` effects, its load cell's lag as one of them, unless its file names effects of its own."""
+    return bench if bench.terms else replace(bench, load_cell_bandwidth=None, effects=USUAL)
+
 
 def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Report = lambda text: None) -> Result:
     """Return the bench with its effects' and closures' parameters fitted to `count` windows of the training runs.
 
+    A bench file without effects gets `USUAL` ones.
+
     Raises
     ------
     ValueError
-        The bench file names no effects, or the recordings have no room for windows.
+        The recordings have no room for windows.
     """
-    if not bench.terms:
-        raise ValueError("the bench file names no effects: list them under 'effects', or let `diagnose` find them")
+    bench = with_usual_effects(bench)
     exact = Sensitivities(BenchModel(_roomy(bench), substeps=SUBSTEPS))
     coordinates = _coordinates(bench, exact.model)
     noise = noise_of(data.training)
@@ -103,9 +127,9 @@ def _fitted(
     exact: Sensitivities, coordinates: Coordinates, runs: list[Run], chosen: list[Indices], noise: FloatArray,
     report: Report,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Parameters, as coordinates, after all rounds, and the information matrix there."""
-    matrix: FloatArray = np.empty((0, 0))
+    """Parameters, as coordinates, of the round that predicts best, and the information matrix there."""
     weights, q = noise, coordinates.q(coordinates.values)
+    best, kept = np.inf, (q, np.eye(len(q)))
     for number, trust in enumerate(TRUSTS, 1):
         follower = StateEstimator(exact, coordinates.theta(q), weights, trust)
         problem = Problem(exact, coordinates, _batch(follower, runs, chosen, weights))
@@ -116,9 +140,9 @@ def _fitted(
         left = problem.left(fit)
         q, weights = fit.q, np.maximum(noise, left)
         report(f"round {number} of {len(TRUSTS)}: error over noise {np.round(left / noise, 3)}")
-        if number == len(TRUSTS):
-            matrix, _, _ = problem.normal(fit)
-    return q, matrix
+        if (error := float(np.mean(np.log(left / noise)))) < best:
+            best, kept = error, (q, problem.normal(fit)[0])
+    return kept
 
 
 def prediction_rmse(bench: Bench, runs: list[Run]) -> FloatArray:

@@ -12,12 +12,17 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.files.recordings import Run
-from hydro_sim.identification.objectives import Indices
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.sensitivities import Sensitivities, Track
+
+SETTLED = 600
+"""Samples at the beginning of a run without predictions: the filter is still settling."""
+
+Indices = npt.NDArray[np.int64]
 
 ORDER = 6
 """Order of the differences by which noise is measured: they reduce motion below 100 Hz to a thirtieth."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of training and validation."""
+"""Plots of a validation."""
 
 from __future__ import annotations
 
@@ -9,21 +9,10 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray
-from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, UNITS, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, RED, UNITS, figure, legend
 
 SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
 """Units of the entries of x."""
-
-
-def draw_curves(history: FloatArray, path: str | Path, title: str) -> None:
-    """Draw the learning curves; `history` has rows of epoch, training loss, validation error."""
-    with figure(path, 2, size=(7.0, 5.0), sharex=True) as (drawing, (loss, error)):
-        drawing.suptitle(title, x=0.01, ha="left", weight="semibold")
-        loss.plot(history[1:, 0], history[1:, 1], color=BLUE)
-        loss.set(yscale="log", ylabel="training loss")
-        seen = np.isfinite(history[:, 2])
-        error.plot(history[seen, 0], history[seen, 2], color=ORANGE, marker=".")
-        error.set(yscale="log", ylabel="validation error", xlabel="epoch")
 
 
 def draw_horizons(

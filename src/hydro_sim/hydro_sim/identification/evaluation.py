@@ -15,7 +15,7 @@ import numpy as np
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.files.recordings import Run
-from hydro_sim.identification.objectives import SETTLED, Indices
+from hydro_sim.identification.bench_states import SETTLED, Indices
 
 
 class Predictor(Protocol):

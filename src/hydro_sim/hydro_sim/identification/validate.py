@@ -19,10 +19,10 @@ from hydro_sim.files.weights import WeightsError, shipped
 from hydro_sim.identification import curves, evaluation
 from hydro_sim.identification.analytic import AnalyticModel, omitted_terms
 from hydro_sim.identification.bench_prediction import BenchPrediction
+from hydro_sim.identification.bench_states import SETTLED
 from hydro_sim.identification.evaluation import Errors, Predictor, Scales, Scored
-from hydro_sim.identification.objectives import SETTLED
 from hydro_sim.learned.any_model import is_bench_file
-from hydro_sim.learned.model import Learned, Model
+from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured.model import StructuredModel
 
@@ -66,7 +66,7 @@ def main() -> None:
         print(f"{options.model}: {learned.quality.told()}")
 
 
-def _model(options: argparse.Namespace) -> Bench | Model:
+def _model(options: argparse.Namespace) -> Bench | StructuredModel:
     """Load the model to validate; PairingError where weights are not of the box that --bench names."""
     if is_bench_file(options.model):
         return Bench.load(options.model)

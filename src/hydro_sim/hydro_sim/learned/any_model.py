@@ -11,7 +11,6 @@ from pathlib import Path
 
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
-from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -32,7 +31,7 @@ def load_model(path: str | Path | None) -> StructuredModel | Bench:
     Raises
     ------
     WeightsError
-        If the file is missing or unreadable, or holds a network alone.
+        If the file is missing or unreadable.
     ValueError
         If the bench file is invalid, or states that it predicts the bench badly.
     """
@@ -41,15 +40,11 @@ def load_model(path: str | Path | None) -> StructuredModel | Bench:
         if bench.unfit:
             raise ValueError(f"{path}: {bench.unfit}")
         return bench
-    model = Learned.load(path).model
-    if not isinstance(model, StructuredModel):
-        named = path or weights.shipped()
-        raise WeightsError(f"{named} is a network alone: its states hold no spool and no load cell, as a metric needs")
-    return model
+    return Learned.load(path).model
 
 
 def make_plant(path: str | Path | None, *, noise: float = 1.0) -> Plant:
-    """Return a plant of any model, networks too (raises as `load_model`)."""
+    """Return a plant of any model (raises as `load_model`)."""
     if path is not None and is_bench_file(path):
         return AnalyticPlant(Bench.load(path), noise=noise)
     return LearnedPlant(path, noise=noise)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A learned bench of any structure, with its training region and the facts of its training."""
+"""A learned bench, with its training region and the facts of its training."""
 
 from __future__ import annotations
 
@@ -14,15 +14,8 @@ from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor, made_for
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.region import Region
-from hydro_sim.neural.deep_model import DeepModel
-from hydro_sim.neural.network_model import NetworkModel
 from hydro_sim.structured.model import StructuredModel
 
-Model = StructuredModel | NetworkModel | DeepModel
-STRUCTURES: dict[str, type[StructuredModel] | type[NetworkModel] | type[DeepModel]] = {
-    "structured": StructuredModel, "network": NetworkModel, "deep": DeepModel, "residual": DeepModel,
-}  # fmt: skip
-"""Classes of models by their names in files."""
 UNITS = {"state": ["N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s"], "current": "A", "sample": "1e-3 s"}
 
 
@@ -30,7 +23,7 @@ UNITS = {"state": ["N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s"], "current": "
 class Learned:
     """Contents of a weights file."""
 
-    model: Model
+    model: StructuredModel
     region: Region
     training: dict[str, Any] = field(default_factory=dict)
     """Recordings' digests, command, seed, settings, code version, errors reached."""
@@ -47,11 +40,10 @@ class Learned:
         """Read a weights file; None: the one that comes with this package. Raises WeightsError."""
         path = path or weights.shipped()
         tensors, header = weights.load(path)
-        if header["structure"] not in STRUCTURES:
-            known = ", ".join(STRUCTURES)
-            raise WeightsError(f"{path} has structure {header['structure']!r}; this version knows {known}")
+        if header["structure"] != StructuredModel.name:
+            raise WeightsError(f"{path} has structure {header['structure']!r}, not {StructuredModel.name!r}")
         try:
-            model = STRUCTURES[header["structure"]].from_file(tensors, header)
+            model = StructuredModel.from_file(tensors, header)
             region = Region(
                 center=np.asarray(tensors["region_center"], np.float64),
                 whiten=np.asarray(tensors["region_whiten"], np.float64),

@@ -15,21 +15,15 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 from hydro_sim.jit import njit
 from hydro_sim.learned import region
-from hydro_sim.learned.model import Learned, Model
+from hydro_sim.learned.model import Learned
 from hydro_sim.model import sensors
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
-from hydro_sim.neural import deep, network
-from hydro_sim.neural.deep_model import DeepModel
-from hydro_sim.neural.network_model import NetworkModel
 from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.model import StructuredModel
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS
 
 Step = Callable[[FloatArray, float, FloatArray], None]
 """Advances a state [in place] under a current [A] and writes x, shape (8,)."""
-
-FARTHEST = 20.0
-"""Standard deviations beyond which a state of the network is clipped."""
 
 
 class LearnedPlant:
@@ -52,7 +46,7 @@ class LearnedPlant:
             raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
         self.learned = learned if isinstance(learned, Learned) else Learned.load(learned)
         model = self.learned.model
-        self.advance = _step(model)
+        self.advance = _structured_step(model)
         self.sensors = (settings or Sensors()).constants(noise)
         self.noise = Noise(0)
         self.state = np.array(model.rest)
@@ -82,17 +76,8 @@ class LearnedPlant:
 
 
 def _measured(state: FloatArray) -> FloatArray:
-    """x of a rest state: of a structured model's full state, or the state itself."""
-    if len(state) == network.STATES:
-        return state
-    force = 0.0 if len(state) < rollout.FULL else state[6]
-    return np.array([force, 0.0, force, 0.0, state[0], state[1], state[2], 0.0])
-
-
-def _step(model: Model) -> Step:
-    if isinstance(model, StructuredModel):
-        return _structured_step(model)
-    return _deep_step(model) if isinstance(model, DeepModel) else _network_step(model)
+    """x of a full state at rest."""
+    return np.array([state[6], 0.0, state[6], 0.0, state[0], state[1], state[2], 0.0])
 
 
 def _structured_step(model: StructuredModel) -> Step:
@@ -106,43 +91,6 @@ def _structured_step(model: StructuredModel) -> Step:
         rollout.advance_full(*compiled, state, current, work, x, a1, a2, r, measured)
 
     return step
-
-
-def _network_step(model: NetworkModel) -> Step:
-    """(state (8,), current, x out (8,)) of a network."""
-    layers, step = model.compiled
-    x, y = np.empty(network.INPUTS, np.float32), np.empty(network.STATES, np.float32)
-    a1, a2 = np.empty(model.hidden[0], np.float32), np.empty(model.hidden[1], np.float32)
-
-    def advance(state: FloatArray, current: float, measured: FloatArray) -> None:
-        advance_network(
-            layers, step, model.center, model.scale, state, current / model.current_scale, x, a1, a2, y, measured
-        )
-
-    return advance
-
-
-def _deep_step(model: DeepModel) -> Step:
-    """(state (8,), current, x out (8,)) of a network of any depth."""
-    parts, after = model.parts, np.empty((1, 1, network.STATES), np.float32)
-
-    def advance(state: FloatArray, current: float, measured: FloatArray) -> None:
-        z, v = model.normalized(state[None], np.array([[current]]))
-        deep.roll(parts, z, v, after)
-        state[:] = model.center + model.scale * np.clip(after[0, 0], -FARTHEST, FARTHEST)
-        measured[:] = state
-
-    return advance
-
-
-@njit
-def advance_network(layers, step, center, scale, state, current, x, a1, a2, y, measured):
-    """One sample of the network from `state`, in place; `measured` is what comes out of it."""
-    z = ((state - center) / scale).astype(np.float32)
-    network.advance(layers, step, z, np.float32(current), x, a1, a2, y)
-    for i in range(network.STATES):
-        state[i] = center[i] + scale[i] * min(max(z[i], -FARTHEST), FARTHEST)
-        measured[i] = state[i]
 
 
 @njit

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network of two hidden ReLU layers for one input at a time, and its gradient.
+"""A network of two hidden ReLU layers for one input at a time.
 
 ::
 
@@ -83,30 +83,3 @@ def _affine(w, b, x, y):
         scale = x[i]
         for j in range(y.shape[0]):
             y[j] += w[i, j] * scale
-
-
-@njit(fastmath=LOOSE)
-def backward(layers, x, a1, a2, gy, gradient, g1, g2, gx):
-    """Add d/dweights to `gradient` (Layers) and set gx = d/dx, for gy = d/dy; activations as `forward` left them."""
-    _affine_back(layers.w3, a2, gy, gradient.w3, gradient.b3, g2)
-    for j in range(g2.shape[0]):
-        if a2[j] <= 0.0:
-            g2[j] = 0.0
-    _affine_back(layers.w2, a1, g2, gradient.w2, gradient.b2, g1)
-    for j in range(g1.shape[0]):
-        if a1[j] <= 0.0:
-            g1[j] = 0.0
-    _affine_back(layers.w1, x, g1, gradient.w1, gradient.b1, gx)
-
-
-@njit(fastmath=LOOSE)
-def _affine_back(w, x, gy, gw, gb, gx):
-    for j in range(gy.shape[0]):
-        gb[j] += gy[j]
-    for i in range(x.shape[0]):
-        scale = x[i]
-        total = gx.dtype.type(0.0)
-        for j in range(gy.shape[0]):
-            gw[i, j] += scale * gy[j]
-            total += w[i, j] * gy[j]
-        gx[i] = total

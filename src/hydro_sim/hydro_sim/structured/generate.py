@@ -78,25 +78,12 @@ def friction_partials(at: Symbols) -> list[str]:
     ]
 
 
-def rates_back(at: Symbols) -> list[str]:
-    """Gradients of g . y'."""
-    against = physics.friction(at.c, at.y[3], at.z)
-    total = casadi.dot(casadi.vertcat(*at.g), at.rates_under(against))
-    by = {f"g{text}": symbol for text, symbol in at.texts.items() if text[0] in "cyr" and text != "current"}
-    by = {text: symbol for text, symbol in by.items() if text[3:-1] not in UNLEARNED}
-    gradient = casadi.gradient(total, casadi.vertcat(*by.values(), at.z))
-    outputs = [(f"{text} += ", gradient[i]) for i, text in enumerate(by) if not gradient[i].is_zero()]
-    return statements(at.texts, [*outputs, ("return ", gradient[len(by)])])
-
-
 def source() -> str:
     """The whole file, formatted."""
     functions = (
         ("partials(c, y, current, r, slope, p)", partials,
          "y' and, in rows 0, 1, 3, 5, 7 of p, d(y')/d(y, z, r): both without dry friction."),
         ("friction_partials(c, velocity, z)", friction_partials, "Dry friction [N]; its slopes by velocity, bristle."),
-        ("rates_back(c, y, z, current, r, g, gy, gr, gc)", rates_back,
-         "Add to gy, gr, gc the gradients of g . y' by y, r, c; returns that by z."),
     )  # fmt: skip
     written = [(signature, text, write(Symbols())) for signature, write, text in functions]
     code = "".join(line for _, _, lines in written for line in lines)

@@ -11,7 +11,6 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 from hydro_sim.files.recordings import Run
 from hydro_sim.files.weights import Tensors
-from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.neural import mlp
@@ -21,9 +20,6 @@ from hydro_sim.structured.rollout import FULL, INPUTS, OUTPUTS
 
 CHUNK = 3000
 """Samples that one thread filters once the observer has settled."""
-
-STILL = 50
-"""Disarmed samples at the beginning of a recording that show the still bench."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,18 +45,6 @@ class StructuredModel:
     """Shape (5,): RMS error of each reading in 70-sample predictions, noise at least; weights them in training."""
 
     name = "structured"
-
-    @classmethod
-    def untrained(cls, bench: Bench, training: list[Run], hidden: tuple[int, int], seed: int) -> StructuredModel:
-        """Return the bench's own equations: the network's last layer is zero. Normalization is taken from the runs."""
-        x, u = np.concatenate([run.x for run in training]), np.concatenate([run.u for run in training])
-        inputs = np.column_stack((x[:, 4:8], u))
-        generator = np.random.default_rng(seed)
-        count = len(constants.constants(bench))
-        return cls(
-            bench=bench, theta=np.zeros(count), flat=mlp.initial(generator, INPUTS, hidden, OUTPUTS, last=0.0),
-            hidden=hidden, center=inputs.mean(axis=0), scale=inputs.std(axis=0), rest=_rest(bench, training),
-        )  # fmt: skip
 
     @property
     def table(self) -> tuple[constants.Constant, ...]:
@@ -139,16 +123,4 @@ def first_guess(run: Run, samples: FloatArray | list[int] | Any) -> FloatArray:
     x = run.x[samples]
     full[:, :4], full[:, 6:8], full[:, STATES:] = x[:, 4:8], x[:, 2:4], x[:, (1, 3, 7)]
     full[:, 4] = np.where(np.asarray(samples) > 0, run.u[np.maximum(np.asarray(samples) - 1, 0)], 0.0)
-    return full
-
-
-def _rest(bench: Bench, training: list[Run]) -> FloatArray:
-    """The still bench: as the first recording that began still began, else as the bench file has it."""
-    full = np.zeros(FULL)
-    full[:4] = hydraulics.rest_state(bench.constants()[0])[:4]
-    for run in training:
-        x = run.x[:STILL].mean(axis=0)
-        if run.first == 0 and not run.u[:STILL].any() and abs(x[2]) < 50.0:
-            full[:3], full[6] = x[4:7], x[2]
-            break
     return full

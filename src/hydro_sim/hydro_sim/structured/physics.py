@@ -123,13 +123,3 @@ def rates_under(c, y, current, r, against, slope):
 def rates(c, y, z, current, r, slope):
     """y' into `slope`, shape (8,)."""
     rates_under(c, y, current, r, friction(c, y[3], z) + eq.stop_force(numbers(c), y[2], y[3]), slope)
-
-
-@njit
-def level_back(c, velocity, share, glevel, gc):
-    """Gradient of the friction level: adds those by its constants, returns that by velocity."""
-    ratio_v = velocity / c[STRIBECK_VELOCITY]
-    gc[COULOMB] += glevel
-    gc[STRIBECK] += share * glevel
-    gc[STRIBECK_VELOCITY] += 2.0 * ratio_v * ratio_v / c[STRIBECK_VELOCITY] * c[STRIBECK] * share * glevel
-    return -2.0 * ratio_v / c[STRIBECK_VELOCITY] * c[STRIBECK] * share * glevel

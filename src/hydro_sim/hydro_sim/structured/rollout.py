@@ -19,12 +19,11 @@ import numpy as np
 from numba import prange
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_sim import copies
 from hydro_sim.jit import njit
 from hydro_sim.neural import mlp
 from hydro_sim.structured import integration
 from hydro_sim.structured.integration import STATES
-from hydro_sim.structured.physics import AREA, BIAS_H, BIAS_L, CONSTANTS, GAIN_H, GAIN_L, RATIO, STROKE, SUPPLY
+from hydro_sim.structured.physics import AREA, BIAS_H, BIAS_L, GAIN_H, GAIN_L, RATIO, STROKE, SUPPLY
 
 INPUTS, OUTPUTS, READINGS, FULL = 5, 3, 5, 12
 OUTPUT_SCALES = (0.02, 0.02, 5.0)
@@ -37,22 +36,6 @@ def read(c, s, reading):
     reading[0] = c[GAIN_H] * c[AREA] * (s[0] - c[RATIO] * s[1]) + c[BIAS_H]
     reading[1] = c[GAIN_L] * s[6] + c[BIAS_L]
     reading[2], reading[3], reading[4] = s[0], s[1], s[2]
-
-
-@njit
-def _read_back(c, s, g, gs, gc):
-    """Add to gs, gc the gradients of g . reading."""
-    difference = s[0] - c[RATIO] * s[1]
-    gc[GAIN_H] += c[AREA] * difference * g[0]
-    gc[AREA] += c[GAIN_H] * difference * g[0]
-    gc[RATIO] -= c[GAIN_H] * c[AREA] * s[1] * g[0]
-    gc[BIAS_H] += g[0]
-    gs[0] += c[GAIN_H] * c[AREA] * g[0] + g[2]
-    gs[1] += g[3] - c[GAIN_H] * c[AREA] * c[RATIO] * g[0]
-    gc[GAIN_L] += s[6] * g[1]
-    gc[BIAS_L] += g[1]
-    gs[6] += c[GAIN_L] * g[1]
-    gs[2] += g[4]
 
 
 @njit
@@ -125,62 +108,3 @@ def rollout(c, layers, center, scale, memories, starts, currents):
         for h in range(horizon):
             advance_full(c, layers, center, scale, memories, full, currents[k, h], work, x, a1, a2, r, measured[k, h])
     return measured
-
-
-@njit
-def window(c, layers, center, scale, start, currents, targets, weights, gc, glayers):
-    """Loss of one window and its gradients, added to gc and glayers.
-
-    The loss is the sum over samples and readings of (weight (reading - target))^2; `targets` has shape (H, 5).
-    """
-    horizon = len(currents)
-    states = np.empty((horizon + 1, STATES))
-    copies.vector(states[0], start)
-    work = integration.scratch()
-    x, r, gr, gx = np.empty(INPUTS), np.empty(OUTPUTS), np.empty(OUTPUTS), np.empty(INPUTS)
-    a1, a2 = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
-    g1, g2 = np.empty_like(a1), np.empty_like(a2)
-    errors = np.empty((horizon, READINGS))
-    loss = 0.0
-    for h in range(horizon):
-        copies.vector(states[h + 1], states[h])
-        advance(c, layers, center, scale, states[h + 1], currents[h], work, x, a1, a2, r)
-        read(c, states[h + 1], errors[h])
-        for i in range(READINGS):
-            error = weights[i] * (errors[h, i] - targets[h, i])
-            loss += error * error
-            errors[h, i] = 2.0 * weights[i] * error
-    gs, s = np.zeros(STATES), np.empty(STATES)
-    for h in range(horizon - 1, -1, -1):
-        _read_back(c, states[h + 1], errors[h], gs, gc)
-        copies.vector(s, states[h])
-        advance(c, layers, center, scale, s, currents[h], work, x, a1, a2, r)
-        gr[:] = 0.0
-        integration.advance_back(c, currents[h], r, gs, gr, gc, work)
-        for i in range(OUTPUTS):
-            gr[i] *= OUTPUT_SCALES[i]
-        mlp.backward(layers, x, a1, a2, gr, glayers, g1, g2, gx)
-        for i in range(INPUTS):
-            gs[i] += gx[i] / scale[i]
-    return loss
-
-
-@njit(parallel=True)
-def loss_and_gradients(c, layers, center, scale, starts, currents, targets, weights, threads):
-    """Mean loss per sample of many windows, and its gradients by c, shape (CONSTANTS,), and by the flat network.
-
-    Shapes: starts (n, 9), currents (n, H), targets (n, H, 5), weights (5,).
-    """
-    n, horizon = currents.shape
-    h1, h2 = layers.b1.shape[0], layers.b2.shape[0]
-    losses, gcs = np.zeros(threads), np.zeros((threads, CONSTANTS))
-    w1, b1 = np.zeros((threads, INPUTS, h1)), np.zeros((threads, h1))
-    w2, b2 = np.zeros((threads, h1, h2)), np.zeros((threads, h2))
-    w3, b3 = np.zeros((threads, h2, OUTPUTS)), np.zeros((threads, OUTPUTS))
-    for t in prange(threads):
-        glayers = mlp.Layers(w1[t], b1[t], w2[t], b2[t], w3[t], b3[t])
-        for k in range(t * n // threads, (t + 1) * n // threads):
-            losses[t] += window(c, layers, center, scale, starts[k], currents[k], targets[k], weights, gcs[t], glayers)
-    share = 1.0 / (n * horizon)
-    parts = (w1.sum(0).ravel(), b1.sum(0), w2.sum(0).ravel(), b2.sum(0), w3.sum(0).ravel(), b3.sum(0))
-    return losses.sum() * share, gcs.sum(0) * share, np.concatenate(parts) * share
