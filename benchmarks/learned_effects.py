@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does `learn --structure bench` find what a bench file names? Learnt values against the truth's, and what is left.
+"""Does `learn` find what a bench file names? Learnt values against the truth's, and what is left.
 
 Truths of the emulator: the default one with one thing more, and one of five effects. The bench file names what the
 truth has, each at a value far from it.

@@ -37,7 +37,7 @@ NODES = ("hydro_sim emulator --link {out}/port", "hydro_bridge bridge --port {ou
 
 COMMANDS = (
     "hydro_sim emulator --offline --seconds 8 --out {out}/bag",
-    "hydro_sim learn {bag} --out {out}/weights.safetensors --epochs 1 --batch 256",
+    "hydro_sim learn {bag} --out {out}/learnt.yaml",
     "hydro_sim validate {bag}",
     "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --cases stable",
     "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20",

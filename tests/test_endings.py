@@ -20,7 +20,7 @@ EXECUTABLES = {
     ("hydro_bridge", "bridge"): ("--port", "/nowhere/port"),
     ("hydro_bridge", "recorder"): ("--out", "bag"),
     ("hydro_sim", "emulator"): ("--link", "port"),
-    ("hydro_sim", "learn"): ("bag", "--out", "weights.safetensors"),
+    ("hydro_sim", "learn"): ("bag", "--out", "learnt.yaml"),
     ("hydro_filter", "filter"): (),
     ("hydro_policy", "trainer"): ("--plant", "external"),
     ("hydro_policy", "pretrain"): ("--out", "agent"),

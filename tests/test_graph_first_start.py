@@ -23,7 +23,6 @@ from tests.graph_probe import own_domain
 
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 PLANTS = ("sim", "emulator")
-LEARN = "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch"
 
 
 def run(words: str, folder: Path, *more: str) -> set[str]:
@@ -91,9 +90,7 @@ def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        pytest.param(f"{LEARN} 256", marks=pytest.mark.study),  # identifies constants for minutes
-        f"{LEARN} 256 --structure network",
-        pytest.param(f"{LEARN} 256 --structure residual", marks=pytest.mark.study),
+        "hydro_sim learn {bag} --out {out}/learnt.yaml --windows 4",
         "hydro_sim validate {bag}",
         pytest.param(
             "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --filters none learned solved projected",

@@ -48,13 +48,15 @@ def half_bristle(c, bristle, velocity):
     level = c[COULOMB] + c[STRIBECK] * math.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
     decay = c[BRISTLE] * abs(velocity) * 0.5 * STEP / level
     kept = math.exp(-decay)
-    return bristle * kept + 0.5 * STEP * velocity * _filling(decay, kept)
+    return bristle * kept + 0.5 * STEP * velocity * _filling(decay, kept)[0]
 
 
 @njit
 def _filling(decay, kept):
-    """(1 - exp(-d)) / d."""
-    return 1.0 - 0.5 * decay if decay < 1e-4 else (1.0 - kept) / decay
+    """(1 - exp(-d)) / d and its slope."""
+    if decay < 1e-4:
+        return 1.0 - 0.5 * decay, -0.5 + decay / 3.0
+    return (1.0 - kept) / decay, (kept * (1.0 + decay) - 1.0) / (decay * decay)
 
 
 @njit
