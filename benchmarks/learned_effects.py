@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does `learn` find what a bench file names? Learnt values against the truth's, and what is left.
 
-Truths of the emulator: the default one with one thing more, and one of five effects. The bench file names what the
+Truths of the emulator: the default one, the same with one thing more, and one of five effects. The bench file names what the
 truth has, each at a value far from it.
 
 Two runs to learn from, one that chooses how far the filter trusts the model, one to be judged by: 70-sample predictions
@@ -51,6 +51,7 @@ DEFAULT: Named = [
 """Of the default truth. Its bristles are damped and its spool's rate is limited, which no effect of the table says."""
 
 CASES: dict[str, tuple[Entry, Named]] = {
+    "default": ({"profile": "default"}, DEFAULT),
     "deadband": (
         {"profile": "default", "effects": {"valve_deadband": {"half_width": 3e-4}}},
         [*DEFAULT, (effect("valve_deadband", half_width=5e-5), {"half_width": 3e-4})],
