@@ -21,7 +21,6 @@ DOCS = ROOT / "docs"
 FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
 PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
 SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
-CI = ".github/workflows/ci.yml"
 
 FENCE = re.compile(r"^\s*```")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -166,36 +165,10 @@ def test_yaml_blocks_can_be_read() -> None:
             assert yaml.safe_load(block), path
 
 
-def test_ci_and_pre_commit_call_targets_that_exist() -> None:
-    text = "".join((ROOT / name).read_text(encoding="utf-8") for name in (".pre-commit-config.yaml", CI))
-    called = set(re.findall(r"(?:run|entry): make (?:--no-print-directory )?([a-z-]+)", text))
-    assert called >= {"lint", "test", "docs", "coverage"}
-    assert called <= targets()
-
-
-def test_ci_runs_the_pythons_that_are_claimed() -> None:
-    matrix = yaml.safe_load((ROOT / CI).read_text(encoding="utf-8"))["jobs"]["test"]["strategy"]["matrix"]["python"]
-    first, last = re.search(r"3\.(\d+) to 3\.(\d+)", (ROOT / "README.md").read_text(encoding="utf-8")).groups()
-    assert matrix == [f"3.{minor}" for minor in range(int(first), int(last) + 1)]
-
-
 def test_generated_pages_are_current() -> None:
     pages = generate_reference.pages()
     stale = [str(path.relative_to(ROOT)) for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
     assert stale == [], "make reference"
-
-
-def test_architecture_has_a_row_for_every_folder() -> None:
-    text = (DOCS / "manual" / "explanation" / "architecture.md").read_text(encoding="utf-8")
-    for package in ROOT.glob("src/hydro_*/hydro_*"):
-        folders = {path.parent.name for path in package.glob("*/__init__.py")}
-        table = text.partition(f"| `{package.name}` | holds |")[2].partition("\n\n")[0]
-        assert {*re.findall(r"^\| `(\w+)/`", table, re.MULTILINE)} == folders
-
-
-def test_every_page_stands_in_the_menu() -> None:
-    menu = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
-    assert menu == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
 
 
 def test_pages_that_the_sources_name_are_there() -> None:

@@ -62,13 +62,6 @@ def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> 
 
 @pytest.mark.graph
 @pytest.mark.study
-def test_a_filter_with_the_constant_metric_and_an_analytic_plant_compile_nothing(tmp_path: Path) -> None:
-    words = "hydro_policy evaluate --plant sim --runs {out}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
-    assert run(words, tmp_path, "--filter=--metric=constant") == set()
-
-
-@pytest.mark.graph
-@pytest.mark.study
 def test_a_simulated_bench_file_compiles_nothing(tmp_path: Path) -> None:
     """Effects that set-up has compiled, of other sizes; the filter keeps to the model that ships."""
     effects = [{**one, "parameters": {k: 0.9 * v for k, v in one["parameters"].items()}} for one in FOUND]
@@ -106,9 +99,3 @@ def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
 )
 def test_offline_work_compiles_nothing(words: str, recording: Path, tmp_path: Path) -> None:
     assert run(words.replace("{bag}", str(recording)), tmp_path) == set()
-
-
-@pytest.mark.study
-def test_learning_a_metric_compiles_nothing(tmp_path: Path) -> None:
-    words = "hydro_filter learn_metric --out {out}/metric.safetensors --rollouts 16 --epochs 1"
-    assert run(words, tmp_path) == set()

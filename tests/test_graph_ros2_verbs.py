@@ -109,13 +109,6 @@ def test_topics_are_listed_with_types_and_counted(graph: Path) -> None:
     assert ros2("topic", "type", "/hydro/state") == "hydro_msgs/msg/BenchState\n"
 
 
-def test_who_publishes_and_hears_a_topic(graph: Path) -> None:
-    said = ros2("topic", "info", "/hydro/state")
-    assert said == "Type: hydro_msgs/msg/BenchState\nPublisher count: 1\nSubscription count: 1\n"
-    verbose = ros2("topic", "info", "hydro/state", "--verbose")
-    assert "Node name: bridge" in verbose and "Node name: recorder" in verbose and "BEST_EFFORT" in verbose
-
-
 def test_a_message_is_shown_as_yaml_and_a_latched_one_though_it_was_said_before(graph: Path) -> None:
     state = yaml.safe_load(ros2("topic", "echo", "/hydro/state", "--once").removesuffix("---\n"))
     assert state["header"]["frame_id"] == "bench" and isinstance(state["load_force"], float) and not state["flags"] & 1

@@ -51,13 +51,6 @@ def test_interrupt_reaches_the_node(environment: dict[str, str]) -> None:
         assert process.wait(timeout=10) == -signal.SIGINT
 
 
-def test_executables_are_listed(environment: dict[str, str]) -> None:
-    assert ros2(environment, "run", "rig").stdout.split() == ["echo", "wait"]
-    assert ros2(environment, "run", "rig", "--help").stdout.split() == ["echo", "wait"]
-    assert ros2(environment, "pkg", "executables", "rig").stdout == "rig echo\nrig wait\n"
-    assert ros2(environment, "pkg", "executables").stdout == "rig echo\nrig wait\n"
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -142,10 +135,3 @@ def test_verbs_without_the_workspace_say_what_to_source(environment: dict[str, s
     assert answer.returncode == 2
     assert "`ros2 topic` is part of this workspace: source install/setup.bash" in answer.stderr
     assert answer.stderr.count("\n") == 1
-
-
-def test_help_says_what_is_there(environment: dict[str, str]) -> None:
-    for words in ([], ["--help"], ["run", "--help"]):
-        answer = ros2(environment, *words)
-        assert answer.returncode == 0
-        assert "ros2 run PACKAGE EXECUTABLE" in answer.stdout

@@ -96,10 +96,3 @@ def shares_memory(pid: int) -> bool:
 def test_a_node_has_no_shared_memory_with_others(environment: dict[str, str]) -> None:
     with bridge(**environment) as node:
         assert not shares_memory(node.pid)
-
-
-def test_what_the_user_has_set_stays(tmp_path: Path) -> None:
-    own = tmp_path / "own.xml"
-    own.write_text('<?xml version="1.0" encoding="UTF-8"?>\n<dds xmlns="http://www.eprosima.com"><profiles/></dds>\n')
-    with bridge(**{PROFILES: str(own)}) as node:
-        assert shares_memory(node.pid), "as the user's own profile has it: with what the middleware adds"

@@ -149,13 +149,6 @@ def test_every_frame_fits_between_two_delimiters():
         assert len(inside(wire)) <= MAX_ENCODED
 
 
-def test_bytes_of_a_state_are_those_of_the_document():
-    body = cobs.decode(inside(encode_state(7, 0x0102030405060708, list(range(14)), 65, 9)))
-    expected = bytes([1, 2]) + struct.pack("<I", 7) + bytes([8, 7, 6, 5, 4, 3, 2, 1])
-    expected += struct.pack("<14f", *range(14)) + struct.pack("<II", 65, 9)
-    assert body == expected + struct.pack("<I", crc32(expected))
-
-
 def test_beyond_float32_becomes_infinity():
     frame = decode(inside(encode_state(1, 2, [1e300, -1e300, *[0.0] * 12], 0, 0)))
     assert isinstance(frame, State) and frame.values[:2] == (float("inf"), float("-inf"))

@@ -68,16 +68,3 @@ def test_a_page_of_somebody_else_is_left_alone(runs: Path) -> None:
     with pytest.raises(FileExistsError, match="another page than one of runs"):
         write_index(runs)
     assert (runs / "index.html").read_text() == "the site"
-
-
-def test_no_name_and_no_folder_ends_a_run(runs: Path) -> None:
-    strange = runs / os.fsdecode(b"\xff")
-    strange.mkdir()
-    (strange / "run.json").write_text("{}")
-    (strange / "tracking.png").write_bytes(b"")
-    refresh_index(runs / "found")
-
-
-def test_commands_of_the_page_can_be_pasted_into_a_shell(runs: Path) -> None:
-    page = write_index(runs).read_text()
-    assert f"view &#39;{runs.resolve()}/old &amp; &lt;bold&gt;/bag&#39;" in page

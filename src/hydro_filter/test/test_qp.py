@@ -117,18 +117,6 @@ def test_a_vanishing_slope_is_infeasible_not_a_full_stroke(a: float) -> None:
     assert QpFilter().solve(a, -1.0, -0.05, 0.05) == (0.0, CorrectionStatus.INFEASIBLE)
 
 
-def test_a_valve_at_its_limit_has_nothing_left() -> None:
-    assert QpFilter().solve(-1.0, -0.01, -0.1, 0.0) == (0.0, CorrectionStatus.INFEASIBLE)
-    assert QpFilter().solve(-1.0, -0.2, -0.05, 0.05) == (0.05, CorrectionStatus.RELAXED)
-
-
-def test_a_failed_problem_does_not_disturb_the_next() -> None:
-    qp, fresh = QpFilter(), QpFilter()
-    qp.solve(0.0, -1.0, -0.05, 0.05)
-    qp.solve(nan, -1.0, -0.05, 0.05)
-    assert qp.solve(2.0, -0.05, -0.05, 0.05) == fresh.solve(2.0, -0.05, -0.05, 0.05)
-
-
 def test_the_closed_form_stands_in_when_osqp_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     qp = QpFilter()
     monkeypatch.setattr(qp, "_ask", lambda *problem: nan)

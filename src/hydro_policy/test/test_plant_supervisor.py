@@ -160,22 +160,6 @@ def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: b
     assert watch.may_begin(1.1)
 
 
-def test_a_plant_that_is_armed_by_hand_before_all_is_ready_is_disarmed_again_and_again() -> None:
-    heard, learner = Heard(), Slow()
-    watch = PlantSupervisor(heard, False, [learner.requirement])
-    for second in range(3):
-        run(watch, 0, second, second + 0.5)
-        run(watch, ARMED, second + 0.5, second + 1.0)
-    assert heard.armings == [False] * 3 and heard.said.count(TOO_EARLY) == 3
-
-
-def test_what_stays_armed_is_asked_to_disarm_each_second_and_told_once() -> None:
-    heard = Heard()
-    watch = PlantSupervisor(heard, rearm=True)
-    run(watch, ARMED, 0.0, 3.5)
-    assert heard.armings == [False] * 4 and heard.said == [TOO_EARLY]
-
-
 def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_armed_anew() -> None:
     heard = Heard()
     watch = armed_watch(heard, rearm=True)

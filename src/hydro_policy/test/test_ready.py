@@ -10,19 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.safety.readiness import NotReadyError, Requirement
+from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag
 from hydro_filter.controller.filter import Result
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.offline import PASSED, InlineLearner, OfflineGraph
 from hydro_policy.sessions.session import Session
 from hydro_policy.sessions.training import TrainingSession
-from hydro_policy.supervision.arming import HOW_TO_ARM
-from hydro_policy.supervision.plant_supervisor import IDLE
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import TaskSettings
 from hydro_sim.model.bench import Bench
@@ -131,58 +128,3 @@ def test_a_plant_that_waited_armed_is_in_a_defined_state_when_something_acts(mak
     graph.run(session, 0.5, learner)
     assert len(graph.armed_at) == 2 and graph.disarmed_at[0] < graph.armed_at[1] <= graph.acted_at[0]
     assert abs(graph.integral_then[0]) < 0.05 * waited
-
-
-@SESSIONS
-def test_where_a_person_arms_a_plant_that_was_found_armed_waits_for_that_person(make: Callable[..., Session]) -> None:
-    graph, learner = Timed(), InlineLearner(SHORT)
-    graph.wait_armed(1.0)
-    session = make(graph, learner, rearm=False)
-    graph.run(session, 5.0, learner)
-    assert graph.acted_at == [] and len(graph.armed_at) == 1 and len(graph.disarmed_at) == 1
-    assert "armed before all was ready" in graph.sentences[0] and HOW_TO_ARM in graph.sentences[-1]
-    session.watch.arm_now(graph.time)
-    graph.run(session, 0.5, learner)
-    assert graph.acted_at and graph.armed_at[1] <= graph.acted_at[0]
-
-
-def test_a_learner_that_is_lost_in_a_pause_is_awaited_before_the_plant_is_armed_again() -> None:
-    graph = Timed()
-    learner = SlowLearner(graph, 0.0)
-    session = training(graph, learner)
-    graph.run(session, 1.0, learner)
-    assert session.phase is Phase.TRAINING
-    learner.ready_from = graph.time + 3.0
-    graph.run(session, 0.2, learner)
-    assert session.phase is Phase.TRAINING, "acting does not wait for learning"
-    graph.arm(False)
-    graph.run(session, 2.0, learner)
-    assert session.phase is Phase.PAUSED and len(graph.armed_at) == 1
-    graph.run(session, 1.5, learner)
-    assert session.phase is Phase.TRAINING and graph.armed_at[1] >= learner.ready_from
-
-
-def test_after_gains_that_a_person_held_for_long_the_plant_is_armed_anew_and_the_episode_begins_anew() -> None:
-    graph, learner = Timed(), InlineLearner(SHORT)
-    session = training(graph, learner)
-    graph.run(session, 1.0, learner)
-    session.override.hold(20.0, 5.0, 0.0, graph.time)
-    graph.run(session, IDLE + 1.0, learner)
-    assert len(graph.armed_at) == 1, "while it is held nothing is disarmed"
-    session.override.release()
-    graph.run(session, 1.0, learner)
-    assert len(graph.armed_at) == 2 and session.phase is Phase.TRAINING
-    first = next(i for i, when in enumerate(graph.acted_at) if when >= graph.armed_at[1])
-    assert abs(graph.integral_then[first]) < 0.05 * max(map(abs, graph.integral_then))
-    assert session.progress.interruptions == 1
-
-
-@SESSIONS
-def test_what_never_gets_ready_ends_the_session_in_its_sentence_and_nothing_was_armed(
-    make: Callable[..., Session],
-) -> None:
-    graph, learner = Timed(), InlineLearner(SHORT)
-    session = make(graph, learner, from_when("the recorder", graph, np.inf, within=5.0))
-    with pytest.raises(NotReadyError, match="the recorder never came"):
-        graph.run(session, 6.0, learner)
-    assert graph.armed_at == [] and graph.acted_at == []

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
-from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.controllers import FixedGains, PolicyController
 from hydro_policy.evaluation.policy_examination import LEAD
 from hydro_policy.evaluation.session import EvaluationSession
@@ -302,30 +300,3 @@ def test_the_current_is_judged_again_once_the_force_is_back_from_base_gains() ->
     assert monitor.add(replace(wild, held=int(Flag.FILTER_STALE))) is None
     *spared, judged = (monitor.add(wild) for _ in range(30))  # 0.2 s of return, and a window of 0.1 s
     assert spared == [None] * 29 and judged is not None and "chattering" in judged
-
-
-def test_with_a_lead_controllers_take_turns_and_the_first_run_of_each_settles_longer() -> None:
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    controllers = [FixedGains(90.0, 15.0), FixedGains(60.0, 10.0)]
-    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5, repeats=2)
-    session = EvaluationSession(settings, controllers, graph, lead=1.0)
-    graph.run(session, 20.0)
-    assert [score.controller for score in session.scores] == [one.name for one in controllers for _ in range(2)]
-    assert session.seconds == session.seconds_done == pytest.approx(4 * 1.0 + 2 * 1.0)
-    begins = [int(trace.states["sequence"][0]) for trace in session.traces]
-    np.testing.assert_allclose(np.diff(begins), [1000, 2000, 1000], atol=2)
-
-
-def test_an_examination_that_follows_no_episode_begins_with_a_lead(monkeypatch: pytest.MonkeyPatch) -> None:
-    leads = []
-
-    class Spied(EvaluationSession):
-        def __init__(self, *given: Any, lead: float, **more: Any) -> None:
-            leads.append(lead)
-            super().__init__(*given, lead=lead, **more)
-
-    monkeypatch.setattr(policy_examination, "EvaluationSession", Spied)
-    graph, learner, session = start(settings())
-    graph.run(session, 90.0, learner)
-    assert session.finished
-    assert leads == [LEAD, 0.0, 0.0]

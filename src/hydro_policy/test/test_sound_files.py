@@ -21,7 +21,6 @@ from hydro_policy.nodes.training.start import begin_checkpoint, check_run
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
-from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import load_policy
 from hydro_sim.learned.model import Learned
@@ -68,12 +67,6 @@ def damaged(source: Path, folder: Path, damage: Callable[[Tensors], None]) -> Pa
     damage(tensors)
     save_file(tensors, str(path), metadata)
     return path
-
-
-@pytest.mark.parametrize("kind", FILES)
-def test_a_file_as_it_is_shipped_is_taken(kind: str) -> None:
-    source, load = FILES[kind]
-    load(source)
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
@@ -143,12 +136,6 @@ def test_a_run_that_was_killed_before_anything_moved_can_be_gone_on_with(run: Ru
     assert load_policy(run.policy)
 
 
-def test_a_run_that_was_killed_before_its_first_checkpoint_leaves_its_name_free(tmp_path: Path) -> None:
-    RunDirectory(tmp_path / "run").create()
-    (tmp_path / "run" / "checkpoints" / "latest.partial").mkdir()
-    RunDirectory(tmp_path / "run").create()
-
-
 def nothing_in(name: str) -> Callable[[RunDirectory], None]:
     return lambda run: (run.latest / name).write_bytes(b"")  # type: ignore[return-value]
 
@@ -194,12 +181,6 @@ def test_a_damaged_checkpoint_is_refused_in_a_sentence_with_its_place(
     damage(run)
     with pytest.raises(ValueError, match="checkpoints"):
         check_run(run, run.load_settings(), load_checkpoint(run.latest))
-
-
-def test_a_record_that_is_damaged_is_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "run.json").write_text('{"events": [')
-    with pytest.raises(ValueError, match=r"run\.json is no record of a run"):
-        RunRecord(tmp_path / "run.json")
 
 
 def test_a_resumed_run_gets_its_own_plant_back(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.cli.console import UserError
 from hydro_policy.nodes.trainer import asked
-from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration, configuration_of
+from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.run import RunDirectory
 
 
@@ -46,11 +45,3 @@ def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(
     with pytest.raises(UserError, match=re.escape(told)) as refused:
         asked(["--resume", str(run.path), *words])
     assert str(refused.value).startswith(f"{run.path} goes on as it was begun, without ")
-
-
-@pytest.mark.parametrize("name", CONFIGURATIONS)
-def test_a_runs_configuration_is_known_by_its_task(name: str) -> None:
-    settings = configuration(name, seed=7)
-    shorter = replace(settings, episodes=3, task=replace(settings.task, steps_per_episode=60))
-    assert configuration_of(settings) == configuration_of(shorter) == name
-    assert configuration_of(replace(settings, task=replace(settings.task, trip_penalty=1.0))) is None

@@ -32,10 +32,3 @@ def test_a_training_is_told_with_its_curve_examinations_and_stops(tmp_path: Path
     assert page.count("<img") == 1
     rows = report.exam_table(EVENTS).rows
     assert [row["kept"] for row in rows] == ["yes", "no"] and rows[0]["rmse"] == "3.5, 2.0"
-
-
-def test_a_training_that_never_began_has_a_page_without_a_curve(tmp_path: Path) -> None:
-    curve = tmp_path / "learning.png"
-    report.draw_curve(EVENTS[:1], curve)
-    assert not curve.exists()
-    assert [section.heading for section in report.sections(EVENTS[:1], curve)] == ["Learning curve", "What happened"]

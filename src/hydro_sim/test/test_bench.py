@@ -2,14 +2,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from math import nan, sqrt
 from pathlib import Path
 
 import pytest
 import yaml
 
-from hydro_sim.model.bench import BENCH_DTYPE, Bench
+from hydro_sim.model.bench import Bench
 
 
 def write(path: Path, **changes: object) -> Path:
@@ -28,17 +27,6 @@ def test_shipped_bench_has_the_values_of_the_contract(bench: Bench) -> None:
         "load_cell_bandwidth": 25.0,
     }  # fmt: skip
     assert bench.valve_gain == pytest.approx(1.67e-4 / (0.05 * sqrt(3.5e6)), rel=1e-15)
-
-
-def test_bench_survives_a_file(bench: Bench, tmp_path: Path) -> None:
-    assert Bench.load(write(tmp_path / "bench.yaml")) == bench
-
-
-def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
-    path = write(tmp_path / "bench.yaml")
-    path.write_text(re.sub("bulk_modulus: .*", "bulk_modulus: 1.5e9", path.read_text()))
-    assert yaml.safe_load(path.read_text())["bulk_modulus"] == "1.5e9"
-    assert Bench.load(path).bulk_modulus == 1.5e9
 
 
 def test_optional_key_may_be_absent(tmp_path: Path) -> None:
@@ -106,15 +94,3 @@ def test_what_is_no_bench_is_refused_by_name(content: bytes, tmp_path: Path) -> 
     with pytest.raises(ValueError, match=re.escape(str(path))) as refusal:
         Bench.load(path)
     assert "\n" not in str(refusal.value)
-
-
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"nowhere\.yaml: No such file"):
-        Bench.load(tmp_path / "nowhere.yaml")
-
-
-def test_compiled_code_reads_the_same_values(bench: Bench) -> None:
-    record = replace(bench, load_cell_bandwidth=10.0).constants()[0]
-    assert record["load_cell_omega"] == pytest.approx(62.83185307)
-    for name in set(BENCH_DTYPE.names or ()) - {"load_cell_omega", "effects"}:
-        assert record[name] == getattr(bench, name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import os
-import pty
 import subprocess
 import sys
 import time
@@ -26,9 +25,6 @@ from hydro_sim.excitation.playback import Playback  # noqa: E402
 from hydro_sim.excitation.schedules import Segment  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY  # noqa: E402
-from hydro_sim.nodes.collect import main  # noqa: E402
-
-SINE = "{seconds: 1.0, amplitude: 200}"
 
 
 @pytest.fixture(autouse=True)
@@ -36,58 +32,6 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of its own: collect refuses to begin beside whatever other tests may have left on theirs."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + (os.getpid() + 50) % 100))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--seconds", "nan"], "--seconds nan: 1 to 36000 is meant"),
-        (["--seconds", "-5"], "--seconds -5: 1 to 36000 is meant"),
-        (["--seed", "-1"], "--seed -1: 0 or more is meant"),
-        (["--seconds", "5", "--write-schedule", "/dev/null/s.yaml"], "/dev/null/s.yaml cannot be written"),
-        (["--seconds", "5", "--out", "/dev/null/bag"], "/dev/null/bag cannot be made"),
-        (["--bench", "nowhere.yaml"], "nowhere.yaml: No such file or directory"),
-        (["--rearm", "never"], "invalid choice: 'never'"),
-    ],
-)
-def test_wrong_words_end_in_one_sentence_and_status_2(
-    words: list[str], sentence: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    assert _refused(words, monkeypatch, capfd, tmp_path)[-1].find(sentence) >= 0
-
-
-@pytest.mark.parametrize(
-    ("segments", "sentence"),
-    [
-        (f"[{SINE}, {{seconds: abc}}]", "segments[1].seconds must be a number in s, not 'abc'"),
-        (f"[{SINE}, {{seconds: -2}}]", "segments[1].seconds must be within [0.001, 36000] s, not -2"),
-        (f"[{SINE}, {{seconds: 1, waveform: foo}}]", "segments[1].waveform must be one of hold, sine, "),
-        (f"[{SINE}, {{seconds: 1, amplitude: .nan}}]", "segments[1].amplitude must be a number in N, not nan"),
-        (f"[{SINE}, {{seconds: 1, kp: x}}]", "segments[1].kp must be a number in 1/s, not 'x'"),
-        (f"[{SINE}, {{amplitude: 1}}]", "segments[1] lacks seconds [s]"),
-        (f"[{SINE}, {{seconds: 1, delta_u: 0.01}}]", "segments[1].delta_u is 0.01 A: only the emulator"),
-        ("[]", "must hold one list of segments under the key segments"),
-        ("3", "must hold one list of segments under the key segments"),
-    ],
-)
-def test_a_schedule_is_checked_whole_before_anything_moves(
-    segments: str, sentence: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    (tmp_path / "s.yaml").write_text(f"segments: {segments}\n")
-    said = _refused(["--schedule", str(tmp_path / "s.yaml")], monkeypatch, capfd, tmp_path)
-    assert len(said) == 1
-    assert sentence in said[0]
-
-
-def _refused(
-    words: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], folder: Path
-) -> list[str]:
-    monkeypatch.setattr(sys, "argv", ["collect", "--out", str(folder / "bag"), *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert not (folder / "bag").exists()
-    return capfd.readouterr().err.splitlines()
 
 
 def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> None:
@@ -237,27 +181,6 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
     armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
     begun = np.flatnonzero(np.diff(armed.astype(int)) == 1)[-1] + 1
     assert armed[begun:].sum() > 900 and not armed[begun - 900 : begun].any()
-
-
-@pytest.mark.graph
-@pytest.mark.study
-def test_a_terminal_that_has_gone_changes_nothing(plant: Callable[..., None], tmp_path: Path) -> None:
-    plant("-r", "__node:=bench")
-    ours, theirs = pty.openpty()
-    words = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
-    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=theirs)
-    os.close(theirs)
-    os.close(ours)  # not its controlling terminal: no SIGHUP comes, and what it says is an error of the system
-    end = time.monotonic() + 60.0
-    while process.poll() is None and time.monotonic() < end:
-        subprocess.run([str(executable_path("hydro_bridge", "arm"))], timeout=30, check=False)
-        time.sleep(2.0)  # who arms too early is disarmed, and the second at rest begins anew
-    assert process.wait(10.0) == 0
-    armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], armed.astype(int), [0]])))
-    begin, end_of_drive = max(edges.reshape(-1, 2), key=lambda stretch: stretch[1] - stretch[0])
-    assert end_of_drive - begin > 900, "it drove"
-    assert end_of_drive < len(armed), "and disarmed; who arms after that, above, arms for nobody"
 
 
 @pytest.mark.graph

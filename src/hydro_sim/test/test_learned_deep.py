@@ -13,13 +13,13 @@ from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings, weights
 from hydro_sim.files.weights import WeightsError
-from hydro_sim.identification import adam, learn, training
+from hydro_sim.identification import training
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.learned.region import Region
 from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
-from hydro_sim.neural import deep, mlp, network, normalized
+from hydro_sim.neural import deep
 from hydro_sim.neural.deep_model import DeepModel
 from hydro_sim.structured.model import StructuredModel
 
@@ -47,24 +47,6 @@ def windows(data, chosen, count):
     rows = np.random.default_rng(2).integers(600, len(run) - HORIZON - 1, count)[:, None] + np.arange(HORIZON + 1)
     z, v = (run.x - chosen.center) / chosen.scale, run.u / chosen.current_scale
     return z[rows[:, 0]], v[rows[:, :-1]], z[rows[:, 1:]]
-
-
-def test_two_layers_are_the_papers_network():
-    """Another way of computing the same: loss, gradient and roll-out."""
-    rng, sizes = np.random.default_rng(0), (9, 32, 32, 8)
-    flat = normalized.initial(np.random.default_rng(3), sizes)
-    np.testing.assert_array_equal(flat, mlp.initial(np.random.default_rng(3), 9, (32, 32), 8))
-    layers, step, one = mlp.layers(flat, 9, (32, 32), 8), np.full(8, 0.05), np.ones(8)
-    parts = deep.Parts(flat, np.array(sizes), step, False, IDEAL.constants(), np.zeros(2), one, one, 1.0)
-    n = deep.BLOCK + 5
-    starts, currents = rng.standard_normal((n, 8)), rng.standard_normal((n, 12))
-    targets = rng.standard_normal((n, 12, 8))
-    loss, gradient = deep.loss_and_gradient(*parts, starts, currents, targets, 2)
-    expected, expected_gradient = network.loss_and_gradient(layers, step, starts, currents, targets, False, 2)
-    assert loss == pytest.approx(expected, rel=1e-12)
-    np.testing.assert_allclose(gradient, expected_gradient, atol=1e-12 * np.abs(expected_gradient).max())
-    rolled = deep.rollout(*parts, starts, currents)
-    np.testing.assert_allclose(rolled, network.rollout(layers, step, starts, currents), atol=1e-12)
 
 
 @pytest.mark.parametrize("bench", [None, IDEAL, LAGGING], ids=["alone", "ideal load cell", "amplifier"])
@@ -99,16 +81,6 @@ def test_an_untrained_residual_is_the_simulated_bench(data, bench):
         assert predicted[k, 2] == pytest.approx(y[4], abs=0.05)
 
 
-def test_residual_learns_what_the_equations_lack(data):
-    loop = adam.Settings(epochs=20, validate_every=5, learning_rate=3e-3)
-    chosen = training.Settings(structure="residual", hidden=(16, 16), stride=40, batch=128, adam=loop)
-    untrained = training.start(data, chosen, IDEAL)
-    assert isinstance(untrained, DeepModel) and untrained.name == "residual"
-    *_, (progress, best) = training.steps(untrained, data, chosen)
-    errors = progress.history[np.isfinite(progress.history[:, 2]), 2]
-    assert errors[-1] < 0.7 * errors[0] and isinstance(best, DeepModel)
-
-
 @pytest.mark.parametrize(
     ("structure", "hidden", "name"),
     [
@@ -135,14 +107,6 @@ def test_layers_of_any_number_are_saved_loaded_and_simulated(data, structure, hi
     assert np.abs((stepped - expected) / chosen.scale).max() < 1e-4
 
 
-def test_plant_of_a_residual_stays_bounded_under_any_current(data, tmp_path):
-    run, rng = data.training[0], np.random.default_rng(4)
-    plant = LearnedPlant(Learned(model=model(data, IDEAL, change=0.3), region=Region.about(run.x, run.u)))
-    for current in rng.choice([-0.05, 0.05], 40):
-        for _ in range(100):
-            assert np.all(np.isfinite(plant.step(float(current))))
-
-
 def test_a_file_whose_layers_do_not_fit_is_refused(data, tmp_path):
     run, chosen = data.training[0], DeepModel.untrained(data.training, (8, 7, 6), 0, None)
     header, tensors = chosen.header(), chosen.tensors()
@@ -154,18 +118,3 @@ def test_a_file_whose_layers_do_not_fit_is_refused(data, tmp_path):
     weights.save(tmp_path / "w", tensors, {**header, "structure": "network"})
     with pytest.raises(WeightsError, match="two hidden layers"):
         Learned.load(tmp_path / "w")
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--hidden", "8", "8", "8"], "--hidden names 3 layers"),
-        (["--structure", "residual", "--printed-loss"], "--printed-loss"),
-        (["--structure", "network", "--hidden", "8", "--printed-loss"], "--printed-loss"),
-    ],
-)
-def test_learn_says_what_goes_with_which_structure(words, sentence, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", "--out", str(tmp_path / "x.safetensors"), *words])
-    with pytest.raises(SystemExit) as ended:
-        learn.main()
-    assert ended.value.code == 2 and sentence in capsys.readouterr().err

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -37,19 +35,6 @@ def test_network_gradient_is_that_of_torch(printed, windows, hidden):
     assert close(gradient, expected_gradient)
 
 
-def test_rollout_is_the_network_one_window_at_a_time():
-    rng = np.random.default_rng(2)
-    layers, step = mlp.layers(mlp.initial(rng, 9, (6, 5), 8), 9, (6, 5), 8), np.full(8, 0.05)
-    starts, currents = rng.standard_normal((network.BLOCK + 5, 8)), rng.standard_normal((network.BLOCK + 5, 10))
-    states = network.rollout(layers, step, starts, currents)
-    x, a1, a2, y = np.empty(9), np.empty(6), np.empty(5), np.empty(8)
-    for window in (0, network.BLOCK - 1, network.BLOCK, network.BLOCK + 4):
-        z = starts[window].copy()
-        for h in range(10):
-            network.advance(layers, step, z, currents[window, h], x, a1, a2, y)
-            assert states[window, h] == pytest.approx(z, rel=1e-12, abs=1e-14)
-
-
 def random_start(rng, count):
     """States spread over the working range."""
     spread = np.array([1e6, 1e6, 5e-3, 0.1, 3e-3, 0.5, 100.0, 1000.0, 1e-5])
@@ -75,16 +60,6 @@ def test_structured_gradient_is_that_of_torch():
     assert close(by_network, expected_network)
 
 
-def test_gradient_of_constants_chains_through_their_scales():
-    table = constants.constants(Bench.nominal())
-    theta, nudge = 0.05 * np.random.default_rng(2).standard_normal(len(table)), 1e-6
-    _, slope = constants.values(table, theta)
-    ahead, behind = (constants.values(table, theta + sign * nudge)[0] for sign in (1.0, -1.0))
-    learned = np.array([entry.learned for entry in table])
-    assert np.allclose(slope[learned], ((ahead - behind) / (2.0 * nudge))[learned], rtol=1e-6)
-    assert not slope[~learned].any()
-
-
 def test_both_engines_give_the_same_gradients_of_a_training():
     """What `learn` asks an engine for, from the objectives themselves; torch on its CPU stands in for the GPU."""
     recording = record_offline(profile("default"), [Segment(seconds=16.0, amplitude=250.0, frequency=0.9)], seed=5)
@@ -101,20 +76,3 @@ def test_both_engines_give_the_same_gradients_of_a_training():
         (loss, gradient), (other_loss, other_gradient) = results
         assert loss == pytest.approx(other_loss, rel=tolerance)
         assert close(gradient, other_gradient, tolerance)
-
-
-def test_engines_are_those_of_the_machine(monkeypatch):
-    monkeypatch.setattr(engines, "_has_gpu", lambda: False)
-    assert [one.name for one in engines.engines("auto")] == ["cpu"]
-    with pytest.raises(ValueError, match="torch finds no GPU"):
-        engines.engines("cuda")
-    monkeypatch.setattr(engines, "_has_gpu", lambda: True)
-    assert [one.name for one in engines.engines("auto")] == ["cpu", "cuda"]
-    assert [one.name for one in engines.engines("cuda")] == ["cuda"]
-    with pytest.raises(ValueError, match="device is 'tpu'"):
-        engines.engines("tpu")
-
-
-def test_the_quickest_engine_is_taken():
-    slow, fast = engines.TorchEngine("cpu"), engines.CompiledEngine()
-    assert engines.fastest_engine((slow, fast), lambda one: time.sleep(0.3 if one is slow else 0.0)) is fast
