@@ -156,26 +156,12 @@ def test_beyond_float32_becomes_infinity():
     assert isinstance(command, CommandFrame) and command.command.delta_kp == float("inf")
 
 
-@given(st.binary(max_size=200))
-def test_decoding_hostile_bytes_raises_malformed_only(data):
-    with pytest.raises(MalformedError):
-        decode(data.replace(b"\0", b"\1"))
-
-
 @given(st.binary(max_size=120))
 def test_decoding_hostile_bytes_with_a_valid_check_sum_raises_malformed_only(body):
     try:
         decode(sealed(body))
     except MalformedError as error:
         assert not isinstance(error, CheckSumError)
-
-
-@given(st.integers(0, 83 * 8 - 1))
-def test_any_flipped_bit_is_refused(bit):
-    wire = bytearray(inside(encode_state(1, 2, [3.25] * 14, 4, 5)))
-    wire[bit // 8 % len(wire)] ^= 1 << bit % 8
-    with pytest.raises(MalformedError):
-        decode(bytes(wire).replace(b"\0", b""))
 
 
 def body_of(wire: bytes) -> bytearray:

@@ -29,7 +29,7 @@ from hydro_filter.model.loop import (
     settle,
     step_of,
 )
-from hydro_filter.model.loop_model import CLOSED, LOOP, LOOP_FIELDS
+from hydro_filter.model.loop_model import CLOSED, LOOP
 from hydro_filter.model.state import STATES
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
@@ -68,16 +68,6 @@ def of(case: str) -> BenchLoop:
     loop = loop_of(having(*CASES[case]), Bench.nominal())
     assert isinstance(loop, BenchLoop)
     return loop
-
-
-def test_the_coordinates_that_an_effect_adds_are_named() -> None:
-    assert coordinates_of(of("1 ms"))[LOOP:] == ("current_1",)
-    assert coordinates_of(of("1.3 ms, no lag of the valve"))[LOOP:] == ("current_1", "current_2")
-    shown = ("p_a_shown", "p_a_shown_rate")
-    assert coordinates_of(of("a sensor 80 Hz"))[LOOP:] == shown
-    assert coordinates_of(of("all of it"))[LOOP:] == (*shown, "p_b_shown", "p_b_shown_rate", "current_1")
-    plain = loop_of(having(LAG, LEAK), Bench.nominal())
-    assert coordinates_of(plain) == LOOP_FIELDS and len(plain.scale) == LOOP
 
 
 def whole_loop(bench: Bench, gain: float) -> FloatArray:

@@ -179,17 +179,6 @@ def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[.
     assert source.corrections[0].delta_u > 0.0
 
 
-def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started("--bypass", *CONSTANT)
-    source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
-    source.wait(lambda: bool(source.corrections))
-    assert source.corrections[0].status == CorrectionStatus.BYPASSED
-    assert source.corrections[0].delta_u == 0.0
-    assert source.corrections[0].certificate_before > 0.0
-    source.wait(lambda: any("BYPASSED" in status.message for status in source.diagnostics))
-    assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
-
-
 def test_under_the_compensated_law_every_answer_is_bypassed_and_under_the_papers_as_ever(
     started: Callable[..., Source], still: FloatArray
 ) -> None:
@@ -222,17 +211,6 @@ def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callabl
         assert later.count(CorrectionStatus.PASS) == len(later)
     finally:
         simulation.stop()
-
-
-def test_diagnostics_count_what_happened(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*CONSTANT)
-    for sequence in (0, 1, 5):
-        source.publish(sequence, samples(still, 1)[0]._replace(proportional_gain=90.0))
-    source.wait(lambda: any(dict_of(status).get("pass") == "3" for status in source.diagnostics))
-    values = dict_of(source.diagnostics[-1])
-    assert values["missing_states"] == "3"
-    assert values["nan"] == values["stale"] == values["qp_fallbacks"] == "0"
-    assert 0.0 < float(values["work_p50_ms"]) <= float(values["age_p99_9_ms"])
 
 
 def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after_a_gap(

@@ -16,7 +16,6 @@ from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import CALM
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -41,19 +40,6 @@ def test_search_finds_the_best_pair_and_never_climbs_beyond_the_first_that_is_st
     assert len(search.tried) < 30
     assert np.isinf(search.scores[(150.0, 15.0)]) and search.best_each == [search.best] * 2
     assert search.found
-
-
-def test_a_run_that_was_stopped_is_not_held_against_the_next_one() -> None:
-    """(15, 5) lags by more than the monitor bears; what follows begins only when the force is back."""
-    bench = Bench.nominal()
-    graph = OfflineGraph(LearnedPlant(), bench, guard=GuardSettings(delta_kp_max=285.0))
-    evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=1.0, repeats=3)
-    monitor = SafetyMonitor(MonitorSettings(peak_error=200.0))
-    controllers = [FixedGains(15.0, 5.0), FixedGains(90.0, 15.0)]
-    session = EvaluationSession(evaluation, controllers, graph, monitor=monitor)
-    graph.run(session, 60.0)
-    stopped = [(score.controller, score.case) for score in session.scores if score.stopped]
-    assert session.finished and stopped == [("fixed (15, 5)", "2 Hz")] * 3
 
 
 def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_track_well() -> None:

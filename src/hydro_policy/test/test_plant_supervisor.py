@@ -103,25 +103,6 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
     assert [HOW_TO_ARM in sentence for sentence in heard.said[1:]] == ([] if rearm else [True])
 
 
-def test_enter_before_all_is_ready_is_answered_and_not_kept() -> None:
-    heard, learner = Heard(), Slow()
-    watch = PlantSupervisor(heard, False, [learner.requirement])
-    run(watch, STALE, 0.0, 1.0)
-    watch.arm_now(1.0)
-    assert heard.said[-1] == (
-        "not armed, still waiting for the learner and the filter: you are asked once all is ready"
-    )
-    learner.ready = True
-    run(watch, 0, 1.0, 5.0)
-    assert heard.armings == [] and HOW_TO_ARM in heard.said[-1]
-    watch.arm_now(5.0)
-    run(watch, 0, 5.0, 5.5)
-    assert heard.armings == [False, True]
-    run(watch, ARMED, 5.5, 5.6)
-    watch.arm_now(5.6)
-    assert heard.armings == [False, True] and heard.said[-1] == "the plant is armed already: nothing was done"
-
-
 def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:
     heard = Heard()
     watch = PlantSupervisor(heard, rearm=False)

@@ -6,27 +6,19 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.cli.console import UserError
-from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
-from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.envs.vector_runs import fixed
-from hydro_policy.pretraining.examination import REFERENCE_GAINS, TRIPPED, Examination
-from hydro_policy.pretraining.options import parser
-from hydro_policy.pretraining.run import resumed, training_settings
-from hydro_policy.pretraining.source import load_simulation_setup, simulation_setup
+from hydro_policy.envs.randomisation import Randomisation, draw_bench
+from hydro_policy.pretraining.source import load_simulation_setup
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import dump
@@ -35,7 +27,6 @@ from hydro_policy.task.mdp import TaskSettings
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.structured import constants as learned_constants
 from hydro_sim.structured.model import StructuredModel
 
@@ -109,25 +100,6 @@ def test_a_drawn_learned_bench_has_the_constants_that_were_drawn() -> None:
         assert 1 <= drawn.gain_delay <= limits.gain_delay_max and 0 <= drawn.dead_time <= 1
 
 
-def test_drawn_benches_of_an_examination_bear_the_reference_gains_and_a_trip_counts_ten_times() -> None:
-    """At twice the spread of what is drawn, some benches do not bear (90, 15)."""
-    wild = Randomisation(spread=1.5, dead_time_max=8)
-    fleet = lambda n: VectorBench([BENCH] * n, [AnalyticPlant(BENCH) for _ in range(n)])  # noqa: E731
-    evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
-    asked: list[int] = []
-
-    def drawn(number: int) -> RandomisedBench:
-        asked.append(number)
-        return draw_bench(wild, BENCH, number)
-
-    examination = Examination(fleet, BENCH, evaluation, drawn, 4)
-    assert len(asked) > 4, "some were passed over"
-    assert examination.reference.shape == (5, 1) and np.isfinite(examination.reference).all()
-    assert examination(fixed(np.array(REFERENCE_GAINS))).score == 1.0
-    wrong = examination(fixed(np.array((300.0, 100.0))))
-    assert np.isnan(wrong.rmse[0, 0]) and wrong.ratio[0, 0] == TRIPPED
-
-
 def pretrain(*words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
@@ -169,37 +141,3 @@ def test_a_bench_file_with_hidden_states_is_trained_on_and_gone_on_with(tmp_path
     )
     done = pretrain("--resume", str(run), *words)
     assert done.returncode == 0, done.stderr
-
-
-def test_randomisation_changes_the_sizes_of_a_bench_files_effects_and_nothing_of_its_structure() -> None:
-    lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
-    gap = {"id": "valve_deadband", "parameters": {"half_width": 3e-4}}
-    plants = [draw_bench(Randomisation(), replace(Bench.nominal(), effects=(lag, gap)), seed).plant for seed in (1, 2)]
-    benches = [plant.model.bench for plant in plants if isinstance(plant, AnalyticPlant)]
-    bandwidths = {bench.effects[0]["parameters"]["bandwidth"] for bench in benches}
-    assert len(bandwidths) == 2 and all(0.9 * 110.0 <= value <= 1.1 * 110.0 for value in bandwidths)
-    assert [bench.effects[1] for bench in benches] == [gap, gap]
-
-
-def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path) -> None:
-    bench = tmp_path / "bench.yaml"
-    bench.write_text(yaml.safe_dump(Bench.nominal().to_mapping()), encoding="utf-8")
-    begun = ["--configuration", "wide", "--seed", "3", "--steps", "60", "--bench", str(bench), "--randomise"]
-    options = parser().parse_args(["--out", str(tmp_path / "run"), *begun])
-    run = RunDirectory(tmp_path / "run").create()
-    run.save_settings(training_settings(options, simulation_setup(options)))
-    simulation_setup(options).save(run.path)
-    going_on = ["--resume", str(run.path)]
-    settings, source = resumed(run, going_on)
-    assert resumed(run, [*going_on, *begun]) == (settings, source), "the same words again are fine"
-    assert (settings.seed, source.bench, source.randomise) == (3, str(bench), True)
-    for words, told in (
-        (["--seed", "0"], "--seed 0 (it has 3)"),
-        (["--configuration", "paper"], "--configuration paper (it has wide)"),
-        (["--box", str(bench), "--hidden", "64"], f"--box {bench} (it has none) and --hidden 64 (it has 32)"),
-    ):
-        with pytest.raises(UserError, match=re.escape(f"goes on as it was begun, without {told}: leave that out")):
-            resumed(run, [*going_on, *words])
-    assert run.load_settings() == settings
-    more, _ = resumed(run, [*going_on, "--episodes", "320"])
-    assert more == replace(settings, episodes=320) == run.load_settings()

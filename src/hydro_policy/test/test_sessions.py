@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -63,36 +62,6 @@ def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> N
         assert signal.waveform is Waveform.SINE
         assert 200 <= signal.amplitude <= 300 and 0.5 <= signal.frequency <= 2.0
     assert learner.updates > 150
-
-
-def test_each_step_is_told_with_its_mean_action_its_reward_and_the_weights_that_acted() -> None:
-    settings = short()
-    graph, learner, session = start(settings)
-    graph.run(session, 10.0, learner)
-    steps, mean, rewards, weights = (np.array(column) for column in zip(*graph.steps, strict=True))
-    published = {step: gains for *gains, step in graph.gains_published}
-    assert np.array_equal(steps, np.arange(steps[0], steps[0] + 301)), "two episodes without a break"
-    rows, _ = learner.replay.stored()
-    assert math.isnan(rewards[0]) and np.allclose(rewards[1:], rows[:, 28], rtol=1e-6)
-    apart = np.array([published[int(step)] for step in steps]) - mean
-    spread = np.abs(apart).max(axis=0)
-    assert (spread > (1.0, 0.1)).all() and np.abs(apart.mean(axis=0) < 0.5 * spread).all(), "drawn around the mean"
-    changed = np.count_nonzero(np.diff(weights))
-    assert 5 < changed < 200, "none while it warms up, then at every publication"
-    assert int(session.policy.digest(), 16) == weights[-1]
-
-
-def test_state_of_a_session_goes_through_json_and_continues() -> None:
-    graph, learner, session = start(short())
-    graph.run(session, 10.0, learner)
-    state = json.loads(json.dumps(session.state()))
-    settings = short(episodes=3)
-    graph2 = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    again = TrainingSession(settings, InlineLearner(settings), graph2, state=state)
-    assert again.progress == session.progress
-    graph2.run(again, 10.0)
-    assert again.finished and again.progress.episode == 3 and again.progress.total_steps == 450
-    assert graph2.references[0] == settings.task.reference(2, settings.seed)
 
 
 def test_reward_is_the_paper_s_with_the_page_s_units() -> None:

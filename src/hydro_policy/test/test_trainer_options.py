@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.cli.console import UserError
 from hydro_policy.nodes.trainer import asked
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.run import RunDirectory
@@ -29,19 +27,3 @@ def test_a_run_that_goes_on_takes_what_may_change_and_the_same_words_again(run: 
     place = ["--runs", str(run.path.parent), "--name", "a"]
     assert asked([*resume, "--configuration", "wide", "--seed", "3", *place]).resume == run.path
     assert asked(["--demo", "--resume", str(run.path)]).evaluate, "the main job's defaults are nobody's words"
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["--from", "runs/other"], "--from runs/other"),
-        (["--configuration", "paper"], "--configuration paper (it has wide)"),
-        (["--seed", "0", "--name", "b"], "--seed 0 (it has 3) and --name b (it has a)"),
-    ],
-)
-def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(
-    words: list[str], told: str, run: RunDirectory
-) -> None:
-    with pytest.raises(UserError, match=re.escape(told)) as refused:
-        asked(["--resume", str(run.path), *words])
-    assert str(refused.value).startswith(f"{run.path} goes on as it was begun, without ")

@@ -29,13 +29,6 @@ def test_shipped_bench_has_the_values_of_the_contract(bench: Bench) -> None:
     assert bench.valve_gain == pytest.approx(1.67e-4 / (0.05 * sqrt(3.5e6)), rel=1e-15)
 
 
-def test_optional_key_may_be_absent(tmp_path: Path) -> None:
-    bench = Bench.load(write(tmp_path / "bench.yaml", load_cell_bandwidth=...))
-    assert bench.load_cell_bandwidth is None
-    assert bench.constants()["load_cell_omega"][0] == 0.0
-    assert "load_cell_bandwidth" not in bench.to_mapping()
-
-
 def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
     effects = [
         {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},

@@ -15,7 +15,7 @@ from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation import drawn as schedule
 from hydro_sim.files import recordings
 from hydro_sim.files.recordings import DataError
-from hydro_sim.identification import adam, learn, training
+from hydro_sim.identification import adam, training
 from hydro_sim.identification.checkpoint import Checkpoint
 from hydro_sim.model.bench import Bench
 
@@ -128,33 +128,3 @@ def begun(data, tmp_path):
     first = Checkpoint(progress=adam.Progress.begin(model.flat), model=model, settings=settings(), asked=asked)
     first.save(tmp_path / "x.checkpoint")
     return tmp_path / "x.safetensors"
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--seed", "3"], "without --seed 3 (it has 0): leave that out"),
-        (
-            ["--batch", "8192", "--hidden", "8", "8"],
-            "without --hidden 8 8 (it has 32 32) and --batch 8192 (it has 256)",
-        ),
-        (["--structure", "structured"], "without --structure structured (it has network)"),
-        (["--bench", "b.yaml"], "without --bench b.yaml (it has none)"),
-    ],
-)
-def test_learn_that_goes_on_is_refused_what_it_was_not_begun_with(words, sentence, begun, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", "--out", str(begun), "--resume", *words])
-    with pytest.raises(SystemExit) as ended:
-        learn.main()
-    error = capsys.readouterr().err
-    assert ended.value.code == 2 and sentence in error and error.count("\n") == 1
-
-
-def test_learn_goes_on_with_what_it_was_begun_with_and_what_may_change(begun, monkeypatch, capsys):
-    words = ["learn", "/no/recording", "--out", str(begun), "--resume", "--batch", "256"]
-    monkeypatch.setattr("sys.argv", [*words, "--epochs", "20"])
-    kept = learn.resumed(learn.parser().parse_args())
-    assert kept.settings == settings(adam=replace(settings().adam, epochs=20))
-    begun.with_suffix(".checkpoint").unlink()
-    assert learn.resumed(learn.parser().parse_args()) is None
-    assert "begins at its beginning" in capsys.readouterr().err

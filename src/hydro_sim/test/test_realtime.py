@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from hydro_bridge.safety.guard import CommandGuard, GuardSettings
+from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
@@ -219,17 +219,6 @@ def test_a_tripped_box_says_how_to_go_on(graph: Callable[..., Graph]) -> None:
     assert refusal.startswith("the box has tripped (") and refusal.endswith("disarm it, then arm it")
     running.wait(lambda: any("FORCE_LIMIT" in sentence for sentence in running.said))  # said after it is to be seen
     assert running.simulation.arm(False) == ""
-
-
-def test_a_simulation_that_is_abandoned_is_disarmed_on_a_reference_of_zero(graph: Callable[..., Graph]) -> None:
-    running = graph(silent)
-    running.guard.settings = GuardSettings(abandoned_after=2.0)
-    running.wait(lambda: len(running.samples) > 20)
-    assert running.simulation.arm(True) == ""
-    running.gain(10.0)
-    running.wait(lambda: not running.simulation.flags & Flag.ARMED)
-    assert running.guard.given_up.startswith("no gains for 2 s") and running.guard.reference == ReferenceSignal()
-    assert running.simulation.arm(True) == ""
 
 
 def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(graph: Callable[..., Graph]) -> None:
