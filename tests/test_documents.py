@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
-import yaml
-
 from docs import generate_reference
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -27,9 +25,6 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 RUN = re.compile(r"ros2 run (\w+) (\w+)")
 MAKE = re.compile(r"(?:^|`)\s*make ([a-z][a-z-]*)", re.MULTILINE)
 MODULE = re.compile(r"python -m ((?:benchmarks|demo|tests)[\w.]*)(?: (\w+))?")
-CODE = re.compile(r"`([^`\n]+)`")
-DOTTED = re.compile(r"hydro_(?:bridge|sim|filter|policy|diagnosis)(?:\.\w+)+")
-FILE = re.compile(r"(?:src|tests|benchmarks|demo|setup|docs|firmware)/[\w/.-]+\.\w+")
 PAGE_NAME = re.compile(r"(?<![\w./-])((?:docs/[\w/-]+/)?[a-z][\w-]*)\.md\b")
 
 
@@ -58,19 +53,6 @@ def anchors(path: Path) -> set[str]:
 def blocks(path: Path, language: str) -> list[str]:
     """Return a page's fenced blocks of a language."""
     return re.findall(rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-
-
-def names_something(parts: list[str]) -> bool:
-    """Return whether a dotted name is a module of a package, or one followed by names that stand in its source."""
-    place = ROOT / "src" / parts[0] / parts[0]
-    for done, part in enumerate(parts[1:], start=1):
-        if (place / part).is_dir():
-            place /= part
-            continue
-        source = place / (f"{part}.py" if (place / f"{part}.py").exists() else "__init__.py")
-        rest = parts[done + 1 :] if source.stem == part else parts[done:]
-        return source.exists() and all(re.search(rf"\b{name}\b", source.read_text(encoding="utf-8")) for name in rest)
-    return place.is_dir()
 
 
 @lru_cache
@@ -125,17 +107,6 @@ def test_commands_and_modules_exist() -> None:
     assert unknown == []
 
 
-def test_module_and_file_paths_exist() -> None:
-    lost = []
-    for path in PAGES:
-        for code in CODE.findall("\n".join(prose(path))):
-            words = code.split("::")[0].partition("(")[0].split() or [""]
-            if DOTTED.fullmatch(words[0]) and not names_something(words[0].split(".")):
-                lost.append(where(path, code))
-            lost += [where(path, word) for word in words if FILE.fullmatch(word) and not (ROOT / word).exists()]
-    assert lost == []
-
-
 def test_options_are_known_to_their_commands() -> None:
     unknown = []
     for path in PAGES:
@@ -157,12 +128,6 @@ def test_python_blocks_import_what_is_there() -> None:
                     names = [name.name for name in node.names if not hasattr(module, name.name)]
                     lost += [where(path, f"{node.module}.{name}") for name in names]
     assert lost == []
-
-
-def test_yaml_blocks_can_be_read() -> None:
-    for path in PAGES:
-        for block in blocks(path, "yaml"):
-            assert yaml.safe_load(block), path
 
 
 def test_generated_pages_are_current() -> None:

@@ -57,8 +57,8 @@ def modules_imported(files: Iterable[Path]) -> set[str]:
 
 
 def keys_of(folder: Path, files: Iterable[Path]) -> set[str]:
-    """Return the keys of what files of a package import, without the standard library, the package and its tests."""
-    own = {folder.name, *(path.stem for path in (folder / "test").rglob("*.py"))}
+    """Return the keys of what files of a package import, without the standard library, the package and all tests."""
+    own = {folder.name, "tests", *(path.stem for path in (folder / "test").rglob("*.py"))}
     foreign = modules_imported(files) - set(sys.stdlib_module_names) - own - WITHOUT_KEY
     return {KEYS.get(name, name) for name in foreign}
 

@@ -96,10 +96,7 @@ def make_package(source: Path) -> Path:
     ("file", "rebuilds"),
     [
         ("package.xml", True),
-        ("setup.py", True),
         ("msg/State.msg", True),
-        ("msg/New.msg", True),
-        ("launch/new.launch.py", True),
         ("launch/rig.launch.py", False),
         ("rig/core.py", False),
     ],

@@ -23,15 +23,12 @@ rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
-from std_srvs.srv import SetBool  # noqa: E402
 
 from hydro_bridge.bags.recording import STATE_TOPIC, continuity, objects, read_bag  # noqa: E402
 from hydro_bridge.files import bench_file  # noqa: E402
 from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
 from hydro_bridge.ros import (  # noqa: E402
-    ARM_SERVICE,
     BOX,
-    CLAIM_SERVICE,
     CORRECTION,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
@@ -39,62 +36,16 @@ from hydro_bridge.ros import (  # noqa: E402
     GRAPH,
     REFERENCE,
     STATE,
-    Commander,
     Companion,
 )
 from hydro_bridge.serial.port import PortSettings  # noqa: E402
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame  # noqa: E402
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
-from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains  # noqa: E402
+from hydro_msgs.msg import BoxInfo, Correction, Gains  # noqa: E402
 from hydro_msgs.srv import Claim  # noqa: E402
+from tests.graph_probe import Probe  # noqa: E402
 
 pytestmark = pytest.mark.graph
-
-
-class Probe:
-    """A node of the test's own: hears states, publishes what it is told."""
-
-    def __init__(self) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("probe", context=self.context)
-        self.states: list[BenchState] = []
-        self.node.create_subscription(BenchState, STATE, self.states.append, GRAPH[STATE][1])
-        self.commander, self.commands = Commander(self.node), False
-        self.arming = self.node.create_client(Claim, CLAIM_SERVICE)
-        self.disarming = self.node.create_client(SetBool, ARM_SERVICE)
-        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-
-    def wait(self, condition: Callable[[], object], timeout: float = 20.0) -> None:
-        end = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < end, "it did not happen"
-            self.executor.spin_once(timeout_sec=0.02)
-            if self.commands:
-                self.commander.seek(time.monotonic())
-
-    def take(self) -> None:
-        """Take the authority over the plant, and keep it."""
-        self.commands = True
-        self.wait(lambda: self.commander.held)
-
-    def listen(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        self.wait(lambda: time.monotonic() > end, seconds + 20.0)
-
-    def arm(self, arm: bool) -> SetBool.Response | Claim.Response:
-        client = self.arming if arm else self.disarming
-        self.wait(client.service_is_ready)
-        request = Claim.Request(act=Claim.Request.ARM, name="probe") if arm else SetBool.Request(data=False)
-        answer = client.call_async(request)
-        self.wait(answer.done)
-        return answer.result()
-
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture
@@ -145,16 +96,16 @@ def test_bridge_arms_disarms_and_is_disarmed_after_replugging(cable, small_box, 
     box = small_box()
     start("bridge", "--port", cable.path)
     probe.wait(lambda: len(probe.states) > 20)
-    answer = probe.arm(True)
+    answer = probe.ask(True)
     assert answer.success and answer.message == "armed for nobody: base gains" and box.flags & Flag.ARMED
     cable.unplug()
-    probe.wait(lambda: "there is no box" in (refused := probe.arm(True)).message and not refused.success)
+    probe.wait(lambda: "there is no box" in (refused := probe.ask(True)).message and not refused.success)
     cable.plug_in()
     seen = len(probe.states)
     probe.wait(lambda: len(probe.states) > seen + 50)
     assert not box.flags & Flag.ARMED
-    assert probe.arm(True).success
-    assert probe.arm(False).message == "disarmed" and not box.flags & Flag.ARMED
+    assert probe.ask(True).success
+    assert probe.ask(False).message == "disarmed" and not box.flags & Flag.ARMED
 
 
 def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
@@ -169,16 +120,16 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
     probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
     assert told[-1].level == DiagnosticStatus.ERROR
-    refused = probe.arm(True)
+    refused = probe.ask(True)
     assert not refused.success and "end all but one" in refused.message
-    assert [probe.arm(True).message for _ in range(5)] == [refused.message] * 5
+    assert [probe.ask(True).message for _ in range(5)] == [refused.message] * 5
     probe.wait(lambda: refused.message in output.getvalue())
     assert output.getvalue().count(refused.message) == 1, "told once, however often it is asked for"
-    assert probe.arm(False).success
+    assert probe.ask(False).success
     probe.node.destroy_publisher(rival)
     told.clear()
     probe.wait(lambda: told and "nodes publish" not in told[-1].message)
-    assert probe.arm(True).success
+    assert probe.ask(True).success
 
 
 @pytest.fixture
@@ -194,7 +145,7 @@ def steered(cable, small_box, probe, start):
             end = time.monotonic() + seconds
             while time.monotonic() < end:
                 probe.commander.gains(32.0, 0.0)
-                probe.listen(0.01)
+                probe.spin(0.01)
 
         def armed(self) -> bool:
             return bool(self.box.flags & Flag.ARMED)
@@ -203,7 +154,7 @@ def steered(cable, small_box, probe, start):
     probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
     probe.wait(lambda: len(probe.states) > 20)
     probe.take()
-    assert probe.arm(True).success
+    assert probe.ask(True).success
     return Steered()
 
 
@@ -218,25 +169,25 @@ def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_s
     probe.wait(lambda: steered.told and "no gains for 2 s, whoever chose them is gone" in steered.told[-1].message)
     assert steered.told[-1].level == DiagnosticStatus.WARN
     assert "disarmed until it is armed anew" in steered.output.getvalue()
-    probe.listen(0.5)
+    probe.spin(0.5)
     assert not steered.armed()
-    assert probe.arm(True).success
+    assert probe.ask(True).success
     steered.told.clear()
     probe.wait(lambda: steered.told and steered.told[-1].message == "armed")
 
 
 def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
     before = probe.commander.epoch
-    probe.arm(False)
+    probe.ask(False)
     probe.wait(lambda: probe.commander.epoch != before)
-    assert probe.arm(True).success
-    probe.listen(0.6)  # until then they are late ones of the session before
+    assert probe.ask(True).success
+    probe.spin(0.6)  # until then they are late ones of the session before
     probe.commands, sent, began = False, 10, time.monotonic()
     for _ in range(sent):
         probe.commander._epoch = before  # each time: the plant keeps telling it
         probe.commander.gains(32.0, 0.0)
         probe.commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
-        probe.listen(0.05)
+        probe.spin(0.05)
     assert steered.armed() and steered.box.commands[-1].command.reference == ReferenceSignal()
 
     def counted() -> list[int]:
@@ -256,7 +207,7 @@ def test_another_node_is_told_who_commands_and_gets_its_turn(steered, probe):
 
     def both(condition: Callable[[], object]) -> None:
         def look() -> object:
-            other.executor.spin_once(timeout_sec=0.0)
+            other._executor.spin_once(timeout_sec=0.0)
             other.commander.seek(time.monotonic())
             return condition()
 
@@ -339,7 +290,7 @@ def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, star
     assert start("arm", "--off").process.wait(20.0) == 0
     assert not box.flags & Flag.ARMED
     cable.unplug()
-    probe.wait(lambda: not probe.arm(True).success)  # once the bridge has noticed
+    probe.wait(lambda: not probe.ask(True).success)  # once the bridge has noticed
     refused = start("arm")
     assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_words
 
@@ -361,7 +312,7 @@ def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start)
     box = small_box()
     bridge = start("bridge", "--port", cable.path)
     probe.wait(lambda: len(probe.states) > 20)
-    assert probe.arm(True).success
+    assert probe.ask(True).success
     begin = time.monotonic()
     bridge.process.send_signal(signal.SIGHUP)
     probe.wait(lambda: not box.commands[-1].command.arm)
@@ -390,7 +341,7 @@ def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(cable, 
     assert yaml.safe_load(said.bench)["valve_current_max"] == 0.05
     recorder = start("recorder", "--out", tmp_path / "run")
     probe.wait(lambda: probe.node.count_subscribers(BOX) == 2)
-    probe.listen(2.0)
+    probe.spin(2.0)
     assert recorder.stop() == 0 and bridge.stop() == 0
     (kept,) = [message for _, message in objects(tmp_path / "run", BOX)]
     assert (kept.bench_digest, kept.base_kp) == (said.bench_digest, 30.0)
@@ -419,7 +370,7 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
     attached.write_text("stroke: 0.08\n")
     recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached, "--realtime")
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
-    probe.listen(3.0)
+    probe.spin(3.0)
     assert recorder.stop() == 0
     recording = read_bag(tmp_path / "run")
     assert len(recording.state) > 1000 and recording.notes == ()
@@ -438,7 +389,7 @@ def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start
     probe.wait(lambda: len(probe.states) > 20)
     recorder = start("recorder", "--out", tmp_path / "run", "--realtime")
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
-    probe.listen(3.0)
+    probe.spin(3.0)
     os.killpg(recorder.process.pid, signal.SIGKILL)
     recorder.process.wait()
     last = probe.states[-1].sequence

@@ -44,16 +44,12 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
     [
         ({"bulk_modulos": 1e9}, "unknown key 'bulk_modulos'"),
         ({"stroke": ...}, "key 'stroke' is missing"),
-        ({"stroke": "long"}, "stroke = 'long' is not a number"),
         ({"stroke": -0.08}, "stroke = -0.08 is not a number in [0.001, 5] m"),
         ({"moving_mass": nan}, "moving_mass = nan is not a number in [0.01, 10000] kg"),
-        ({"moving_mass": True}, "moving_mass = True is not a number in [0.01, 10000] kg"),
-        ({"moving_mass": None}, "moving_mass = None is not a number in [0.01, 10000] kg"),
         (
             {"supply_pressure": 1e5, "tank_pressure": 2e5},
             "tank_pressure 200000 Pa is not below supply_pressure 100000 Pa",
         ),
-        ({"effects": "leak"}, "'effects' is a list of mappings, each with an 'id'"),
         ({"effects": [{"parameters": {}}]}, "'effects' is a list of mappings, each with an 'id'"),
         ({"effects": [{"id": "gremlin"}]}, "effect 'gremlin' is not known"),
         ({"effects": [{"id": "backlash"}]}, "effect backlash lacks its parameter width [m]"),
@@ -64,10 +60,6 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
         (
             {"effects": [{"id": "valve_offset", "parameters": {"current": 1e-3, "Current": 0}}]},
             "effect valve_offset has no parameter 'Current'",
-        ),
-        (
-            {"effects": [{"id": "dead_volume", "parameters": {"ratio": 1.1}}]},
-            "effect 'dead_volume' is not known; there is dead_volume chamber=a, dead_volume chamber=b",
         ),
     ],
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `collect` refuses before it moves anything; how it leaves the plant, whatever happens."""
+"""What `collect` records; how it leaves the plant, whatever happens."""
 
 from __future__ import annotations
 
@@ -7,24 +7,25 @@ import io
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("rclpy")
 
-from hydro_bridge.bags.recording import read_bag  # noqa: E402
-from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Commander, Companion, executable_path  # noqa: E402
-from hydro_bridge.signals import Flag  # noqa: E402
-from hydro_sim.excitation.playback import Playback  # noqa: E402
-from hydro_sim.excitation.schedules import Segment  # noqa: E402
-from hydro_sim.model.bench import Bench  # noqa: E402
-from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY  # noqa: E402
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executable_path
+from hydro_bridge.signals import Flag
+from hydro_sim.excitation.playback import Playback
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
+from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY
+from tests.graph_probe import Probe
 
 
 @pytest.fixture(autouse=True)
@@ -67,48 +68,18 @@ def plant() -> Iterator[Callable[..., None]]:
         companion.stop()
 
 
-class Listener:
-    """Hears states and references; commands the plant if it has a commander."""
-
-    def __init__(self) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("listener", context=self.context)
-        self.commander: Commander | None = None
-        self.flags: list[int] = []
-        self.references: list[float] = []
-        self.node.create_subscription(GRAPH[STATE][0], STATE, lambda m: self.flags.append(m.flags), GRAPH[STATE][1])
-        self.node.create_subscription(
-            GRAPH[REFERENCE][0], REFERENCE, lambda m: self.references.append(m.offset), GRAPH[REFERENCE][1]
-        )
-        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
-
-    def wait(self, condition: Callable[[], object], timeout: float = 30.0) -> None:
-        end = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < end, "waited in vain"
-            self._executor.spin_once(timeout_sec=0.02)
-            if self.commander is not None:
-                self.commander.seek(time.monotonic())
-
-    def fresh(self) -> int:
-        """Flags of a sample that is yet to come."""
-        self.flags.clear()
-        self.wait(lambda: len(self.flags) > 300)
-        return self.flags[-1]
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-
 @pytest.fixture
-def listener() -> Iterator[Listener]:
-    made = Listener()
+def listener() -> Iterator[Probe]:
+    made = Probe()
     yield made
     made.close()
+
+
+def fresh(listener: Probe) -> int:
+    """Flags of a sample that is yet to come."""
+    listener.forget()
+    listener.wait(lambda: len(listener.heard[STATE]) > 300)
+    return listener.flags()
 
 
 def _collect(folder: Path, segments: list[dict[str, object]], *words: str) -> list[str]:
@@ -121,14 +92,14 @@ HOLD = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}
 
 @pytest.mark.graph
 def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_n(
-    plant: Callable[..., None], listener: Listener, tmp_path: Path
+    plant: Callable[..., None], listener: Probe, tmp_path: Path
 ) -> None:
     plant("-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
     words = _collect(tmp_path, [{**HOLD, "kp": 80.0, "ki": 12.0}] * 2)
     ended = subprocess.run([str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False)
     assert ended.returncode == 0
-    listener.wait(lambda: listener.flags)
-    assert not listener.fresh() & Flag.ARMED
+    listener.wait(lambda: listener.heard[STATE])
+    assert not fresh(listener) & Flag.ARMED
     bag = read_bag(tmp_path / "bag")
     assert bag.metadata["hydro"]["plant"] == "sim"
     assert [s["offset"] for s in yaml.safe_load(bag.attachments["schedule.yaml"])["segments"]] == [300.0, 300.0]
@@ -142,7 +113,9 @@ def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_
 
 
 @pytest.mark.graph
-def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
+def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener: Probe, tmp_path: Path) -> None:
+    references: list[Any] = []
+    listener.node.create_subscription(GRAPH[REFERENCE][0], REFERENCE, references.append, GRAPH[REFERENCE][1])
     plant()
     crash = (
         "import hydro_bridge.ros.commander as node; from hydro_sim.nodes.collect import main\n"
@@ -156,25 +129,25 @@ def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener:
     )
     words = _collect(tmp_path, [HOLD, HOLD])
     process = subprocess.Popen([sys.executable, "-c", crash, *words], stderr=subprocess.PIPE, text=True)
-    listener.wait(lambda: listener.flags and listener.flags[-1] & Flag.ARMED)
+    listener.wait(lambda: listener.flags() & Flag.ARMED)
     assert "KeyError: 'FOO'" in process.communicate(timeout=60)[1]
     assert process.returncode == 1
-    assert not listener.fresh() & Flag.ARMED  # at once, not when the guard gives it up after 10 s
-    assert listener.references[-1] == 0.0
+    assert not fresh(listener) & Flag.ARMED  # at once, not when the guard gives it up after 10 s
+    assert references[-1].offset == 0.0
 
 
 @pytest.mark.graph
 def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a_person_is_asked(
-    plant: Callable[..., None], listener: Listener, tmp_path: Path
+    plant: Callable[..., None], listener: Probe, tmp_path: Path
 ) -> None:
     plant("-r", "__node:=bench")
     arm = [str(executable_path("hydro_bridge", "arm"))]
-    assert not listener.fresh() & Flag.ARMED
+    assert not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=60, check=True)
     output = io.StringIO()
     collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output)
     listener.wait(lambda: HOW_TO_ARM[False] in collect.last_words)
-    assert TOO_EARLY in output.getvalue() and not listener.fresh() & Flag.ARMED
+    assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=30, check=True)
     listener.wait(lambda: not collect.running)
     assert collect.stop() == 0
@@ -184,7 +157,7 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
 
 
 @pytest.mark.graph
-def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
+def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: Probe, tmp_path: Path) -> None:
     plant("-p", "box.load_force_limit:=100.0")
     words = _collect(tmp_path, [{**HOLD, "seconds": 20.0}])
     ended = subprocess.run(
@@ -192,23 +165,22 @@ def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: 
     )
     assert ended.returncode == 3
     assert "error: the plant tripped 3 times in a row: it is left disarmed" in ended.stderr.splitlines()[-1]
-    listener.wait(lambda: listener.flags)
-    assert not listener.fresh() & (Flag.ARMED | Flag.TRIPPED)
+    listener.wait(lambda: listener.heard[STATE])
+    assert not fresh(listener) & (Flag.ARMED | Flag.TRIPPED)
 
 
 @pytest.mark.graph
 @pytest.mark.parametrize(
     ("claims", "sentence"),
-    [(True, "error: listener commands this plant: end it"), (False, f"error: 2 nodes publish {GAINS} (")],
+    [(True, "error: probe commands this plant: end it"), (False, f"error: 2 nodes publish {GAINS} (")],
 )
 def test_beside_another_who_commands_it_refuses_to_start(
-    claims: bool, sentence: str, plant: Callable[..., None], listener: Listener, tmp_path: Path
+    claims: bool, sentence: str, plant: Callable[..., None], listener: Probe, tmp_path: Path
 ) -> None:
     plant()
     collect = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
     if claims:
-        listener.commander = Commander(listener.node)
-        listener.wait(lambda: listener.commander.held)
+        listener.take()
     else:
         listener.node.create_publisher(GRAPH[GAINS][0], GAINS, GRAPH[GAINS][1])
     with subprocess.Popen(collect, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:

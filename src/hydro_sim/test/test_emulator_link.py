@@ -3,24 +3,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
-from hydro_bridge.serial.protocol import Hello, State, encode_command, encode_hello
-from hydro_bridge.serial.stream import Decoder, SequenceTracker
+from hydro_bridge.serial.protocol import Hello, State
+from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
 from hydro_sim.emulator.control import ControlPipe, execute
 from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
@@ -159,103 +152,3 @@ def test_orders_come_through_the_pipe_line_by_line(tmp_path: Path) -> None:
     os.close(writer)
     pipe.close()
     assert not (tmp_path / "control").exists()
-
-
-@dataclass
-class Listener:
-    """What a reader of the running emulator saw."""
-
-    decoder: Decoder = field(default_factory=Decoder)
-    states: list[State] = field(default_factory=list)
-    lost: int = 0  # connections
-
-    def __post_init__(self) -> None:
-        self.tracker = SequenceTracker(self.decoder.counts)
-
-    def listen(self, path: Path, seconds: float) -> None:
-        """Read and command at 1 kHz, open again when the port goes away."""
-        port = Port(PortSettings(path=str(path)))
-        end, connected, sent = time.monotonic() + seconds, False, 0
-        wanted = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
-        while time.monotonic() < end:
-            try:
-                if not connected:
-                    port.open()
-                    port.write(encode_hello(1, 0))
-                    self.decoder.reset()
-                    connected, sent = True, 0
-                for frame in self.decoder.feed(port.read(0.1)):
-                    if isinstance(frame, State) and self.tracker.accept(frame.sequence):
-                        self.states.append(frame)
-                        sent += 1
-                        command = Command(arm=sent > 20, delta_kp=75.0, delta_ki=10.0, reference=wanted)
-                        port.write(encode_command(sent, 0, command))
-            except PortLostError:
-                self.lost += connected
-                connected = False
-                time.sleep(0.02)
-        port.close()
-
-
-@contextlib.contextmanager
-def running(folder: Path, *words: str) -> Iterator[tuple[Path, list[str]]]:
-    """The emulator as a process of its own; gives the port and, once it has ended, its last words."""
-    port = folder / "port"
-    command = [sys.executable, "-m", "hydro_sim.emulator.command", "--link", str(port), *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    last_words: list[str] = []
-    try:
-        assert process.stdout is not None and str(port) in process.stdout.readline()
-        yield port, last_words
-        process.send_signal(signal.SIGINT)
-        last_words += process.communicate(timeout=20)[0].splitlines()
-        assert process.returncode == 0
-    finally:
-        process.kill()
-        process.wait()
-
-
-@pytest.mark.graph
-def test_a_reader_gets_every_sample_of_the_running_emulator(tmp_path: Path) -> None:
-    listener = Listener()
-    with running(tmp_path, "--noise-free", str(tmp_path / "free.npz")) as (port, last_words):
-        listener.listen(port, 3.0)
-    sequences = np.array([state.sequence for state in listener.states])
-    assert np.array_equal(np.diff(sequences), np.ones(len(sequences) - 1))
-    assert len(sequences) == pytest.approx(3000, abs=100)
-    assert (listener.decoder.counts.crc_errors, listener.decoder.counts.malformed) == (0, 0)
-    assert listener.states[-1].flags & Flag.ARMED
-    times = np.array([state.time_us for state in listener.states])
-    assert np.array_equal(times, 1000 * sequences)
-    with np.load(tmp_path / "free.npz") as free:
-        log = free["noise_free"][sequences]
-    measured = np.array([state.values[2] for state in listener.states])
-    assert np.std(measured - log["load_force"]) == pytest.approx(0.6, rel=0.1)
-    assert "late" in last_words[0] and "commands taken" in last_words[1]
-    assert not port.exists()
-
-
-@pytest.mark.graph
-def test_a_reader_survives_a_faulty_line_and_a_replug(tmp_path: Path) -> None:
-    faults = tmp_path / "faults.yaml"
-    faults.write_text(
-        "corrupt: 0.02\ndrop: 0.02\nduplicate: 0.02\nreorder: 0.02\nnoise: 0.02\nevents: [{at: 2, unplug: 1}]\n"
-    )
-    control = tmp_path / "control"
-    listener = Listener()
-    with running(tmp_path, "--faults", str(faults), "--control", str(control), "--seed", "3") as (port, last_words):
-        listener.listen(port, 4.0)
-        control.write_text("clear\n")
-        for _ in range(10):  # whenever the emulator reads its orders
-            cleared = Listener()
-            cleared.listen(port, 0.5)
-            if not (cleared.decoder.counts.crc_errors or cleared.decoder.counts.lost):
-                break
-    counts = listener.decoder.counts
-    assert listener.lost == 1
-    assert min(counts.crc_errors, counts.lost, counts.duplicates, counts.reordered) > 5
-    assert len(listener.states) > 2000
-    assert all(abs(state.values[2]) < 1000.0 and np.isfinite(state.values).all() for state in listener.states)
-    assert cleared.decoder.counts.crc_errors == cleared.decoder.counts.lost == 0
-    assert len(cleared.states) > 300
-    assert "faults made" in last_words[1]
