@@ -40,6 +40,7 @@ def test_run_hands_over_arguments_process_and_exit_status(environment: dict[str,
         out, _ = process.communicate(timeout=60)
     assert out == f"{process.pid}: --ros-args -p speed:=0 two words\n"
     assert process.returncode == 7
+    assert ros2(environment, "pkg", "executables", "rig").stdout == "rig echo\nrig wait\n"
 
 
 def test_interrupt_reaches_the_node(environment: dict[str, str]) -> None:

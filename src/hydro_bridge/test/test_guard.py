@@ -118,9 +118,10 @@ def test_a_filter_that_did_not_decide_is_no_filter(status):
 def test_not_finite_is_dropped_counted_and_the_last_value_ages_on(bad):
     guard = fresh()
     guard.set_gains(bad, 1.0, 0.01)
+    guard.set_gains(1.0, bad, 0.01)
     guard.set_correction(bad, CorrectionStatus.PASS, 80, 0.01)
     assert guard.command(0.01).delta_kp == 30.0
-    assert guard.counts.not_finite == 2
+    assert guard.counts.not_finite == 3
     assert not guard.command(0.0201).filter_fresh
     assert guard.take_events()[0] == "gains are not finite: dropped, the ones before hold"
 

@@ -134,16 +134,6 @@ def test_a_box_that_goes_while_it_is_to_be_armed_is_not_said_to_be_armed(bench):
     assert it.link.arm(False) == ""
 
 
-def test_an_abandoned_box_is_disarmed(bench):
-    it = bench().connected()
-    it.link.guard.settings = replace(it.link.guard.settings, abandoned_after=0.1)
-    assert it.link.arm(True) == ""
-    with it.link.lock:
-        it.link.guard.set_gains(30.0, 2.0, time.monotonic())
-    wait_until(lambda: not it.box.flags & Flag.ARMED and not it.link.flags & Flag.ARMED)
-    assert it.link.guard.given_up
-
-
 def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(bench):
     it, shift = bench().connected(), [0]
     it.link.host_clock._wall = lambda: time.time_ns() + shift[0]

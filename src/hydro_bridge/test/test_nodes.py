@@ -92,22 +92,6 @@ def test_bridge_carries_states_up_and_commands_down(cable, small_box, probe, sta
     probe.wait(lambda: (box.commands[-1].command.delta_kp, box.commands[-1].command.delta_u) == (0.0, 0.0))  # stale
 
 
-def test_bridge_arms_disarms_and_is_disarmed_after_replugging(cable, small_box, probe, start):
-    box = small_box()
-    start("bridge", "--port", cable.path)
-    probe.wait(lambda: len(probe.states) > 20)
-    answer = probe.ask(True)
-    assert answer.success and answer.message == "armed for nobody: base gains" and box.flags & Flag.ARMED
-    cable.unplug()
-    probe.wait(lambda: "there is no box" in (refused := probe.ask(True)).message and not refused.success)
-    cable.plug_in()
-    seen = len(probe.states)
-    probe.wait(lambda: len(probe.states) > seen + 50)
-    assert not box.flags & Flag.ARMED
-    assert probe.ask(True).success
-    assert probe.ask(False).message == "disarmed" and not box.flags & Flag.ARMED
-
-
 def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
     small_box()
     output = io.StringIO()

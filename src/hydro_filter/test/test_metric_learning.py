@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
 from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
@@ -31,7 +30,6 @@ from hydro_filter.training.data import (
 )
 from hydro_filter.training.loss import Samples
 from hydro_filter.training.metric_learning import correction, free_plant, require_held_out
-from hydro_filter.training.options import arguments, fixed_options
 from hydro_filter.training.training import TrainingSettings, certificate_queries, train
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
@@ -161,22 +159,3 @@ def test_training_lowers_the_held_out_loss_and_resumes(asked: tuple[LearnedMetri
     resumed = list(train(metric, samples, samples, 10, settings, tmp_path / "parts", resume=True))[-1]
     np.testing.assert_allclose(resumed[1].flat, whole[1].flat, rtol=1e-12, atol=1e-14)
     assert resumed[0].history[1:] == whole[0].history[1:]
-
-
-def test_learning_that_goes_on_has_the_words_that_it_was_begun_with(
-    asked: tuple[LearnedMetric, Samples], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--out", str(tmp_path / "new" / "m.safetensors"), "--seed", "3", "--bench", "bench.yaml", "--epochs", "1"]
-    metric, samples = asked
-    assert arguments([*words, "--resume"]).seed == 3 and "begins at its beginning" in capsys.readouterr().err
-    settings = TrainingSettings(epochs=1, batch=16)
-    checkpoint = tmp_path / "new" / "m.checkpoint"
-    list(train(metric, samples, samples, 10, settings, checkpoint, begun=fixed_options(arguments(words))))
-    again = arguments([*words[:2], "--resume", "--epochs", "9"])
-    assert (again.seed, again.bench, again.epochs) == (3, str(Path("bench.yaml").absolute()), 9)
-    assert fixed_options(arguments([*words, "--resume"])) == fixed_options(again), "the same words again are fine"
-    with pytest.raises(UserError, match=r"m\.checkpoint goes on as it was begun, without --seed 0 \(it has 3\): leave"):
-        arguments([*words[:2], "--resume", "--seed", "0"])
-    checkpoint.write_text("nothing")
-    with pytest.raises(ValueError, match="no checkpoint of a training"):
-        arguments([*words, "--resume"])

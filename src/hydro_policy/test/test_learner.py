@@ -128,25 +128,6 @@ def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:
             learner.stop({})
 
 
-def test_a_checkpoint_that_cannot_be_written_is_told_and_the_one_before_stays(tmp_path: Path) -> None:
-    run = RunDirectory(tmp_path / "run").create()
-    learner = LearnerSupervisor(SETTINGS, run)
-    wait(lambda: learner.ready)
-    learner.save({"episode": 1})
-    wait(lambda: learner.checkpoints == 1)
-    run.latest.with_name("latest.partial").touch()  # in the way, as little can be done about it as about a full disk
-    learner.save({"episode": 2})
-    end = time.monotonic() + 30.0
-    with pytest.raises(LearnerError, match="no checkpoint can be written"):
-        while time.monotonic() < end:
-            learner.restart_if_dead()
-            time.sleep(0.01)
-    with pytest.raises(LearnerError, match=f"go on from the one before with --resume {run.path}"):
-        learner.stop({"episode": 3})
-    assert not learner.alive
-    assert load_checkpoint(run.latest).trainer == {"episode": 1}
-
-
 def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is_written_without_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

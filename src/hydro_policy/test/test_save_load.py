@@ -60,16 +60,6 @@ def test_interrupted_writer_leaves_the_previous_checkpoint(tmp_path: Path) -> No
     assert sorted(p.name for p in tmp_path.iterdir()) == ["latest"]
 
 
-def test_absent_or_damaged_checkpoint_is_a_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no readable checkpoint"):
-        load_checkpoint(tmp_path / "latest")
-    sac, replay = trained(1)
-    save_checkpoint(tmp_path / "latest", dump(sac), replay, {})
-    (tmp_path / "latest" / "trainer.json").write_text("{")
-    with pytest.raises(ValueError, match="no readable checkpoint"):
-        load_checkpoint(tmp_path / "latest")
-
-
 def test_numpy_policy_equals_the_torch_actor(tmp_path: Path) -> None:
     sac, _ = trained(50)
     policy = Policy(32)
