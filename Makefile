@@ -45,11 +45,12 @@ test: lint setup  ## all checks and all tests but the studies: the graph's in re
 test-slow: setup  ## before a release: the studies among the tests, and the tests of the benchmarks
 	@$(SOURCED) .venv/bin/python -m pytest -m "study and not exhaustive" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
-test-exhaustive: setup  ## every effect of the table and every mutant of the filter in C: hours, not in CI
+test-exhaustive: setup  ## every effect of the table: hours, not in CI
 	@$(SOURCED) .venv/bin/python -m pytest -m exhaustive $(BOTH_CORES) $(ARGS)
 
-graph-repeat: setup  ## the graph tests N times beside a busy process (N=100 ARGS="-k recorder")
-	@$(SOURCED) .venv/bin/python -m tests.graph_repeat --times $(N) $(ARGS)
+graph-repeat: setup  ## the graph tests N times beside a busy process, until one fails (N=100 ARGS="-k recorder")
+	@$(SOURCED) { yes > /dev/null & trap "kill $$!" EXIT; for n in $$(seq $(N)); do echo "repetition $$n"; \
+	  .venv/bin/python -m pytest -q -x -m graph $(ARGS) || exit 1; done; }
 
 check: lint fast-tests  ## format, lint, types, import rules and the fast tests
 

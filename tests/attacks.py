@@ -1,30 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """What strangers do to an armed plant, and what it does then: the table of authority.md.
 
-python -m tests.attacks [--repeats N] [--json FILE]
-
 Emulator, bridge and filter run; a commander tracks 200 N at 1 Hz with (90, 15). A stranger, a participant of its own,
 then publishes two hundred messages a second, without the epoch of the session or with it copied from the graph.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from std_srvs.srv import SetBool
 
-from hydro_bridge.cli.console import Table, add_json_argument, command
 from hydro_bridge.ros import (
     ARM_SERVICE,
     AUTHORITY,
@@ -304,41 +299,3 @@ def defended(folder: Path, say: Callable[[str], None] = lambda line: None) -> It
     with ExitStack() as stack:
         stack.enter_context(own_domain())
         yield Defended(folder, stack, say)
-
-
-@command()
-def main() -> None:
-    """Every attack, so many times; the worst of each."""
-    parser = argparse.ArgumentParser(prog="python -m tests.attacks", description=__doc__)
-    parser.add_argument("--repeats", type=int, default=1, metavar="N", help="of each attack (default 1)")
-    add_json_argument(parser)
-    asked = parser.parse_args()
-    columns = {
-        "attack": "",
-        "disarmed": "",
-        "safe_after": "ms",
-        "error": "N",
-        "before": "N",
-        "current": "mA",
-        "foreign": "",
-    }
-    table = Table(columns, title=f"Attacks on an armed plant, the worst of {asked.repeats}")
-    with tempfile.TemporaryDirectory() as folder, defended(Path(folder)) as graph:
-        for name, strike in ATTACKS.items():
-            outcomes = [graph.attack(name, strike) for _ in range(asked.repeats)]
-            safe = [outcome.safe_after for outcome in outcomes if outcome.safe_after is not None]
-            table.add(
-                attack=name,
-                disarmed=f"{len(safe)}/{len(outcomes)}",
-                safe_after=f"{1e3 * max(safe):.0f}" if safe else "",
-                error=f"{max(outcome.error for outcome in outcomes):.0f}",
-                before=f"{max(outcome.before for outcome in outcomes):.0f}",
-                current=f"{1e3 * max(outcome.current for outcome in outcomes):.2f}",
-                foreign=str(max(outcome.foreign for outcome in outcomes)),
-            )
-            print(asdict(outcomes[-1]), file=sys.stderr)
-    table.show(asked.json)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -69,15 +69,25 @@ class Probe:
         self.wait(lambda: any(wanted(message) for _, message in heard[-50:]), timeout)
         return next(message for _, message in heard if wanted(message))
 
-    def arm(self, arm: bool) -> None:
-        """Ask the plant, and wait until it confirms."""
+    def ask(self, arm: bool) -> Any:
+        """The plant's answer to a request to arm, by name, or to disarm."""
         client = self.arming if arm else self.disarming
         self.wait(client.service_is_ready)
         request = Claim.Request(act=Claim.Request.ARM, name="probe") if arm else SetBool.Request(data=False)
         answer = client.call_async(request)
         self.wait(answer.done)
-        assert answer.result().success, answer.result().message
+        return answer.result()
+
+    def arm(self, arm: bool) -> None:
+        """Ask the plant, and wait until it confirms."""
+        answer = self.ask(arm)
+        assert answer.success, answer.message
         self.wait(lambda: bool(self.flags() & Flag.ARMED) == arm)
+
+    @property
+    def states(self) -> list[Any]:
+        """Samples that were heard."""
+        return [message for _, message in self.heard[STATE]]
 
     def last(self, topic: str) -> Any:
         """The latest message of a topic."""

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from demo import page, stages, trial
-from demo.__main__ import AFTER, BEFORE, Entry, Story
+from demo import stages, trial
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSettings
 from hydro_sim.model.bench import Bench
@@ -38,18 +37,6 @@ def test_what_the_simulation_likes_best_trips_the_bench_that_it_does_not_know() 
     assert met.trips == 0
     assert met.trace["time"][-1] == pytest.approx(2.0, abs=0.01)
     assert met.mean == pytest.approx(trial.in_simulation(after, KNOWN, BELIEVED).mean, rel=0.1)
-
-
-@pytest.mark.study
-def test_page_shows_runs_that_tripped_and_runs_that_did_not(tmp_path: Path) -> None:
-    plan = stages.Plan(folder=tmp_path, truth=TRUTH, seeds=1)
-    story = Story(plan, report={"verdict": "explained", "effects": [], "fit": {"holdout": {}}})
-    for name, gain, chosen in ((BEFORE, 300.0, "believed"), (AFTER, 60.0, "corrected")):
-        outcome = trial.on_bench(FixedGains(gain, 15.0), TRUTH, BELIEVED)
-        story.entries.append(Entry(name=f"{name}, seed 0", chosen=chosen, simulated=outcome, bench=outcome))
-    assert [entry.bench.trips for entry in story.entries] == [1, 0]
-    page.draw(story, tmp_path / "page.png")
-    assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_stages_that_are_done_are_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

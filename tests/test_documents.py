@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
-import yaml
-
 from docs import generate_reference
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -21,16 +19,12 @@ DOCS = ROOT / "docs"
 FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
 PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
 SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
-CI = ".github/workflows/ci.yml"
 
 FENCE = re.compile(r"^\s*```")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 RUN = re.compile(r"ros2 run (\w+) (\w+)")
 MAKE = re.compile(r"(?:^|`)\s*make ([a-z][a-z-]*)", re.MULTILINE)
 MODULE = re.compile(r"python -m ((?:benchmarks|demo|tests)[\w.]*)(?: (\w+))?")
-CODE = re.compile(r"`([^`\n]+)`")
-DOTTED = re.compile(r"hydro_(?:bridge|sim|filter|policy|diagnosis)(?:\.\w+)+")
-FILE = re.compile(r"(?:src|tests|benchmarks|demo|setup|docs|firmware)/[\w/.-]+\.\w+")
 PAGE_NAME = re.compile(r"(?<![\w./-])((?:docs/[\w/-]+/)?[a-z][\w-]*)\.md\b")
 
 
@@ -59,19 +53,6 @@ def anchors(path: Path) -> set[str]:
 def blocks(path: Path, language: str) -> list[str]:
     """Return a page's fenced blocks of a language."""
     return re.findall(rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-
-
-def names_something(parts: list[str]) -> bool:
-    """Return whether a dotted name is a module of a package, or one followed by names that stand in its source."""
-    place = ROOT / "src" / parts[0] / parts[0]
-    for done, part in enumerate(parts[1:], start=1):
-        if (place / part).is_dir():
-            place /= part
-            continue
-        source = place / (f"{part}.py" if (place / f"{part}.py").exists() else "__init__.py")
-        rest = parts[done + 1 :] if source.stem == part else parts[done:]
-        return source.exists() and all(re.search(rf"\b{name}\b", source.read_text(encoding="utf-8")) for name in rest)
-    return place.is_dir()
 
 
 @lru_cache
@@ -126,17 +107,6 @@ def test_commands_and_modules_exist() -> None:
     assert unknown == []
 
 
-def test_module_and_file_paths_exist() -> None:
-    lost = []
-    for path in PAGES:
-        for code in CODE.findall("\n".join(prose(path))):
-            words = code.split("::")[0].partition("(")[0].split() or [""]
-            if DOTTED.fullmatch(words[0]) and not names_something(words[0].split(".")):
-                lost.append(where(path, code))
-            lost += [where(path, word) for word in words if FILE.fullmatch(word) and not (ROOT / word).exists()]
-    assert lost == []
-
-
 def test_options_are_known_to_their_commands() -> None:
     unknown = []
     for path in PAGES:
@@ -160,42 +130,10 @@ def test_python_blocks_import_what_is_there() -> None:
     assert lost == []
 
 
-def test_yaml_blocks_can_be_read() -> None:
-    for path in PAGES:
-        for block in blocks(path, "yaml"):
-            assert yaml.safe_load(block), path
-
-
-def test_ci_and_pre_commit_call_targets_that_exist() -> None:
-    text = "".join((ROOT / name).read_text(encoding="utf-8") for name in (".pre-commit-config.yaml", CI))
-    called = set(re.findall(r"(?:run|entry): make (?:--no-print-directory )?([a-z-]+)", text))
-    assert called >= {"lint", "test", "docs", "coverage"}
-    assert called <= targets()
-
-
-def test_ci_runs_the_pythons_that_are_claimed() -> None:
-    matrix = yaml.safe_load((ROOT / CI).read_text(encoding="utf-8"))["jobs"]["test"]["strategy"]["matrix"]["python"]
-    first, last = re.search(r"3\.(\d+) to 3\.(\d+)", (ROOT / "README.md").read_text(encoding="utf-8")).groups()
-    assert matrix == [f"3.{minor}" for minor in range(int(first), int(last) + 1)]
-
-
 def test_generated_pages_are_current() -> None:
     pages = generate_reference.pages()
     stale = [str(path.relative_to(ROOT)) for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
     assert stale == [], "make reference"
-
-
-def test_architecture_has_a_row_for_every_folder() -> None:
-    text = (DOCS / "manual" / "explanation" / "architecture.md").read_text(encoding="utf-8")
-    for package in ROOT.glob("src/hydro_*/hydro_*"):
-        folders = {path.parent.name for path in package.glob("*/__init__.py")}
-        table = text.partition(f"| `{package.name}` | holds |")[2].partition("\n\n")[0]
-        assert {*re.findall(r"^\| `(\w+)/`", table, re.MULTILINE)} == folders
-
-
-def test_every_page_stands_in_the_menu() -> None:
-    menu = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
-    assert menu == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
 
 
 def test_pages_that_the_sources_name_are_there() -> None:

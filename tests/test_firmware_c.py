@@ -45,38 +45,6 @@ def test_every_line_and_branch_of_the_box_is_reached(checks: ModuleType, tmp_pat
     assert sum(found[part].branches for part in checks.BOX) > 250
 
 
-def test_a_function_that_nothing_calls_is_not_reached(checks: ModuleType, tmp_path: Path) -> None:
-    part, program = tmp_path / "hydro" / "part.h", tmp_path / "program.c"
-    part.parent.mkdir()
-    part.write_text("static inline int used(void)\n{\n    return 0;\n}\nstatic int other(void)\n{\n    return 1;\n}\n")
-    program.write_text('#include "hydro/part.h"\nint main(void)\n{\n    return used() ? other() : 0;\n}\n')
-    assert checks.coverage(tmp_path, program)["part.h"].missed == ("part.h:5", "part.h:7")
-    program.write_text('#include "hydro/part.h"\nint main(void)\n{\n    return used();\n}\n')
-    part.write_text(part.read_text().replace("static int", "static inline int"))
-    assert checks.coverage(tmp_path, program)["part.h"].missed == ("part.h:5", "part.h:7")
-
-
-def test_the_mutator_makes_mutants_that_die(checks: ModuleType) -> None:
-    text = "static inline bool late(int age)\n{\n    return 2 * age > 50;\n}\n"
-    made = {mutant.change: mutant.text for mutant in checks.mutation.mutants(text)}
-    assert "return 2 * age >= 50;" in made["> -> >="] and "return 2 * age > 51;" in made["50 -> 51"]
-    assert "return 2 / age > 50;" in made["* -> /"]
-
-
-def test_each_mutant_that_is_said_to_change_nothing_is_one(checks: ModuleType) -> None:
-    for label in checks.EQUIVALENT:
-        part, becomes = label.split(": ", 1)
-        made = [mutant.becomes for mutant in checks.mutation.mutants((FIRMWARE / "hydro" / part).read_text())]
-        assert becomes in made, f"{part} has no mutant {becomes!r}"
-
-
-def test_without_a_tool_the_checks_say_so_in_one_line(checks: ModuleType, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
-    monkeypatch.setattr(checks.shutil, "which", lambda tool: None if tool == "valgrind" else tool)
-    monkeypatch.setattr(checks.sys, "argv", ["checks.py"])
-    assert checks.main() == 2
-    assert capsys.readouterr().err == "not found: valgrind; --no-operations leaves out what needs valgrind\n"
-
-
 @pytest.fixture
 def configured(tmp_path: Path) -> Path:
     text = header(values(Bench.nominal(), BoxConfig(), Sensors(), "linux box"))
@@ -139,19 +107,6 @@ def test_the_box_for_linux_keeps_the_protocol_over_a_port(linux_box: End) -> Non
     results = run(cases, lambda: Host(linux_box), numbers, moving=False)
     assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
     assert sum(result.outcome == PASS for result in results) >= 18
-
-
-def test_a_signal_ends_the_box_for_linux_behind_its_loop(configured: Path) -> None:
-    program = compiled(configured, FIRMWARE / "examples" / "linux_serial.c")
-    near, far = os.openpty()
-    tty.setraw(far)
-    end, process = End(near), subprocess.Popen([str(program), os.ttyname(far)], stdout=subprocess.PIPE, text=True)
-    assert end.read(20.0)  # it runs
-    process.terminate()
-    said, _ = process.communicate(timeout=20)
-    os.close(near)
-    os.close(far)
-    assert process.returncode == 0 and "samples, 0 commands taken" in said
 
 
 def test_two_starts_of_the_box_for_linux_have_two_epochs(configured: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.controller import header, loop_header
+from hydro_filter.controller import loop_header
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.metric.learned import LearnedMetric
 from tests.firmware_filter import (
@@ -144,32 +144,3 @@ def test_a_network_is_refused_in_a_sentence(parts: LoopParts) -> None:
     other = parts._replace(metric=with_network.with_weights(flat).parts)
     with pytest.raises(ValueError, match="the metric has a network that adds to it, for which the box in C has no pl"):
         loop_header.header(other, "")
-
-
-def run_header(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr("sys.argv", ["filter_header", *words])
-    with pytest.raises(SystemExit) as ended:
-        header.main()
-    return int(ended.value.code or 0)
-
-
-def test_the_command_writes_what_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert run_header(monkeypatch, "--metric", "learned", "--out", str(tmp_path / "filter_config.h")) == 0
-    found = replay(compiled(tmp_path, "single", "-O2"), "single", drawn(10))
-    assert np.isfinite(found).all()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--metric", "learned", "--noise-floor", "1"], "--noise-floor: a learned metric brings its own"),
-        (["--model", "x"], "--model: the constant metric has none"),
-        (["--metric", "nothing.safetensors"], "nothing.safetensors"),
-        (["--metric", "learned", "--contraction-rate", "-1"], "contraction_rate"),
-    ],
-)
-def test_what_cannot_be_is_told_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
-) -> None:
-    assert run_header(monkeypatch, *words, "--out", str(tmp_path / "filter_config.h")) != 0
-    assert said in capsys.readouterr().err and not (tmp_path / "filter_config.h").exists()

@@ -242,16 +242,3 @@ def test_a_bench_beyond_what_the_filters_in_c_take_is_refused(
     assert ended.value.code not in (0, None)
     assert "they would correct nothing" in capsys.readouterr().err
     assert not (tmp_path / "filter_config.h").exists()
-
-
-def test_a_file_that_is_no_policy_is_told_in_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "other").write_text("nothing")
-    words = ["header", "--policy", str(tmp_path / "other"), "--out", str(tmp_path / "policy_weights.h")]
-    monkeypatch.setattr("sys.argv", words)
-    with pytest.raises(SystemExit) as ended:
-        policy_header.main()
-    assert ended.value.code not in (0, None)
-    assert "is not a policy" in capsys.readouterr().err
-    assert not (tmp_path / "policy_weights.h").exists()

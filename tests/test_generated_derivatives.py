@@ -31,10 +31,3 @@ def test_statements_give_what_the_expressions_are() -> None:
         scope = {"math": math, **dict(zip("xyz", point, strict=True))}
         exec("\n".join(lines), scope)
         assert [scope[name] for name in "fgh"] == pytest.approx([float(one) for one in known(*point)], rel=1e-13)
-
-
-def test_what_two_terms_share_is_written_once() -> None:
-    x, y = casadi.SX.sym("x"), casadi.SX.sym("y")
-    assert statements({"x": x, "y": y}, [("f = ", casadi.exp(x) / y), ("g += ", -(casadi.exp(x) + 1.0 / y))]) == [
-        "a0 = math.exp(x)", "a1 = 1.0 / y", "f = a0 * a1", "g -= a0 + a1",
-    ]  # fmt: skip

@@ -3,20 +3,26 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros import STATE
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.ros import CORRECTION, STATE, Companion
 from hydro_bridge.signals import Flag
 from tests.attacks import ATTACKS, STAYS_ARMED, Defended, defended, listener
-from tests.second_nodes import beside
+from tests.graph_probe import trainer
 
 pytestmark = pytest.mark.graph
 
+PATIENCE = 90.0
+"""s, for imports on a busy machine."""
 SOON = 3.5
 """s; 0.1 s and less were measured, the rest is for a busy machine and its discovery."""
 
@@ -53,9 +59,63 @@ def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) 
     assert all(state.flags & Flag.ARMED for state in states)
 
 
-@pytest.mark.parametrize("tools", [False, pytest.param(True, marks=pytest.mark.study)])
-def test_second_nodes_are_told_and_leave_the_first_alone_and_a_second_plant_disarms_it(
-    graph: Defended, tmp_path: Path, tools: bool
+def said_by(stack: ExitStack, package: str, executable: str, *words: str) -> io.StringIO:
+    """Start an executable; what it says."""
+    output = io.StringIO()
+    stack.enter_context(Companion(package, executable, list(words), output=output))
+    return output
+
+
+def test_a_second_filter_and_trainer_are_told_and_leave_the_first_alone(graph: Defended, tmp_path: Path) -> None:
+    words = ("--plant", "external", "--from", "scratch", "--rearm", "auto", "--runs", str(tmp_path), "--name", "run")
+    told = "probe commands this plant: end it"
+    graph.arm()
+    graph.probe.forget()
+    with ExitStack() as stack:
+        said = said_by(stack, "hydro_filter", "filter")
+        graph.drive(PATIENCE, until=lambda: "answers already" in said.getvalue())
+        graph.drive(1.0)
+        assert "answers already" in said.getvalue() and graph.probe.node.count_publishers(CORRECTION) == 1
+    with trainer(*words) as process:  # last: while it ends nobody drives
+        graph.drive(PATIENCE, until=lambda: told in process.text)
+        graph.drive(3.0)
+        assert told in process.text and process.process.poll() is None
+    assert all(state.flags & Flag.ARMED for _, state in graph.probe.heard[STATE]), graph.text[-40:]
+
+
+@pytest.mark.study
+def test_of_two_recorders_and_two_live_pages_each_tells_of_the_other_and_both_have_every_sample(
+    graph: Defended, tmp_path: Path
 ) -> None:
-    found = beside(graph, tmp_path, tools=tools)
-    assert found.held, found
+    graph.arm()
+    graph.probe.forget()
+    bags = [tmp_path / "first", tmp_path / "second"]
+    with ExitStack() as stack:
+        recorders = [said_by(stack, "hydro_bridge", "recorder", "--out", str(bag)) for bag in bags]
+        pages = [said_by(stack, "hydro_bridge", "dashboard", "--port", "0") for _ in range(2)]
+        for outputs, sentence in ((recorders, "another recorder"), (pages, "another live page")):
+            everywhere = lambda outputs=outputs, sentence=sentence: all(  # noqa: E731
+                sentence in output.getvalue() for output in outputs
+            )
+            graph.drive(PATIENCE, until=everywhere)
+            assert everywhere(), sentence
+        graph.drive(3.0)
+    first, second = (read_bag(bag).state["sequence"] for bag in bags)
+    both = np.intersect1d(first, second)
+    assert len(both) > 2000 and len(both) > 0.99 * (both[-1] - both[0] + 1)
+    assert all(state.flags & Flag.ARMED for _, state in graph.probe.heard[STATE])
+
+
+def test_a_second_plant_disarms_the_first_which_says_why(graph: Defended) -> None:
+    graph.arm()
+    begun = len(graph.text)
+
+    def told() -> bool:
+        lines = graph.text[begun:]  # one before has brought the same words
+        return any("2 nodes publish /hydro/state" in line and "disarmed until" in line for line in lines)
+
+    with ExitStack() as stack:
+        said_by(stack, "hydro_sim", "sim", "--model", "analytic")
+        graph.drive(PATIENCE, until=told)
+        graph.drive(0.5)
+        assert told() and not graph.own_flags() & Flag.ARMED

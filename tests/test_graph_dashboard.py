@@ -153,18 +153,6 @@ def test_a_press_from_before_the_last_disarm_does_nothing_and_says_so(graph: Def
     assert not graph.probe.flags() & Flag.ARMED
 
 
-def test_two_viewers_see_the_same_and_either_disarms(
-    graph: Defended, page: Page, served: tuple[subprocess.Popen[str], str], tmp_path: Path
-) -> None:
-    with browser(tmp_path) as second:
-        second.open(served[1].partition("#")[0])  # without the token: disarming is for everybody
-        armed(graph, page)
-        second.wait(ARMED, meanwhile=lambda: graph.drive(0.05))
-        second.click("disarm")
-        page.wait(DISARMED)
-        second.wait(DISARMED)
-
-
 def test_a_dashboard_that_hangs_or_dies_is_seen_and_no_matter_to_an_armed_plant(
     graph: Defended, tmp_path: Path
 ) -> None:

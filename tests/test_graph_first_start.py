@@ -7,18 +7,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import yaml
 
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros import executable_path
-from hydro_filter.precompile import FOUND
 from hydro_sim.compilations import VARIABLE, read_compilations
-from hydro_sim.model.bench import Bench
 from tests.graph_probe import own_domain
 
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
@@ -59,24 +55,6 @@ def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> 
     assert run(words, tmp_path) == set()
 
 
-@pytest.mark.graph
-@pytest.mark.study
-def test_a_filter_with_the_constant_metric_and_an_analytic_plant_compile_nothing(tmp_path: Path) -> None:
-    words = "hydro_policy evaluate --plant sim --runs {out}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
-    assert run(words, tmp_path, "--filter=--metric=constant") == set()
-
-
-@pytest.mark.graph
-@pytest.mark.study
-def test_a_simulated_bench_file_compiles_nothing(tmp_path: Path) -> None:
-    """Effects that set-up has compiled, of other sizes; the filter keeps to the model that ships."""
-    effects = [{**one, "parameters": {k: 0.9 * v for k, v in one["parameters"].items()}} for one in FOUND]
-    file = tmp_path / "learnt.yaml"
-    file.write_text(yaml.safe_dump(replace(Bench.nominal(), effects=tuple(effects)).to_mapping()), encoding="utf-8")
-    words = "hydro_policy evaluate --plant sim --runs {out}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
-    assert run(words, tmp_path, "--model", str(file)) == set()
-
-
 @pytest.mark.slow
 def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
     """Without this the tests here could not fail."""
@@ -103,9 +81,3 @@ def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
 )
 def test_offline_work_compiles_nothing(words: str, recording: Path, tmp_path: Path) -> None:
     assert run(words.replace("{bag}", str(recording)), tmp_path) == set()
-
-
-@pytest.mark.study
-def test_learning_a_metric_compiles_nothing(tmp_path: Path) -> None:
-    words = "hydro_filter learn_metric --out {out}/metric.safetensors --rollouts 16 --epochs 1"
-    assert run(words, tmp_path) == set()

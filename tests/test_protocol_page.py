@@ -106,12 +106,6 @@ def test_the_firmware_is_tried_with_the_bytes_of_the_page() -> None:
     assert [bytes.fromhex(re.sub(r"\W", "", text)) for text in texts] == examples()
 
 
-def test_the_command_before_cobs_is_that_of_the_frame() -> None:
-    (block,) = re.findall(r"```\n(02 03  .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    body = " ".join(re.split(r" {3,}", line)[0] for line in block.splitlines())
-    assert bytes.fromhex(body) == cobs.decode(examples()[7][1:-1])
-
-
 @pytest.fixture(scope="module")
 def algorithms() -> dict[str, Callable[..., object]]:
     """The functions of the page, run as they stand there."""
@@ -132,12 +126,6 @@ def test_the_algorithms_of_the_page_are_those_of_the_libraries(algorithms: dict[
             assert algorithms["stuff"](body) == cobs.encode(body)
     for broken in (b"\x05ab", b"\x00", b"\x02a\x00"):
         assert algorithms["unstuff"](broken) is None
-
-
-def test_the_flags_of_the_page_are_those_of_the_graph() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    for flag in Flag:
-        assert re.search(rf"\b{int(flag)} {flag.name}\b", text), flag
 
 
 def stated(sentence: str) -> list[float]:

@@ -40,6 +40,7 @@ def test_run_hands_over_arguments_process_and_exit_status(environment: dict[str,
         out, _ = process.communicate(timeout=60)
     assert out == f"{process.pid}: --ros-args -p speed:=0 two words\n"
     assert process.returncode == 7
+    assert ros2(environment, "pkg", "executables", "rig").stdout == "rig echo\nrig wait\n"
 
 
 def test_interrupt_reaches_the_node(environment: dict[str, str]) -> None:
@@ -51,24 +52,13 @@ def test_interrupt_reaches_the_node(environment: dict[str, str]) -> None:
         assert process.wait(timeout=10) == -signal.SIGINT
 
 
-def test_executables_are_listed(environment: dict[str, str]) -> None:
-    assert ros2(environment, "run", "rig").stdout.split() == ["echo", "wait"]
-    assert ros2(environment, "run", "rig", "--help").stdout.split() == ["echo", "wait"]
-    assert ros2(environment, "pkg", "executables", "rig").stdout == "rig echo\nrig wait\n"
-    assert ros2(environment, "pkg", "executables").stdout == "rig echo\nrig wait\n"
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (["run", "nothing", "echo"], "package 'nothing' not found"),
-        (["run", "../rig", "echo"], "package '../rig' not found"),
         (["run", "rig", "ech"], "no executable 'ech'; it has: echo, wait"),
         (["run", "rig", "notes.txt"], "no executable 'notes.txt'"),
         (["doctor"], "`ros2 doctor` needs a full ROS 2 Jazzy"),
-        (["interface", "show"], "`ros2 interface show` needs a full ROS 2 Jazzy"),
-        (["topic", "pub"], "needs a full ROS 2 Jazzy"),
-        (["bag", "info"], "needs a full ROS 2 Jazzy"),
         (["launch", "nothing", "x.launch.py"], "package 'nothing' not found"),
     ],
 )
@@ -86,15 +76,9 @@ def test_what_it_cannot_do_it_says_in_a_sentence(
     [
         (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{dat: 1}"), "has no field dat; it has: data"),
         (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: 1}"), "data: 1 is no boolean"),
-        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data"), "is no YAML"),
-        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBol"), "is no srv type known here"),
         (("bag", "info", "/nothing"), "/nothing does not exist"),
         (("launch", "hydro_bridge", "bridge.launch.py"), "port:= is needed: serial device of the box"),
-        (("launch", "hydro_bridge", "brige.launch.py"), "it has: bridge.launch.py"),
-        (("service", "call", "/hydro/arm", "/std_srvs/srv/SetBool"), "is no srv type known here"),
-        (("launch", "hydro_policy", "train.launch.py", "plant:=bench"), "plant:=bench needs port:="),
         (("launch", "hydro_policy", "train.launch.py", "plant:=moon"), "sim, emulator, bench can be chosen"),
-        (("launch", "hydro_policy", "train.launch.py", "plant=sim"), "name:=value is meant"),
         (("param", "set", "trainer", "sac.discount", "null"), "'null' is no value of a parameter"),
     ],
 )
@@ -114,18 +98,7 @@ def test_before_the_graph_is_asked_what_is_wrong_is_a_sentence(words: tuple[str,
             "remappings=[])",
             "unexpected keyword argument 'remappings'",
         ),
-        (
-            "import launch.actions\nlaunch.actions.TimerAction",
-            "needs a full ROS 2 Jazzy: module 'launch.actions' has no attribute 'TimerAction'",
-        ),
-        ("x = 1", "is no launch file in Python"),
         ("def generate_launch_description(): return 1", "describes nothing to launch"),
-        (
-            "from launch import LaunchDescription\nfrom launch_ros.actions import Node\n"
-            "def generate_launch_description(): return LaunchDescription([Node(package='hydro_bridge', "
-            "executable='recorder', sigterm_timeout='soon')])",
-            "sigterm_timeout soon: a number of seconds, 0 or more, is meant",
-        ),
     ],
 )
 def test_a_launch_file_that_uses_more_is_refused_by_name(tmp_path: Path, content: str, sentence: str) -> None:
@@ -142,10 +115,3 @@ def test_verbs_without_the_workspace_say_what_to_source(environment: dict[str, s
     assert answer.returncode == 2
     assert "`ros2 topic` is part of this workspace: source install/setup.bash" in answer.stderr
     assert answer.stderr.count("\n") == 1
-
-
-def test_help_says_what_is_there(environment: dict[str, str]) -> None:
-    for words in ([], ["--help"], ["run", "--help"]):
-        answer = ros2(environment, *words)
-        assert answer.returncode == 0
-        assert "ros2 run PACKAGE EXECUTABLE" in answer.stdout

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hydro_bridge.bags.cdr import STATE_TYPE, NotFixedError, encode_states, fixed_layout
-from hydro_bridge.bags.schema import PACKAGED, UnknownTypeError, definition, installed_definition
-from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
+from hydro_bridge.bags.cdr import STATE_TYPE, encode_states, fixed_layout
+from hydro_bridge.bags.schema import PACKAGED, definition, installed_definition
+from hydro_bridge.signals import STATE_FIELDS
 
 
 @pytest.fixture(scope="module")
@@ -24,10 +24,6 @@ def typestore():
 
 def layout_of(name: str):
     return fixed_layout(definition(name).text, name)
-
-
-def test_table_of_bench_state_is_the_state_dtype():
-    assert layout_of(STATE_TYPE).table == STATE_DTYPE
 
 
 @pytest.mark.parametrize("frame_id", ["bench", "", "a", "four", "longer than that"])
@@ -57,19 +53,6 @@ def test_big_endian_and_mixed_frames_are_read(typestore, make_states):
     assert np.array_equal(back["sequence"], states["sequence"])
 
 
-def test_a_type_without_header_takes_the_log_time(typestore):
-    name = "hydro_msgs/msg/ReferenceSignal"
-    message = typestore.types[name](waveform=2, amplitude=300.0, offset=1.0, frequency=0.5, phase=0.1, epoch=3)
-    rows = np.frombuffer(bytes(typestore.serialize_cdr(message, name)), np.uint8)[None]
-    (row,) = layout_of(name).decode(rows, np.array([2_500_000_000]))
-    assert (row["time"], row["waveform"], row["amplitude"], row["frequency"]) == (2.5, 2, 300.0, 0.5)
-
-
-def test_strings_and_sequences_have_no_table():
-    with pytest.raises(NotFixedError):
-        layout_of("diagnostic_msgs/msg/DiagnosticArray")
-
-
 @pytest.mark.parametrize("damage", ["short", "xcdr2", "long frame_id"])
 def test_what_is_no_message_of_the_type_is_refused(make_states, damage):
     rows = encode_states(make_states(1)).copy()
@@ -93,8 +76,3 @@ def test_packaged_definitions_are_those_of_the_installed_messages(name):
 def test_packaged_hashes_agree_with_an_independent_computation(typestore):
     for name in PACKAGED:
         assert typestore.hash_rihs01(name) == definition(name).type_hash
-
-
-def test_an_unknown_type_is_named():
-    with pytest.raises(UnknownTypeError, match="no_msgs/msg/Nothing"):
-        definition("no_msgs/msg/Nothing")

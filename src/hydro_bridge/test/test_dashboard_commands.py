@@ -45,29 +45,6 @@ def test_a_page_from_before_the_last_trip_does_nothing(command: str, seen: str) 
         Rules("right").check(read(asked(command, epoch=seen)), EPOCH)
 
 
-def test_without_a_plant_nothing_is_armed() -> None:
-    with pytest.raises(RefusedError, match="no plant"):
-        Rules("right").check(read(asked("arm", epoch="0")), 0)
-
-
-@pytest.mark.parametrize("given_", [{}, {"kp": 60}, {"kp": 60, "ki": 10}])
-def test_gains_and_their_time_are_given(given_: dict[str, float]) -> None:
-    words = {"command": "override", "epoch": "5", "token": "right", **given_}
-    with pytest.raises(RefusedError, match="K_p, K_i and for how long"):
-        Rules("right").check(read(msgspec.json.encode(words)), 5)
-
-
-def test_each_run_draws_its_own_token() -> None:
-    tokens = {Rules().token for _ in range(100)}
-    assert len(tokens) == 100 and min(map(len, tokens)) >= 12
-
-
-@pytest.mark.parametrize("text", [b"", b"[]", b"null", b'{"command":"open"}', b'{"command":"arm","extra":1}', b"\xff"])
-def test_what_is_no_command_is_refused_in_a_sentence(text: bytes) -> None:
-    with pytest.raises(RefusedError):
-        read(text)
-
-
 @settings(deadline=None, max_examples=50)
 @given(st.binary(max_size=200))
 def test_hostile_bytes_end_in_a_sentence(data: bytes) -> None:

@@ -79,17 +79,3 @@ def test_a_command_that_nobody_can_carry_out_is_answered(
     page[0].send(json.dumps({"token": page[1], "number": 7, **command}))
     answer = told(page[0], "answer")
     assert not answer["success"] and said in answer["text"]
-
-
-@pytest.mark.parametrize("words", [("--port", "65536"), ("--port", "-1"), ("--port", "http"), ("--host", "256.0.0.1")])
-def test_what_it_cannot_listen_at_is_one_sentence(words: tuple[str, ...]) -> None:
-    process = start(*words)
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == 2
-    assert "Traceback" not in said and said.strip().splitlines()[-1].startswith(("error: ", "dashboard: error: "))
-
-
-def test_a_port_that_is_taken_is_one_sentence(page: tuple[ClientConnection, str, int]) -> None:
-    process = start("--port", str(page[2]))
-    _, said = process.communicate(timeout=60.0)
-    assert process.returncode == 2 and f"port {page[2]}" in said and "Traceback" not in said

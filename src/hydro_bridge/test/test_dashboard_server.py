@@ -6,7 +6,6 @@ from __future__ import annotations
 import http.client
 import re
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -89,25 +88,6 @@ def test_a_foreign_page_and_a_foreign_name_are_refused(server: PageServer) -> No
         pass
 
 
-def test_two_viewers_get_the_same_frames_each_after_its_welcome(server: PageServer) -> None:
-    with viewer(server) as first:
-        seen(server, 1)
-        server.publish(["1"], lambda: ["hello"])
-        with viewer(server) as second:
-            seen(server, 2)
-            server.publish(["2", b"3"], lambda: ["hello again"])
-            assert [first.recv(30.0) for _ in range(4)] == ["hello", "1", "2", b"3"]
-            assert [second.recv(30.0) for _ in range(3)] == ["hello again", "2", b"3"]
-
-
-def test_a_command_that_hangs_does_not_hold_the_next_one_up(server: PageServer, answers: Answers) -> None:
-    with viewer(server) as page:
-        page.send("later")
-        page.send("now")
-        assert page.recv(30.0) == "done"
-    assert answers.heard == ["later", "now"]
-
-
 def test_a_viewer_that_does_not_read_loses_frames_and_costs_nobody_anything(server: PageServer) -> None:
     deaf = socket.create_connection(("127.0.0.1", server.port))
     deaf.sendall(
@@ -158,11 +138,3 @@ def test_a_port_that_is_taken_is_a_sentence_and_without_a_wish_another_is_found(
     other = PageServer(answers)
     assert other.port not in (0, server.port)
     other.close()
-
-
-def test_closing_leaves_no_thread(answers: Answers) -> None:
-    made = PageServer(answers, port=0)
-    with viewer(made):
-        seen(made, 1)
-        made.close()
-    assert not any(thread.name == "page server" for thread in threading.enumerate())

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import struct
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.dashboard.thinning import SLOT, Slots, Thinner
+from hydro_bridge.dashboard.thinning import SLOT, Thinner
 
 START = 1_000_000 * SLOT
 
@@ -36,15 +34,6 @@ def test_least_and_greatest_of_each_slot_however_samples_come_in(parts: list[int
     np.testing.assert_allclose(got[..., 1], blocks.max(axis=1), rtol=1e-6)
 
 
-def test_a_pulse_of_one_sample_stays_visible() -> None:
-    times, values = samples(1000)
-    values[:] = 0.0
-    values[537, 1] = 5.0
-    thinner = Thinner(2)
-    thinner.add(times, values)
-    assert thinner.take().values[53, 1].tolist() == [0.0, 5.0]
-
-
 def test_slots_without_samples_and_samples_that_are_not_finite_are_gaps() -> None:
     times, values = samples(100)
     values[10:20, 0] = np.inf
@@ -56,19 +45,6 @@ def test_slots_without_samples_and_samples_that_are_not_finite_are_gaps() -> Non
     assert gaps[3:5].all() and not gaps[5:].any()
 
 
-def test_a_late_viewer_gets_what_was_taken_and_no_more_than_the_ring_holds() -> None:
-    thinner = Thinner(2, kept=50)
-    times, values = samples(2000)
-    for begin in range(0, 2000, 50):
-        thinner.add(times[begin : begin + 50], values[begin : begin + 50])
-        thinner.take()
-    history = thinner.history()
-    assert len(history.values) == 49
-    blocks = values[10 * 150 : 10 * 199].reshape(49, 10, 2)
-    np.testing.assert_allclose(history.values[..., 1], blocks.max(axis=1), rtol=1e-6)
-    assert history.first == round(START / SLOT) + 150
-
-
 def test_a_clock_that_was_set_begins_the_series_anew_and_old_samples_are_left_out() -> None:
     thinner = Thinner(2)
     times, values = samples(100)
@@ -77,17 +53,3 @@ def test_a_clock_that_was_set_begins_the_series_anew_and_old_samples_are_left_ou
     assert thinner.take().values.max() < 50.0
     thinner.add(times - 3600.0, values)
     assert thinner.take().first == round(START / SLOT) - 360_000
-
-
-def test_a_viewer_that_was_away_gets_no_more_than_the_ring() -> None:
-    thinner = Thinner(2, kept=50)
-    for second in range(3):
-        thinner.add(*samples(400, START + 0.4 * second))
-    assert len(thinner.take().values) == 49
-
-
-def test_bytes_are_as_the_page_reads_them() -> None:
-    values = np.arange(12, dtype=np.float32).reshape(2, 3, 2)
-    data = Slots(123_456_789_012, values).encoded(1)
-    assert struct.unpack_from("<IId", data) == (1, 3, 123_456_789_012.0)
-    assert np.frombuffer(data[16:], "<f4").tolist() == list(range(12))

@@ -49,67 +49,6 @@ main()
     assert (ended.returncode, ended.stdout, ended.stderr) == (128 + getattr(signal, name), "put in order\n", "")
 
 
-def test_what_python_drops_in_a_finalizer_comes_again() -> None:
-    ended = run("""
-class Dropping:
-    def __del__(self):
-        me(signal.SIGTERM)
-        time.sleep(0.01)
-
-@command()
-def main():
-    Dropping()
-    time.sleep(10)
-main()
-""")
-    assert (ended.returncode, ended.stderr) == (128 + signal.SIGTERM, "")
-
-
-@pytest.mark.parametrize("kept", [False, True], ids=["gone at once", "kept by the traceback"])
-def test_of_an_object_that_was_interrupted_in_its_making_nothing_is_said(kept: bool) -> None:
-    ended = run(f"""
-class Half:
-    def __init__(self):
-        if {kept}:
-            me(signal.SIGTERM)
-            time.sleep(10)
-        self.whole = True
-
-    def __del__(self):
-        del self.whole
-
-@command()
-def main():
-    try:
-        Half()
-        me(signal.SIGTERM)
-        time.sleep(10)
-    finally:
-        if not {kept}:
-            Half.__new__(Half)
-main()
-""")
-    assert (ended.returncode, ended.stderr) == (128 + signal.SIGTERM, "")
-
-
-def test_another_error_in_a_finalizer_is_told_after_the_end_too() -> None:
-    ended = run("""
-class Failing:
-    def __del__(self):
-        raise ValueError("told")
-
-@command()
-def main():
-    try:
-        me(signal.SIGTERM)
-        time.sleep(10)
-    finally:
-        Failing()
-main()
-""")
-    assert ended.returncode == 128 + signal.SIGTERM and "ValueError: told" in ended.stderr
-
-
 def test_an_import_is_not_interrupted_but_followed_by_the_end(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text("""
 import os, signal, time
@@ -127,23 +66,6 @@ def main():
 main()
 """)
     assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "imported\n", "")
-
-
-def test_what_waits_for_the_end_of_an_import_does_not_disturb_putting_in_order(tmp_path: Path) -> None:
-    (tmp_path / "quick.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
-    ended = run(f"""
-sys.path.insert(0, {str(tmp_path)!r})
-
-@command()
-def main():
-    import quick
-    with endings.undisturbed():
-        time.sleep(0.2)
-        print("put in order")
-    time.sleep(10)
-main()
-""")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "put in order\n", "")
 
 
 def test_putting_in_order_is_not_disturbed() -> None:

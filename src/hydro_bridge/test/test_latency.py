@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from math import isnan
-
 import numpy as np
 
 from hydro_bridge.process.latency import Latency
@@ -22,7 +20,3 @@ def test_what_is_longer_than_the_histogram_is_not_made_shorter():
     latency = Latency()
     latency.add(0.5)
     assert latency.percentile(99) == 0.5 and latency.longest == 0.5
-
-
-def test_of_nothing_there_is_no_percentile():
-    assert isnan(Latency().percentile(50)) and Latency().sentence() == "none"

@@ -56,12 +56,3 @@ def test_what_plotjuggler_plots_is_in_the_messages() -> None:
         assert field in fields(topic), curve
     for splitter in root.iter("DockSplitter"):
         assert len(splitter) == int(splitter.get("count", 0)) == len(str(splitter.get("sizes")).split(";"))
-
-
-def test_both_draw_the_same() -> None:
-    foxglove = json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))
-    root = ElementTree.fromstring((LAYOUTS / "plotjuggler.xml").read_bytes())
-    one = {
-        path["value"].replace(".", "/") for panel in foxglove["configById"].values() for path in panel.get("paths", ())
-    }
-    assert one == {curve.get("name") for curve in root.iter("curve")}

@@ -5,36 +5,10 @@ from __future__ import annotations
 
 import os
 import subprocess
-from pathlib import Path
 
 import pytest
 
-from hydro_bridge.process.middleware import RMW, missing_middleware
-
-
-@pytest.fixture
-def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where one middleware is installed, beside what chooses among them."""
-    index = tmp_path / "share/ament_index/resource_index/rmw_typesupport"
-    index.mkdir(parents=True)
-    for name in ("rmw_fastrtps_cpp", "rmw_implementation"):
-        (index / name).touch()
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    monkeypatch.delenv(RMW, raising=False)
-    return tmp_path
-
-
-def test_one_that_is_not_installed_is_told_with_those_that_are(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(RMW, "rmw_nothing_cpp")
-    assert missing_middleware() == (
-        "RMW_IMPLEMENTATION is rmw_nothing_cpp, which is not installed: unset it, or take rmw_fastrtps_cpp"
-    )
-
-
-def test_one_that_is_there_and_the_default_are_taken(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert missing_middleware() == ""
-    monkeypatch.setenv(RMW, "rmw_fastrtps_cpp")
-    assert missing_middleware() == ""
+from hydro_bridge.process.middleware import RMW
 
 
 def test_an_executable_ends_in_the_sentence() -> None:

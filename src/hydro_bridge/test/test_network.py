@@ -71,12 +71,17 @@ def memberships() -> int:
     return Path("/proc/net/igmp").read_text().count("0100FFEF")
 
 
+def shares_memory(pid: int) -> bool:
+    """Whether the process has memory of Fast DDS' own transport mapped: its writers wait for newcomers there."""
+    return "/dev/shm/fastrtps" in Path(f"/proc/{pid}/maps").read_text()
+
+
 @pytest.mark.parametrize("environment", [{}, {RANGE: "LOCALHOST"}], ids=["unset", "localhost"])
 def test_a_node_listens_on_the_loopback_interface_only_and_joins_no_multicast(environment: dict[str, str]) -> None:
     before = memberships()
     with bridge(**environment) as node:
         found = sockets(node.pid)
-        assert memberships() == before
+        assert memberships() == before and not shares_memory(node.pid)
         assert {address for address, _ in found} == {LOOPBACK}
         assert any(7400 <= port < 7400 + 250 * 102 for _, port in found), "the ports of ROS's discovery"
 
@@ -84,22 +89,4 @@ def test_a_node_listens_on_the_loopback_interface_only_and_joins_no_multicast(en
 def test_the_user_can_say_otherwise_in_one_place() -> None:
     with bridge(**{RANGE: "SUBNET"}) as node:
         assert any(address == "0.0.0.0" and 7400 <= port < 32768 for address, port in sockets(node.pid))
-        assert memberships() > 0
-
-
-def shares_memory(pid: int) -> bool:
-    """Whether the process has memory of Fast DDS' own transport mapped: its writers wait for newcomers there."""
-    return "/dev/shm/fastrtps" in Path(f"/proc/{pid}/maps").read_text()
-
-
-@pytest.mark.parametrize("environment", [{}, {RANGE: "SUBNET"}, {"ROS_LOCALHOST_ONLY": "1"}], ids=str)
-def test_a_node_has_no_shared_memory_with_others(environment: dict[str, str]) -> None:
-    with bridge(**environment) as node:
-        assert not shares_memory(node.pid)
-
-
-def test_what_the_user_has_set_stays(tmp_path: Path) -> None:
-    own = tmp_path / "own.xml"
-    own.write_text('<?xml version="1.0" encoding="UTF-8"?>\n<dds xmlns="http://www.eprosima.com"><profiles/></dds>\n')
-    with bridge(**{PROFILES: str(own)}) as node:
-        assert shares_memory(node.pid), "as the user's own profile has it: with what the middleware adds"
+        assert memberships() > 0 and not shares_memory(node.pid)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from hydro_bridge.safety.readiness import HINT_AFTER, NotReadyError, Readiness, Requirement
+from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 
 
 class Scene:
@@ -36,23 +36,6 @@ class Scene:
     def look(self, start: float, end: float) -> None:
         for tick in range(round(4 * start), round(4 * end)):
             self.readiness.look(tick / 4)
-
-
-def test_nothing_is_ready_before_somebody_has_looked() -> None:
-    scene = Scene()
-    scene.there = {"the plant", "the filter", "the learner"}
-    assert not scene.readiness.complete
-    scene.readiness.look(0.0)
-    assert scene.readiness.complete and scene.readiness.awaited == "" and scene.said == []
-
-
-def test_a_wait_says_once_what_is_waited_for_why_and_for_how_long_at_most() -> None:
-    scene = Scene()
-    scene.there = {"the plant"}
-    scene.look(0.0, HINT_AFTER)
-    assert scene.said == [] and scene.readiness.awaited == "the filter and the learner"
-    scene.look(HINT_AFTER, 19.0)
-    assert scene.said == ["waiting for the filter and the learner, 20 s at most: the filter takes its time"]
 
 
 def test_what_is_essential_ends_the_wait_in_its_sentence_and_what_is_not_is_done_without() -> None:

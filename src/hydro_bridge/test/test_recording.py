@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,8 +23,6 @@ from hydro_bridge.bags.recording import (
     RecordingError,
     TopicQos,
     continuity,
-    messages,
-    objects,
     read_bag,
     repair,
     stream_bag,
@@ -173,13 +170,6 @@ def test_streaming_gives_the_same_in_small_pieces(bag, states):
     assert same(np.concatenate(pieces), states)
 
 
-def test_messages_come_as_recorded_by_time_within_a_block(bag, states):
-    read = list(messages(bag))
-    assert len(read) == len(states) + 500
-    data = encode_states(states)
-    assert [d for topic, _, _, d in read if topic == STATE_TOPIC] == [row.tobytes() for row in data]
-
-
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP])
 def test_a_recording_by_rosbags_is_read(tmp_path, states, plugin):
     known = definition(STATE_TYPE)
@@ -188,10 +178,6 @@ def test_a_recording_by_rosbags_is_read(tmp_path, states, plugin):
         for row, time in zip(encode_states(states), states["time"], strict=True):
             writer.write(connection, int(time * 1e9), row.tobytes())
     assert same(read_bag(tmp_path / "other").state, states)
-
-
-def test_selected_topics_only(bag):
-    assert set(read_bag(bag, [GAINS]).tables) == {GAINS}
 
 
 @pytest.mark.parametrize("keep", [0.3, 0.6, 0.95])
@@ -223,16 +209,6 @@ def test_at_any_time_the_folder_is_a_recording_and_what_was_flushed_is_there(tmp
     assert set(information) == VERSION_9 and "not finished" in information["custom_data"]["hydro"]
     writer.close()
     assert same(read_bag(tmp_path / "now").state, states[:1500])
-
-
-def test_nothing_is_overwritten(bag):
-    with pytest.raises(RecordingError, match="exists already"):
-        BagWriter(bag)
-
-
-def test_a_whole_recording_is_not_repaired(bag):
-    with pytest.raises(RecordingError, match="nothing to repair"):
-        repair(bag)
 
 
 def test_damage_is_found_by_its_check_sum(bag):
@@ -272,20 +248,6 @@ def test_a_folder_without_metadata_is_read_with_a_note(bag, states):
     assert same(recording.state, states) and "has no metadata.yaml" in recording.notes[0]
 
 
-def test_another_type_on_the_state_topic_is_told(tmp_path):
-    with BagWriter(tmp_path / "odd") as writer:
-        writer.add_topic(STATE_TOPIC, GAINS_TYPE)
-        for time_ns, data in gains(3, 10**9):
-            writer.write(STATE_TOPIC, data, time_ns)
-    with pytest.raises(RecordingError, match="is no hydro_msgs/msg/BenchState: it has no sequence"):
-        _ = read_bag(tmp_path / "odd").state
-
-
-def test_a_moved_folder_is_read(bag, states, tmp_path):
-    shutil.move(bag, tmp_path / "elsewhere")
-    assert same(read_bag(tmp_path / "elsewhere").state, states)
-
-
 def test_an_interrupted_sequence_is_reported(make_states):
     states = make_states(1000)
     assert continuity(states).whole
@@ -298,11 +260,3 @@ def test_an_interrupted_sequence_is_reported(make_states):
     assert continuity(jump).time_jumps == 1 and continuity(jump).largest_jump == pytest.approx(0.25)
     assert continuity(make_states(10, first=2**32 - 5)).whole
     assert continuity(np.concatenate([make_states(5, first=10**7), make_states(5)])).restarts == 1
-
-
-def test_messages_of_any_type_are_read_as_objects(bag):
-    read = list(objects(bag, GAINS))
-    assert [message.step for _, message in read] == list(range(500))
-    assert read[1][0] - read[0][0] == pytest.approx(0.01, abs=1e-6)
-    with pytest.raises(RecordingError, match="no messages on /nothing"):
-        list(objects(bag, "/nothing"))

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import threading
 import time
 
 import numpy as np
@@ -9,8 +8,7 @@ import pytest
 
 from hydro_bridge.bags.recording import STATE_TOPIC, BagWriter
 from hydro_bridge.bags.recording_run import sequence_of
-from hydro_bridge.bags.replaying import Replay, restamp
-from hydro_bridge.settings import SettingsError
+from hydro_bridge.bags.replaying import Replay
 
 
 @pytest.fixture
@@ -48,25 +46,3 @@ def test_stamps_may_be_kept(bag):
     came: list[bytes] = []
     Replay(bag, [STATE_TOPIC], lambda _, data: came.append(data), speed=50.0, keep_stamps=True).run()
     assert stamp(came[0]) == pytest.approx(1.7e9)
-
-
-def test_stopping_ends_a_loop(bag):
-    replay = Replay(bag, [STATE_TOPIC], lambda *_: None, speed=30.0, loop=True)
-    thread = threading.Thread(target=replay.run)
-    thread.start()
-    end = time.monotonic() + 10.0
-    while replay.published < 700 and time.monotonic() < end:
-        time.sleep(0.01)
-    replay.stop()
-    thread.join(2.0)
-    assert not thread.is_alive() and replay.published >= 700
-
-
-def test_restamping_changes_nothing_else(bag):
-    data = bytes(range(144))
-    assert restamp(data, 5_000_000_007) == data[:4] + b"\5\0\0\0\7\0\0\0" + data[12:]
-
-
-def test_speed_must_be_positive(bag):
-    with pytest.raises(SettingsError, match="above 0"):
-        Replay(bag, [], lambda *_: None, speed=0.0)

@@ -6,7 +6,7 @@ import argparse
 import pytest
 
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
+from hydro_bridge.cli.resuming import NEW_ONLY, refuse_changes
 
 
 def parser() -> argparse.ArgumentParser:
@@ -21,17 +21,6 @@ def parser() -> argparse.ArgumentParser:
 
 
 BEGUN = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidden": [32, 32]}
-
-
-def test_given_is_what_was_said_even_where_it_is_the_default():
-    assert explicit_options(parser(), []) == {}
-    assert explicit_options(parser(), ["--seed", "0", "--hidden", "32", "32"]) == {"seed": 0, "hidden": [32, 32]}
-    assert explicit_options(parser(), ["--from", "runs/b", "--randomise"]) == {"start": "runs/b", "randomise": True}
-
-
-@pytest.mark.parametrize("words", [[], ["--seed", "5"], ["--hidden", "32", "32"], ["--episodes", "320"]])
-def test_the_same_words_again_and_what_may_change_are_fine(words):
-    refuse_changes(parser(), words, "runs/a", BEGUN)
 
 
 def test_a_file_is_the_same_by_any_path(tmp_path, monkeypatch):

@@ -53,31 +53,9 @@ def test_names_are_escaped_and_addresses_lead_to_files(runs: Path) -> None:
     assert 'src="old%20%26%20%3Cbold%3E/tracking.png"' in page
 
 
-def test_a_run_that_ends_renews_the_page_of_runs_and_of_no_other_folder(runs: Path, tmp_path: Path) -> None:
-    refresh_index(runs / "found")
-    assert (runs / "index.html").is_file()
-    (tmp_path / "elsewhere" / "run").mkdir(parents=True)
-    refresh_index(tmp_path / "elsewhere" / "run")
-    assert not (tmp_path / "elsewhere" / "index.html").exists()
-    refresh_index(tmp_path / "gone" / "runs" / "run")
-
-
 def test_a_page_of_somebody_else_is_left_alone(runs: Path) -> None:
     (runs / "index.html").write_text("the site")
     refresh_index(runs / "found")
     with pytest.raises(FileExistsError, match="another page than one of runs"):
         write_index(runs)
     assert (runs / "index.html").read_text() == "the site"
-
-
-def test_no_name_and_no_folder_ends_a_run(runs: Path) -> None:
-    strange = runs / os.fsdecode(b"\xff")
-    strange.mkdir()
-    (strange / "run.json").write_text("{}")
-    (strange / "tracking.png").write_bytes(b"")
-    refresh_index(runs / "found")
-
-
-def test_commands_of_the_page_can_be_pasted_into_a_shell(runs: Path) -> None:
-    page = write_index(runs).read_text()
-    assert f"view &#39;{runs.resolve()}/old &amp; &lt;bold&gt;/bag&#39;" in page

@@ -79,15 +79,6 @@ def test_nothing_is_allowed_by_a_pattern_but_the_name_of_a_persons_tool() -> Non
     assert all((pattern or "").startswith("/_ros2cli_*/") for pattern in patterns)
 
 
-def test_the_policy_has_the_form_that_sros2_takes() -> None:
-    policy = ElementTree.fromstring(policy_xml())
-    assert (policy.tag, policy.attrib) == ("policy", {"version": "0.2.0"})
-    assert [enclave.attrib["path"] for enclave in policy.findall("enclaves/enclave")] == ENCLAVES
-    for profile in policy.iter("profile"):
-        assert set(profile.attrib) == {"ns", "node"}
-        assert all(len(group) for group in profile), "the schema takes no list that is empty"
-
-
 @pytest.mark.skipif(find_spec("sros2") is not None, reason="sros2 is here")
 def test_without_sros2_one_sentence_says_the_way_on_and_the_policy_is_written_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -140,13 +131,6 @@ def test_a_keystore_is_whole_or_not_there(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="sros2 refuses"):
         make_keystore(tmp_path / "keys", policy_xml(), [*ENCLAVES, "/hydro/nobody"])
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_domain_that_ros_does_not_take_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    for text in ("bench", "-1", "233", "1.5"):
-        monkeypatch.setenv("ROS_DOMAIN_ID", text)
-        with pytest.raises(UserError, match="a number from 0 to 232 is meant"):
-            domain()
 
 
 def test_executables_of_the_graph_take_the_enclave_of_their_name_and_others_none(

@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields
 from math import isfinite
 from typing import Annotated, Literal
 
-import numpy as np
 import pytest
 
 from hydro_bridge.files.settings_file import from_mapping, to_mapping
@@ -53,11 +52,6 @@ def test_out_of_range_is_told_with_value_range_unit_and_meaning():
 def test_what_is_no_number_is_refused_where_one_is_meant(value):
     with pytest.raises(SettingsError, match="rate must be a number in 1/s, not "):
         check(Example(rate=value))
-
-
-def test_numbers_of_numpy_and_whole_numbers_are_numbers():
-    check(Example(rate=np.float64(0.5), count=np.int64(3)))
-    check(Example(rate=1))
 
 
 @pytest.mark.parametrize(

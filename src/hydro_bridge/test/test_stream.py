@@ -4,55 +4,12 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.serial.protocol import MAX_ENCODED, State, encode_state
+from hydro_bridge.serial.protocol import MAX_ENCODED, encode_state
 from hydro_bridge.serial.stream import Decoder, SequenceTracker
 
 
 def wire(sequence: int) -> bytes:
     return encode_state(sequence, 1000 * sequence, [float(sequence)] * 14, 0, 0)
-
-
-def cut(stream: bytes, places: list[int]) -> list[bytes]:
-    places = sorted({place % (len(stream) + 1) for place in places})
-    return [stream[a:b] for a, b in zip([0, *places], [*places, len(stream)], strict=True)]
-
-
-def sequences(decoder: Decoder, chunks: list[bytes]) -> list[int]:
-    return [frame.sequence for chunk in chunks for frame in decoder.feed(chunk)]
-
-
-places = st.lists(st.integers(0, 10**6), max_size=40)
-noise = st.binary(max_size=3 * MAX_ENCODED)
-
-
-@given(places)
-def test_chunk_borders_may_fall_anywhere(where):
-    decoder = Decoder()
-    assert sequences(decoder, cut(b"".join(map(wire, range(20))), where)) == list(range(20))
-    assert decoder.counts.frames == 20 and decoder.counts.resyncs == 0
-
-
-@given(st.lists(noise, min_size=5, max_size=5), places)
-def test_noise_between_frames_costs_no_frame(noises, where):
-    decoder = Decoder()
-    stream = b"".join(noise + wire(n) for n, noise in enumerate(noises))
-    assert sequences(decoder, cut(stream, where)) == list(range(5))
-
-
-@given(st.binary(max_size=2000), places)
-def test_hostile_bytes_never_raise_and_never_become_a_frame(data, where):
-    decoder = Decoder()
-    assert sequences(decoder, cut(data, where)) == []
-    assert len(decoder._pending) <= MAX_ENCODED
-
-
-@given(st.integers(1, 84), places)
-def test_a_truncated_frame_costs_itself_only(length, where):
-    decoder = Decoder()
-    stream = wire(0) + wire(1)[:length] + wire(2) + wire(3)
-    got = sequences(decoder, cut(stream, where))
-    assert got == ([0, 1, 2, 3] if length == 84 else [0, 2, 3])  # only the trailing delimiter was missing
-    assert decoder.counts.resyncs == (0 if length in (1, 84) else 1)
 
 
 def test_a_stream_without_delimiter_is_counted_once_and_not_kept():
@@ -62,13 +19,6 @@ def test_a_stream_without_delimiter_is_counted_once_and_not_kept():
         assert len(decoder._pending) <= MAX_ENCODED
     assert decoder.counts.malformed == 1
     assert [frame.sequence for frame in decoder.feed(wire(5))] == [5]
-
-
-def test_reset_forgets_the_frame_under_way():
-    decoder = Decoder()
-    decoder.feed(wire(1)[:40])
-    decoder.reset()
-    assert sequences(decoder, [wire(1)[40:], wire(2)]) == [2]
 
 
 @given(st.lists(st.integers(0, 30), max_size=60))
@@ -100,8 +50,3 @@ def test_tracker_notices_a_restart_of_the_box():
         tracker = SequenceTracker()
         assert tracker.accept(before) and tracker.accept(0) and tracker.accept(1)
         assert tracker.counts.restarts == 1 and tracker.counts.lost == 0
-
-
-def test_values_survive_the_stream():
-    (frame,) = Decoder().feed(wire(3))
-    assert frame == State(3, 3000, (3.0,) * 14, 0, 0)

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.certificate.sampled import quadratic
 from hydro_filter.controller import innovations
 from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.metric.network import metric_value
 from hydro_filter.model import force_law
 from hydro_filter.model.bench_loop import SUBSTEPS, rest_measurement
 from hydro_filter.model.bench_parts import NONE, BenchLoop
@@ -31,7 +29,7 @@ from hydro_filter.model.loop import (
     settle,
     step_of,
 )
-from hydro_filter.model.loop_model import CLOSED, LOOP, LOOP_FIELDS
+from hydro_filter.model.loop_model import CLOSED, LOOP
 from hydro_filter.model.state import STATES
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
@@ -70,16 +68,6 @@ def of(case: str) -> BenchLoop:
     loop = loop_of(having(*CASES[case]), Bench.nominal())
     assert isinstance(loop, BenchLoop)
     return loop
-
-
-def test_the_coordinates_that_an_effect_adds_are_named() -> None:
-    assert coordinates_of(of("1 ms"))[LOOP:] == ("current_1",)
-    assert coordinates_of(of("1.3 ms, no lag of the valve"))[LOOP:] == ("current_1", "current_2")
-    shown = ("p_a_shown", "p_a_shown_rate")
-    assert coordinates_of(of("a sensor 80 Hz"))[LOOP:] == shown
-    assert coordinates_of(of("all of it"))[LOOP:] == (*shown, "p_b_shown", "p_b_shown_rate", "current_1")
-    plain = loop_of(having(LAG, LEAK), Bench.nominal())
-    assert coordinates_of(plain) == LOOP_FIELDS and len(plain.scale) == LOOP
 
 
 def whole_loop(bench: Bench, gain: float) -> FloatArray:
@@ -256,38 +244,6 @@ def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(
         follow(loop, memory[0], x, current, rate)
     told = innovations.sentence(monitor[0])
     assert (told != "") == (ratio < 1.0), told
-
-
-def test_eight_coordinates_among_more_are_the_same_bit_for_bit() -> None:
-    """The shipped metric and a loop of eight, and both with a ninth coordinate that nothing moves."""
-    metric = LearnedMetric.load()
-    table = np.hstack((metric.table, np.tile([0.0] * 8 + [1.0], (len(metric.table), 1))))
-    more = replace(metric, table=table, coordinates=(*LOOP_FIELDS, "still"), flat=wider(metric, table.shape[1]))
-    rng = np.random.default_rng(0)
-    eight, nine = step_of(of("1 ms")), step_of(of("1 ms"))
-    eight = eight._replace(transition=np.zeros((8, 8)), push=np.zeros(8), feedback=np.zeros(8))
-    for _ in range(50):
-        x, rate, gain = rng.standard_normal(8), rng.standard_normal(8), float(rng.uniform(-40.0, 300.0))
-        values = []
-        for one in (metric, more):
-            value = metric_value(one.parts)
-            value.matrix[:], value.rate[:] = one.matrix_and_rate(x, rate, gain)
-            values.append(value)
-        np.testing.assert_array_equal(values[0].matrix, values[1].matrix[:8, :8])
-        nine.transition[:] = nine.push[:] = nine.feedback[:] = 0.0
-        eight.transition[:], eight.push[:] = rng.standard_normal((8, 8)), rng.standard_normal(8)
-        eight.feedback[:] = rng.standard_normal(8)
-        nine.transition[:8, :8], nine.push[:8], nine.feedback[:8] = eight.transition, eight.push, eight.feedback
-        v = np.append(rng.standard_normal(8), 0.0)
-        small = quadratic(eight, values[0], v[:8].copy(), 0.1, 0.2, 0.1, np.zeros(8), np.zeros(8))
-        large = quadratic(nine, values[1], v, 0.1, 0.2, 0.1, np.zeros(9), np.zeros(9))
-        assert small == large
-
-
-def wider(metric: LearnedMetric, entries: int) -> FloatArray:
-    """Weights of the same network with more outputs, all of them zero."""
-    layers = metric.parts.layers
-    return np.concatenate([*(one.ravel() for one in layers[:4]), np.zeros((len(layers.w3) + 1) * entries)])
 
 
 def test_a_metric_of_other_coordinates_is_refused_in_a_sentence(tmp_path: Path, bench: Bench) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter.certificate.continuous import Certificate, dead_zone
-from hydro_filter.controller.filter import ContractionFilter, FilterSettings
+from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.metric.constant import gain_floor
 from hydro_filter.model.sample import Sample
 from hydro_sim.model.bench import Bench
@@ -96,18 +96,3 @@ def test_dead_zone_is_smooth_odd_and_gone_at_twice_the_floor() -> None:
     assert np.abs(np.diff(slope)).max() <= 1e-3  # no kink: steps of 0.1 mN
     np.testing.assert_array_equal(passed[np.abs(errors) >= 3.6], errors[np.abs(errors) >= 3.6])
     assert np.isnan(dead_zone(np.nan, 1.8))
-
-
-def test_scale_makes_the_certificate_a_small_number(certificate: Certificate, states: FloatArray) -> None:
-    """10 N of error at the paper's stable gains: hundredths, like the paper's Table val_cont."""
-    value = -certificate.evaluate(sample(states[0], error=10.0, gain=90.0)).b
-    assert -0.1 < value < -0.01
-
-
-def test_a_higher_contraction_rate_asks_for_more(bench: Bench, states: FloatArray) -> None:
-    at = sample(states[0], error=60.0, gain=5.0)
-    results = [
-        ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=rate)).correct(at).delta_u
-        for rate in (0.1, 1.0, 3.0)
-    ]
-    assert results[0] == 0.0 < results[1] < results[2]

@@ -51,18 +51,3 @@ def test_where_no_du_helps_the_nearest_is_told() -> None:
     assert np.isnan(a)
     assert np.isnan(b)
     assert best == -1.0
-
-
-def test_noise_fades_out_smoothly() -> None:
-    sizes = np.linspace(0.0, 3.0, 3001)
-    shares = np.array([sampled.displacement_share(size, 1.0) for size in sizes])
-    assert shares[sizes <= 1.0].max() == 0.0
-    assert shares[sizes >= 2.0].min() == 1.0
-    assert np.abs(np.diff(shares)).max() < 2e-3
-    assert sampled.displacement_share(1e-9, 0.0) == 1.0
-
-
-def test_the_integral_may_ask_for_its_allowance() -> None:
-    assert sampled.excess_integral(250.0, 300.0) == 0.0
-    assert sampled.excess_integral(450.0, 300.0) == 150.0
-    assert sampled.excess_integral(-450.0, 300.0) == -150.0

@@ -3,18 +3,13 @@
 
 from __future__ import annotations
 
-import io
 import math
-import subprocess
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 pytestmark = pytest.mark.graph
 pytest.importorskip("hydro_msgs.msg", reason="source install/setup.bash")
@@ -36,7 +31,6 @@ from hydro_bridge.ros import (  # noqa: E402
     STATE_QOS,
     Companion,
     StateMessage,
-    executable_path,
 )
 from hydro_bridge.signals import (  # noqa: E402
     PLANT_FIELDS,
@@ -185,17 +179,6 @@ def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[.
     assert source.corrections[0].delta_u > 0.0
 
 
-def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started("--bypass", *CONSTANT)
-    source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
-    source.wait(lambda: bool(source.corrections))
-    assert source.corrections[0].status == CorrectionStatus.BYPASSED
-    assert source.corrections[0].delta_u == 0.0
-    assert source.corrections[0].certificate_before > 0.0
-    source.wait(lambda: any("BYPASSED" in status.message for status in source.diagnostics))
-    assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
-
-
 def test_under_the_compensated_law_every_answer_is_bypassed_and_under_the_papers_as_ever(
     started: Callable[..., Source], still: FloatArray
 ) -> None:
@@ -215,22 +198,6 @@ def test_under_the_compensated_law_every_answer_is_bypassed_and_under_the_papers
     assert all(message.delta_u == 0.0 for message in source.corrections[25:100])
 
 
-def test_every_tenth_sample_is_a_hundred_hertz(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started("--every", "10", *CONSTANT)
-    for k in range(35):
-        source.publish(k, samples(still, 1)[0])
-    source.wait(lambda: len(source.corrections) >= 4)
-    source.wait(lambda: len(source.diagnostics) > 1)
-    assert [message.sequence for message in source.corrections] == [0, 10, 20, 30]
-
-
-def test_the_learned_metric_is_not_asked_to_hold_a_correction_for_ten_samples() -> None:
-    refused = subprocess.run(
-        [str(executable_path("hydro_filter", "filter")), "--every", "10"], capture_output=True, text=True, check=False
-    )
-    assert refused.returncode == 2 and "--every 10 needs --metric constant" in refused.stderr
-
-
 def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:
     """Its stamps are /clock's; nobody told the filter, and it finds out within a second or two."""
     source = started()
@@ -244,17 +211,6 @@ def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callabl
         assert later.count(CorrectionStatus.PASS) == len(later)
     finally:
         simulation.stop()
-
-
-def test_diagnostics_count_what_happened(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*CONSTANT)
-    for sequence in (0, 1, 5):
-        source.publish(sequence, samples(still, 1)[0]._replace(proportional_gain=90.0))
-    source.wait(lambda: any(dict_of(status).get("pass") == "3" for status in source.diagnostics))
-    values = dict_of(source.diagnostics[-1])
-    assert values["missing_states"] == "3"
-    assert values["nan"] == values["stale"] == values["qp_fallbacks"] == "0"
-    assert 0.0 < float(values["work_p50_ms"]) <= float(values["age_p99_9_ms"])
 
 
 def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after_a_gap(
@@ -320,25 +276,6 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
     source.node.destroy_publisher(told)
 
 
-def test_a_filter_beside_a_simulation_of_another_bench_corrects_nothing(
-    started: Callable[..., Source], tmp_path: Path
-) -> None:
-    """Nothing but the sim says which bench it is."""
-    own = replace(Bench.nominal(), spring_stiffness=4e4)
-    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
-    source = started(*CONSTANT)
-    source.no_plant()
-    simulation = Companion("hydro_sim", "sim", ["--bench", str(tmp_path / "own.yaml")])
-    try:
-        source.wait(lambda: any(own.digest in status.message for status in source.diagnostics))
-        source.corrections.clear()
-        source.wait(lambda: len(source.corrections) > 300)
-        assert {message.delta_u for message in source.corrections} == {0.0}
-        assert {message.status for message in source.corrections} == {CorrectionStatus.MISMATCH}
-    finally:
-        simulation.stop()
-
-
 def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagnostics(
     started: Callable[..., Source],
 ) -> None:
@@ -387,23 +324,6 @@ def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source]
     source.wait(lambda: len(source.diagnostics) > told + 1)
     assert len(source.corrections) == heard, "which of them is the plant's?"
     source.node.destroy_publisher(rival)
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--metric", "/nowhere.safetensors"), "cannot be read as weights"),
-        (("--metric", "constant", "--foreign-rate", "3"), "--foreign-rate is no setting of this metric"),
-        (("--metric", "constant", "--model", "x"), "--model needs a learned one"),
-    ],
-)
-def test_what_does_not_go_together_is_one_sentence_and_status_2(words: tuple[str, ...], sentence: str) -> None:
-    output = io.StringIO()
-    companion = Companion("hydro_filter", "filter", words, output=output)
-    assert companion.process.wait(20.0) == 2
-    companion.stop()
-    assert sentence in output.getvalue()
-    assert "Traceback" not in output.getvalue()
 
 
 def dict_of(status: DiagnosticStatus) -> dict[str, str]:

@@ -192,19 +192,3 @@ def test_m_and_its_rate_are_torchs(metric: LearnedMetric, states: FloatArray, ga
         np.testing.assert_allclose(turn, slope.numpy(), rtol=0, atol=LIMIT * np.abs(turn).max())
         np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=0)
         assert np.linalg.eigvalsh(matrix)[0] > 0.0
-
-
-def test_the_rate_of_m_is_its_difference_along_the_flow(metric: LearnedMetric, states: FloatArray) -> None:
-    """Central differences; where a ReLU changes sides in between, wider ones say so."""
-    compared, rng = 0, np.random.default_rng(7)
-    for x in states[:COUNT]:
-        rate = metric.scale * rng.normal(size=8)
-        turn = metric.matrix_and_rate(x, rate, 60.0)[1]
-        wide, narrow = (
-            (metric.matrix(x + s * rate, 60.0) - metric.matrix(x - s * rate, 60.0)) / (2.0 * s) for s in (2e-4, 1e-4)
-        )
-        if np.abs(wide - narrow).max() > 1e-6 * np.abs(turn).max():
-            continue
-        compared += 1
-        np.testing.assert_allclose(turn, narrow, rtol=0, atol=LIMIT * np.abs(turn).max())
-    assert compared >= COUNT // 2

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -109,13 +107,6 @@ def test_a_disarmed_bench_and_an_old_state_are_left_alone(bench: Bench, states: 
     assert bypass.correct(sample).delta_u == 0.0
 
 
-def test_a_run_is_forgotten_with_reset(bench: Bench, states: StateArray) -> None:
-    made = default_filter(bench)
-    first = [made.correct(Sample.of(record)).before for record in states[:50]]
-    made.reset()
-    assert [made.correct(Sample.of(record)).before for record in states[:50]] == first
-
-
 def test_gains_that_the_loop_does_not_bear_are_held(bench: Bench, plant: LearnedPlant) -> None:
     for gains in ((300.0, 15.0), (-30.0, -3.0)):
         bypass = LoopFilter(default_filter(bench).parts, LoopFilterSettings(bypass=True))
@@ -148,8 +139,3 @@ def replace_integral(sample: Sample, current: float) -> Sample:
     return sample._replace(
         nominal_current=sample.nominal_current + current, valve_current=sample.valve_current + current
     )
-
-
-def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(ValueError, match="contraction_rate"):
-        replace(LoopFilterSettings(), contraction_rate=-1.0)

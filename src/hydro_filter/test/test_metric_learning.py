@@ -3,22 +3,18 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hydro_bridge.cli.console import UserError
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray, StateArray
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
 from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.bench_loop import without_overlap
 from hydro_filter.model.loop_model import LoopModel, loop_model
 from hydro_filter.precompile import FOUND
-from hydro_filter.training.certificate import where_violated
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,
@@ -26,19 +22,15 @@ from hydro_filter.training.data import (
     DataSettings,
     Rollout,
     Windows,
-    certified_range,
     concatenated,
     label_of,
     label_of_both,
     roll_out,
     windows_of,
 )
-from hydro_filter.training.lmi_refinement import refine
 from hydro_filter.training.loss import Samples
 from hydro_filter.training.metric_learning import correction, free_plant, require_held_out
-from hydro_filter.training.options import arguments, fixed_options
-from hydro_filter.training.training import TrainingSettings, certificate_queries, evaluate_quality, network_of, train
-from hydro_filter.validation import validate
+from hydro_filter.training.training import TrainingSettings, certificate_queries, train
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -91,12 +83,6 @@ def test_twins_say_whether_gains_are_stable(growth: float, label: int) -> None:
     assert label_of(*twins(growth)) == label
 
 
-def test_a_trip_is_unstable() -> None:
-    first, second = twins(-2.0)
-    second["flags"][2500:] = Flag.TRIPPED
-    assert label_of(first, second) == UNSTABLE
-
-
 def test_rollouts_are_labelled_as_the_bench_is(rollouts: list[Rollout]) -> None:
     for rollout in rollouts:
         kp = rollout.gains[0]
@@ -106,42 +92,12 @@ def test_rollouts_are_labelled_as_the_bench_is(rollouts: list[Rollout]) -> None:
             assert rollout.label == STABLE
 
 
-def test_the_certified_range_keeps_away_from_what_is_not_stable() -> None:
-    def rolled(kp: float, label: int) -> Rollout:
-        return Rollout(states=np.zeros(0, STATE_DTYPE), gains=(kp, 5.0), label=label)
-
-    runs = [rolled(kp, STABLE) for kp in (4.0, 30.0, 60.0, 110.0)] + [rolled(-3.0, UNSTABLE), rolled(2.0, NEITHER)]
-    assert certified_range([*runs, rolled(120.0, UNSTABLE)]) == (10.0, pytest.approx(96.0))
-    with pytest.raises(ValueError, match="no rollout is stable"):
-        certified_range([rolled(10.0, UNSTABLE)])
-
-
-def test_a_rollout_repeats_itself(bench: Bench, rollouts: list[Rollout]) -> None:
-    again = roll_out(LearnedPlant(), bench, DATA, 1)
-    assert again.gains == rollouts[1].gains
-    np.testing.assert_array_equal(again.states, rollouts[1].states)
-
-
 def test_a_solved_metric_decays_with_its_loop(loop: LoopModel, bench: Bench) -> None:
     metric = LearnedMetric.designed(loop, bench, MetricDesign())
     x = metric.center
     for gain in metric.gains:
         free, push, feedback = rest_loop(loop, float(gain))
         assert decay_rate(free + np.outer(push, feedback), metric.matrix(x, float(gain))) > 0.1
-
-
-def test_windows_stay_off_the_end_stops(rollouts: list[Rollout], loop: LoopModel) -> None:
-    rollout = rollouts[0]
-    free = windows_of(rollout, loop, DATA, 0)
-    assert free is not None
-    states = rollout.states.copy()
-    states["piston_position"][len(states) // 2 :] = 0.0
-    half = windows_of(replace(rollout, states=states), loop, DATA, 0)
-    assert half is not None
-    assert 0 < len(half.x) < len(free.x)
-    assert (half.x[:, :, 6] > 0.0).all()
-    states["piston_position"] = 0.08
-    assert windows_of(replace(rollout, states=states), loop, DATA, 0) is None
 
 
 def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: LoopModel, bench: Bench) -> None:
@@ -193,50 +149,6 @@ def test_a_range_that_no_held_out_rollout_can_judge_is_refused(windows: Windows)
         require_held_out(kept, replace(MetricDesign(), gain_low=75.0, gain_high=77.0))
 
 
-def test_where_a_metric_is_violated_is_told(asked: tuple[LearnedMetric, Samples]) -> None:
-    metric, samples = asked
-    how = TrainingSettings().loss
-    told = re.fullmatch(
-        r"K_p (\d+) to (\d+) 1/s, where the loop itself decays at (\S+) 1/s", where_violated(*asked, how)
-    )
-    assert told is not None
-    low, high, decay = map(float, told.groups())
-    assert metric.gains[0] - 0.5 <= low <= high <= metric.gains[-1] + 0.5
-    assert 0.1 < decay < 10.0, "the still bench's metric is violated where the loop decays"
-    assert where_violated(metric, samples._replace(decay=samples.decay + 1.0), how) == ""
-
-
-def test_the_law_makes_the_loop_nearly_the_same_everywhere(windows: Windows) -> None:
-    """What the coordinates are chosen for: on stable rollouts the slowest decay at K_p = 90 hardly varies."""
-    closed = at_gain(windows, 90.0)
-    decays = -np.log(np.abs(np.linalg.eigvals(closed)).max(axis=1)) / 1e-3
-    low, high = np.quantile(decays, [0.05, 0.95])
-    assert low > 0.7
-    assert high < 2.5
-
-
-def at_gain(windows: Windows, gain: float) -> np.ndarray:
-    """F + G K of one sample of every stable window, had K_p been `gain`, shape (n, 8, 8)."""
-    stable = windows.part((windows.label == STABLE) & (windows.gain > 10.0) & (windows.gain < 100.0))
-    feedback = stable.feedback[:, 0].copy()
-    feedback[:, 3] *= gain / stable.gain
-    return np.asarray(stable.transition[:, 0] + stable.push[:, 0][:, :, None] * feedback[:, None, :])
-
-
-def test_polishing_makes_a_metric_hold_on_samples(windows: Windows, loop: LoopModel, bench: Bench) -> None:
-    metric = LearnedMetric.designed(loop, bench, MetricDesign())
-    row = int(np.argmin(np.abs(metric.gains - 60.0)))
-    closed = at_gain(windows, float(metric.gains[row]))
-
-    def slowest(entries: np.ndarray) -> float:
-        lower = np.zeros((8, 8))
-        lower[np.tril_indices(8)] = entries
-        return float(np.quantile([decay_rate(one, lower @ lower.T) for one in closed], 0.1))
-
-    before, after = slowest(metric.table[row]), slowest(refine(metric.table[row], closed, 0.4))
-    assert before < 0.0 < after
-
-
 def test_training_lowers_the_held_out_loss_and_resumes(asked: tuple[LearnedMetric, Samples], tmp_path: Path) -> None:
     metric, samples = asked
     settings = TrainingSettings(epochs=4, batch=16, learning_rate=1e-3)
@@ -247,53 +159,3 @@ def test_training_lowers_the_held_out_loss_and_resumes(asked: tuple[LearnedMetri
     resumed = list(train(metric, samples, samples, 10, settings, tmp_path / "parts", resume=True))[-1]
     np.testing.assert_allclose(resumed[1].flat, whole[1].flat, rtol=1e-12, atol=1e-14)
     assert resumed[0].history[1:] == whole[0].history[1:]
-
-
-def test_learning_that_goes_on_has_the_words_that_it_was_begun_with(
-    asked: tuple[LearnedMetric, Samples], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--out", str(tmp_path / "new" / "m.safetensors"), "--seed", "3", "--bench", "bench.yaml", "--epochs", "1"]
-    metric, samples = asked
-    assert arguments([*words, "--resume"]).seed == 3 and "begins at its beginning" in capsys.readouterr().err
-    settings = TrainingSettings(epochs=1, batch=16)
-    checkpoint = tmp_path / "new" / "m.checkpoint"
-    list(train(metric, samples, samples, 10, settings, checkpoint, begun=fixed_options(arguments(words))))
-    again = arguments([*words[:2], "--resume", "--epochs", "9"])
-    assert (again.seed, again.bench, again.epochs) == (3, str(Path("bench.yaml").absolute()), 9)
-    assert fixed_options(arguments([*words, "--resume"])) == fixed_options(again), "the same words again are fine"
-    with pytest.raises(UserError, match=r"m\.checkpoint goes on as it was begun, without --seed 0 \(it has 3\): leave"):
-        arguments([*words[:2], "--resume", "--seed", "0"])
-    checkpoint.write_text("nothing")
-    with pytest.raises(ValueError, match="no checkpoint of a training"):
-        arguments([*words, "--resume"])
-
-
-def test_the_network_at_zero_is_the_solved_metric(asked: tuple[LearnedMetric, Samples]) -> None:
-    metric, samples = asked
-    how = TrainingSettings().loss
-    zero = metric.with_weights(np.zeros_like(metric.flat))
-    assert evaluate_quality(network_of(zero), samples, metric.floor, how) == evaluate_quality(
-        network_of(metric), samples, metric.floor, how
-    )
-
-
-def test_an_impossible_word_is_refused() -> None:
-    with pytest.raises(SystemExit):
-        arguments(["--out", "metric.safetensors", "--seed", "-1"])
-
-
-@pytest.mark.parametrize(
-    ("parse", "words"),
-    [
-        (arguments, ["--out", "/dev/null/x"]),
-        (arguments, ["--out", "metric.safetensors", "--json", "/dev/null/x"]),
-        (validate.arguments, ["--plots", "/dev/null/x"]),
-    ],
-)
-def test_a_place_that_cannot_be_written_is_found_before_the_work(
-    parse: Callable[[list[str]], object], words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        parse(words)
-    assert ended.value.code == 2
-    assert "/dev/null is no folder: choose another place" in capsys.readouterr().err.splitlines()[-1]

@@ -13,7 +13,6 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.design import MetricDesign
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop_model import loop_model
-from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
@@ -46,10 +45,3 @@ def test_save_load(metric: LearnedMetric, states: FloatArray, tmp_path: Path) ->
     assert loaded.thresholds == given.thresholds
     for gain in GAINS:
         np.testing.assert_array_equal(loaded.matrix(states[0], gain), given.matrix(states[0], gain))
-
-
-def test_a_learned_bench_is_no_metric() -> None:
-    from hydro_sim.files.weights import shipped
-
-    with pytest.raises(WeightsError, match="not a metric's"):
-        LearnedMetric.load(shipped())

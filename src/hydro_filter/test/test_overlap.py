@@ -63,13 +63,6 @@ def test_a_half_width_is_lost_on_either_side_and_all_within() -> None:
     assert change_for(overlap, 0.4, -0.1) == pytest.approx(-0.1), "closed from outside: to the near edge"
 
 
-def test_without_an_overlap_nothing_changes_by_a_bit() -> None:
-    for passing in np.random.default_rng(1).standard_normal(100):
-        assert change_for(Overlap(closing=0.3), 0.7, passing) == passing
-        assert passed_change(Overlap(closing=0.3), 0.7, passing) == passing
-        assert lost(Overlap(closing=0.3), passing) == 0.0
-
-
 def test_the_overlap_is_the_bench_files(bench: Bench, overlapped: Bench) -> None:
     shift = {"id": "valve_offset", "parameters": {"current": 1e-3}}
     lopsided = {

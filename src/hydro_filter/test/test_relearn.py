@@ -42,17 +42,6 @@ def test_what_fails_says_so_and_is_gone_on_with_on_the_same_recordings_only(tmp_
     assert f"was begun with {tmp_path / 'nothing'}" in other.stderr
 
 
-def test_what_is_there_is_not_made_again(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    relearn(tmp_path / "nothing", "--out", out)
-    for name in (MODEL, METRIC):
-        (out / name).write_bytes(b"made before")
-    done = relearn(tmp_path / "nothing", "--out", out, "--resume", "--bench", "own.yaml")
-    assert done.returncode == 0
-    said = f"ros2 run hydro_filter filter --model {out / MODEL} --metric {out / METRIC} --bench own.yaml"
-    assert done.stdout.strip().endswith(said)
-
-
 @pytest.mark.study
 @pytest.mark.exhaustive
 def test_a_minute_of_a_changed_bench_gives_a_filter_for_it(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hydro_policy.nodes.graph.announcements import Announcer, CompanionOutput, RepeatFilter
+from hydro_policy.nodes.graph.announcements import Announcer, RepeatFilter
 
 
 def test_a_flood_of_two_sentences_is_told_in_a_few_lines_and_then_counted() -> None:
@@ -21,11 +21,6 @@ def test_a_flood_of_two_sentences_is_told_in_a_few_lines_and_then_counted() -> N
     assert flood.passed("plant: armed", now=12.1) == "plant: armed"
 
 
-def test_sentences_that_come_at_their_own_pace_are_all_told() -> None:
-    flood = RepeatFilter(8)
-    assert all(flood.passed(f"episode {k}/160: RMSE {k} N", now=1.5 * k) for k in range(160))
-
-
 def test_a_log_that_takes_no_more_ends_and_is_told_of_once(capsys: pytest.CaptureFixture[str]) -> None:
     announcer = Announcer()
     with Path("/dev/full").open("w", buffering=1) as announcer.log:
@@ -33,13 +28,3 @@ def test_a_log_that_takes_no_more_ends_and_is_told_of_once(capsys: pytest.Captur
         announcer.say("two", warning=True)
         announcer.keep("a companion's line\n")
     assert capsys.readouterr().err.splitlines() == ["one", "! the log ends here: No space left on device", "! two"]
-
-
-def test_of_companions_the_log_has_all_and_the_terminal_what_matters_once(capsys: pytest.CaptureFixture[str]) -> None:
-    kept: list[str] = []
-    output = CompanionOutput(kept.append)
-    for k in range(5):
-        output.write(f"[bridge] [WARN] late by {k} ms\n")
-        output.write("[bridge] all is well\n")
-    assert len(kept) == 10
-    assert capsys.readouterr().err == "[bridge] [WARN] late by 0 ms\n"

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_policy.evaluation.policy_examination import EXAMINED, reference_rmse, significantly_better, verdict
+from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better, verdict
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.sessions.episode import Progress
 from hydro_policy.sessions.run_state import RunState
-from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from hydro_policy.task.scoring import Score
 
@@ -62,13 +61,6 @@ def test_a_verdict_has_the_mean_of_the_repeats_and_its_standard_error() -> None:
     assert verdict(scores(FIXED[np.newaxis]), FIXED).score_error == 0.0
 
 
-def test_fixed_gains_that_were_stopped_in_one_repeat_count_as_no_tracking_there() -> None:
-    runs = scores(np.array([FIXED, FIXED]), "fixed (90, 15)")
-    runs[0] = Score(controller="fixed (90, 15)", case=CASES[0], frequency=0.5, repeat=0, stopped="it cycled")
-    found = reference_rmse(ExamSettings(), runs)
-    np.testing.assert_allclose(found, [(5.0 + 300.0 / np.sqrt(2.0)) / 2.0, *FIXED[1:]])
-
-
 @pytest.mark.parametrize(
     ("score", "errors", "best_error", "better"),
     [
@@ -86,20 +78,6 @@ def test_better_is_better_by_more_than_the_noise(
 ) -> None:
     """The best score's own noise counts, and so does how often a run has compared."""
     assert significantly_better(score, 1.0, errors, best_error) is better
-
-
-def test_noise_alone_passes_for_better_in_few_runs() -> None:
-    """Policies that are all alike, two runs of four sines each, nine examinations: the one that came is kept."""
-    rng, passed = np.random.default_rng(0), 0
-    for _ in range(400):
-        state = RunState(TrainingSettings(), Learner(), Progress(reference_rmse=FIXED.tolist()), None, RunRecord())  # type: ignore[arg-type]
-        found = [state.add_exam(scores(FIXED * (0.8 + 0.05 * rng.standard_normal((2, 4))))) for _ in range(9)]
-        passed += any(found[1:])
-    assert passed / 400 < 0.15
-
-
-def test_a_run_knows_its_noise_unless_told_otherwise() -> None:
-    assert TrainingSettings().exam.evaluation.repeats > 1
 
 
 def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> None:

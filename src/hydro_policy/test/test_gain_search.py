@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import pytest
 
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import Flag, ReferenceSignal
@@ -18,7 +16,6 @@ from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import CALM
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -43,28 +40,6 @@ def test_search_finds_the_best_pair_and_never_climbs_beyond_the_first_that_is_st
     assert len(search.tried) < 30
     assert np.isinf(search.scores[(150.0, 15.0)]) and search.best_each == [search.best] * 2
     assert search.found
-
-
-@pytest.mark.parametrize("stopped", [float("nan"), float("inf")])
-def test_where_even_the_lowest_gains_are_stopped_the_search_ends_and_has_found_nothing(stopped: float) -> None:
-    search = GridSearch(GridSettings())
-    while (pair := search.next()) is not None:
-        search.tell(pair, [stopped, stopped])
-    assert len(search.tried) == 2 and not search.found
-    assert np.isinf(list(search.scores.values())).all()
-
-
-def test_a_run_that_was_stopped_is_not_held_against_the_next_one() -> None:
-    """(15, 5) lags by more than the monitor bears; what follows begins only when the force is back."""
-    bench = Bench.nominal()
-    graph = OfflineGraph(LearnedPlant(), bench, guard=GuardSettings(delta_kp_max=285.0))
-    evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=1.0, repeats=3)
-    monitor = SafetyMonitor(MonitorSettings(peak_error=200.0))
-    controllers = [FixedGains(15.0, 5.0), FixedGains(90.0, 15.0)]
-    session = EvaluationSession(evaluation, controllers, graph, monitor=monitor)
-    graph.run(session, 60.0)
-    stopped = [(score.controller, score.case) for score in session.scores if score.stopped]
-    assert session.finished and stopped == [("fixed (15, 5)", "2 Hz")] * 3
 
 
 def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_track_well() -> None:
@@ -98,16 +73,3 @@ def test_calm_that_the_last_pair_asked_for_is_kept_in_the_evaluation_that_follow
     graph.run(session, 3.0)
     assert graph.references[heard:] == [ReferenceSignal(), evaluation.cases[0].signal] and session.finished
     assert graph.time - ended >= CALM + evaluation.length(evaluation.cases[0]) - 0.01
-
-
-@pytest.mark.parametrize(
-    ("settings", "sentence"),
-    [
-        ({"ki_values": ()}, "at least one K_i"),
-        ({"kp_max": 40.0}, "begins at K_p = 60, which is above its largest, 40"),
-        ({"ki_max": 30.0}, "not all in"),
-    ],
-)
-def test_a_grid_begins_within_its_limits(settings: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        GridSettings(**settings)

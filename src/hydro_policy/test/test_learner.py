@@ -9,24 +9,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from hydro_policy.learner_process import learner as learning
-from hydro_policy.learner_process.learner import Learner, LearnerMemory, compile_updates
+from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.learner_process.shared_memory import SharedBlob
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
-from hydro_policy.runs import checkpoint
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
-from hydro_policy.sac import kernel
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import load_policy
-from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
@@ -102,20 +96,6 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
     assert load_checkpoint(run.latest).trainer == {"episode": 6}
 
 
-def test_ctrl_c_while_it_starts_does_not_reach_the_learner(tmp_path: Path) -> None:
-    learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create())
-    try:
-        assert learner.pid is not None
-        for _ in range(20):  # from its first millisecond on; importing takes it longer
-            os.kill(learner.pid, signal.SIGINT)
-            time.sleep(0.005)
-        wait(lambda: learner.ready)
-        assert learner.alive and learner.restarts == 0
-        assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()), "ours still comes"
-    finally:
-        learner.stop({})
-
-
 FIRST = """
 import signal, sys
 from pathlib import Path
@@ -148,53 +128,6 @@ def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:
             learner.stop({})
 
 
-def test_a_checkpoint_that_cannot_be_written_is_told_and_the_one_before_stays(tmp_path: Path) -> None:
-    run = RunDirectory(tmp_path / "run").create()
-    learner = LearnerSupervisor(SETTINGS, run)
-    wait(lambda: learner.ready)
-    learner.save({"episode": 1})
-    wait(lambda: learner.checkpoints == 1)
-    run.latest.with_name("latest.partial").touch()  # in the way, as little can be done about it as about a full disk
-    learner.save({"episode": 2})
-    end = time.monotonic() + 30.0
-    with pytest.raises(LearnerError, match="no checkpoint can be written"):
-        while time.monotonic() < end:
-            learner.restart_if_dead()
-            time.sleep(0.01)
-    with pytest.raises(LearnerError, match=f"go on from the one before with --resume {run.path}"):
-        learner.stop({"episode": 3})
-    assert not learner.alive
-    assert load_checkpoint(run.latest).trainer == {"episode": 1}
-
-
-@pytest.mark.parametrize("moment", ["begun", "replay", "policy"])
-def test_a_folder_that_vanishes_while_it_is_written_to_is_there_again_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
-) -> None:
-    """Somebody takes the run's folder away before its first file, in the middle of one, and before its last."""
-    run = RunDirectory(tmp_path / "run").create()
-    sac, replay = Sac(OBSERVATIONS, ACTIONS, SETTINGS.sac), ReplayBuffer(OBSERVATIONS, ACTIONS, 100)
-    way = {
-        "begun": (checkpoint.shutil, "rmtree"),
-        "replay": (checkpoint.np, "save"),
-        "policy": (learning, "actor_parameters"),
-    }
-    place, name = way[moment]
-    call = getattr(place, name)
-
-    def vanishing(*words: Any, **named: Any) -> Any:
-        with suppress(FileNotFoundError):  # only once
-            run.path.rename(tmp_path / "away")
-            monkeypatch.setattr(place, name, call)
-        return call(*words, **named)
-
-    monkeypatch.setattr(place, name, vanishing)
-    learning.write_run(learning.SaveRequest(run.path, {"episode": 2}, best=False), dump(sac), None, replay, SETTINGS)
-    assert (tmp_path / "away").exists()
-    assert load_checkpoint(run.latest).trainer == {"episode": 2}
-    assert load_policy(run.policy)[2]["episode"] == 2 and run.config.exists()
-
-
 def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is_written_without_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -217,17 +150,6 @@ def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is
     learner.stop({"episode": 200})
     assert not learner.alive
     assert load_checkpoint(run.latest).trainer == {"episode": 200}
-
-
-def test_what_learning_compiles_is_compiled_before_it_is_ready() -> None:
-    signatures = len(kernel.learn.signatures)
-    compile_updates(SETTINGS.sac)
-    compiled = len(kernel.learn.signatures)
-    learner = Learner(LearnerMemory(SETTINGS), SETTINGS)
-    learner.replay.extend(transitions(200))
-    learner.work()
-    assert learner.sac.updates > 0
-    assert signatures <= compiled == len(kernel.learn.signatures), "the first real update found it compiled"
 
 
 def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -24,13 +23,10 @@ pytest.importorskip("rclpy")
 import rclpy
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros import (
     BOX,
     BOX_QOS,
     CLAIM_SERVICE,
-    GAINS,
-    OVERRIDE_SERVICE,
     STATE,
     STATE_QOS,
     CompanionError,
@@ -41,19 +37,14 @@ from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded
 from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo
-from hydro_msgs.srv import Claim, OverrideGains
+from hydro_msgs.srv import Claim
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.startup.box_expectation import box_mismatch
 from hydro_policy.nodes.startup.companions import PlantOptions, commands
-from hydro_policy.nodes.startup.guard_range import protection_gap
-from hydro_policy.nodes.startup.options import plant_options
-from hydro_policy.nodes.trainer import DEMO, asked
-from hydro_policy.nodes.trainer import parser as trainer_parser
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.initial_agent import shipped_agent
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy
-from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.files.weights import shipped
@@ -162,60 +153,6 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     assert again.returncode == 2 and "choose another --name" in again.stderr.splitlines()[-1]
 
 
-def test_an_evaluation_whose_plant_cannot_start_leaves_nothing_and_takes_nobody_elses_folder(tmp_path: Path) -> None:
-    words = ("--plant", "emulator", "--truth", "/nowhere", "--runs", str(tmp_path / "runs"), "--name", "a")
-    done = run("evaluate", *words)
-    assert done.returncode == 2 and "/nowhere cannot be read" in done.stderr.splitlines()[-1]
-    assert not any(tmp_path.iterdir())
-    (tmp_path / "runs" / "a").mkdir(parents=True)
-    done = run("evaluate", *words)
-    assert done.returncode == 2 and "choose another --name" in done.stderr.splitlines()[-1]
-    assert (tmp_path / "runs" / "a").is_dir()
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--resume", "/nowhere"), "holds no run to resume"),
-        (("--ros-args", "-p", "sac.discont:=0.9"), "no parameter sac.discont; is sac.discount meant?"),
-        (("--plant", "sim", "--truth", "t.yaml"), "of no use"),
-        (("--plant", "emulator", "--bench", "/nowhere"), "/nowhere"),
-        (("--plant", "sim", "--model", "/nowhere"), "--model /nowhere: there is no such file"),
-        (("--runs", "/dev/null"), "cannot be made"),
-    ],
-)
-def test_what_the_user_can_put_right_is_one_sentence_and_status_2(
-    words: tuple[str, ...], sentence: str, tmp_path: Path
-) -> None:
-    done = run("trainer", "--runs", str(tmp_path), *words)
-    assert done.returncode == 2
-    assert sentence in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
-    assert not any(tmp_path.iterdir()), "nothing is left behind"
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--fixed", "nan", "5"), "fixed gains are two finite numbers, not nan and 5"),
-        (("--repeats", "0"), "repeats must be within [1, 1000], not 0"),
-        (("--json", "/dev/null/figures.json"), "/dev/null is no folder: choose another place"),
-        (("--runs", "/dev/null"), "/dev/null"),
-    ],
-)
-def test_evaluate_says_at_once_what_it_cannot_use(words: tuple[str, ...], sentence: str) -> None:
-    done = run("evaluate", *words, timeout=30.0)
-    assert done.returncode == 2
-    assert sentence in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
-
-
-def test_the_main_job_is_a_set_of_defaults() -> None:
-    plain = vars(asked(["--demo"]))
-    assert {name: plain[name] for name in DEMO} == DEMO
-    told = asked(["--demo", "--plant", "sim", "--exam-every", "0", "--episodes", "12"])
-    assert (told.plant, told.exam_every, told.episodes, told.configuration) == ("sim", 0, 12, "wide")
-    assert asked([]).plant == "external" and asked([]).exam_every is None
-
-
 class Counted:
     """A session that counts what it gets, and wants more."""
 
@@ -270,51 +207,6 @@ def newcomer() -> Iterator[tuple[SmallPlant, GraphNode]]:
     rclpy.try_shutdown()
 
 
-def test_a_newcomer_waits_until_the_plant_gives_it_the_authority(
-    newcomer: tuple[SmallPlant, GraphNode], capfd: pytest.CaptureFixture[str]
-) -> None:
-    plant, node = newcomer
-    session, seen, began = Counted(), list[tuple[int, int]](), time.monotonic()
-
-    def each_tick() -> None:
-        plant.tick()
-        now = time.monotonic() - began
-        if now > 3.0 and not seen:
-            seen.append((session.samples, plant.node.count_publishers(GAINS)))
-            plant.gives = True
-        session.finished = session.samples > 5 or now > 20.0
-
-    node.run_session(session, each_tick)  # type: ignore[arg-type]
-    assert seen == [(0, 0)], "nothing reached the session, and nothing could leave, while another commanded"
-    assert plant.asked > 2 and session.samples > 5
-    assert capfd.readouterr().err.count("the_first commands this plant; newcomer waits") == 1
-
-
-def test_an_override_that_the_full_disk_keeps_no_record_of_is_answered_and_ends_the_session_with_its_cause(
-    newcomer: tuple[SmallPlant, GraphNode],
-) -> None:
-    def refuse(_: str) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "run.json")
-
-    plant, node = newcomer
-    plant.gives, node.override = True, GainOverride(say=refuse)
-    asking = plant.node.create_client(OverrideGains, OVERRIDE_SERVICE)
-    answers, session, began = list[rclpy.task.Future](), Counted(), time.monotonic()
-
-    def each_tick() -> None:
-        plant.tick()
-        if not answers and asking.service_is_ready():
-            request = OverrideGains.Request(active=True, proportional_gain=20.0, integral_gain=6.0)
-            answers.append(asking.call_async(request))
-        session.finished = time.monotonic() > began + 20.0
-
-    with pytest.raises(OSError, match=r"No space left on device: 'run\.json'"):
-        node.run_session(session, each_tick)  # type: ignore[arg-type]
-    while not answers[0].done() and time.monotonic() < began + 20.0:
-        plant.executor.spin_once(timeout_sec=0.1)
-    assert not answers[0].result().success
-
-
 def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
     newcomer: tuple[SmallPlant, GraphNode], capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -356,34 +248,6 @@ def test_companions_of_each_plant() -> None:
     assert started[-1][2][-1] == "guard.relies_on:=--metric learned --contraction-rate 2"
 
 
-def test_a_range_that_the_filter_does_not_cover_is_told() -> None:
-    wide = GainRange(delta_kp_max=285.0)
-    assert protection_gap(wide, ()) == "" and protection_gap(GainRange(), ("--metric", "constant")) == ""
-    assert "constant metric does not protect from high gains" in protection_gap(wide, ("--metric=constant",))
-    assert "bypassed" in protection_gap(wide, ("--bypass",))
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--plant", "sim", "--truth", "t.yaml"), "--truth is of no use with --plant sim; it goes with emulator"),
-        (("--plant", "external", "--filter=--bypass"), "--filter is of no use with --plant external"),
-        (("--plant", "sim", "--port", "/dev/ttyUSB0"), "--port is of no use with --plant sim"),
-        (("--plant", "emulator", "--model", "l.yaml"), "--model is of no use with --plant emulator; it goes with sim"),
-    ],
-)
-def test_words_that_a_plant_has_no_use_for_are_refused(words: tuple[str, ...], said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        plant_options(trainer_parser().parse_args(words))
-
-
-def test_without_a_plant_and_without_a_terminal_a_trainer_says_what_to_start(tmp_path: Path) -> None:
-    done = run("trainer", "--runs", str(tmp_path / "runs"), timeout=60.0)
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith("error: no plant runs: nobody publishes /hydro/state; start one")
-    assert not (tmp_path / "runs").exists()
-
-
 @pytest.fixture
 def foreign(tmp_path: Path) -> Iterator[str]:
     """A simulation whose box believes another bench and has other base gains; gives its digest."""
@@ -396,19 +260,6 @@ def foreign(tmp_path: Path) -> Iterator[str]:
         simulation.terminate()
 
 
-def test_companions_get_the_bench_and_the_base_gains_of_the_run() -> None:
-    own = PlantOptions(plant="sim", bench=Path("own.yaml"), base_gains=(30.0, 8.0), filter=("--metric", "constant"))
-    started = {executable: words for _, executable, words in commands(own, GainRange(delta_kp_max=270.0), Path("run"))}
-    assert started["sim"][:2] == started["filter"][:2] == ["--bench", "own.yaml"]
-    assert started["sim"].count("--ros-args") == 1 and "box.base_kp:=30.0" in started["sim"]
-    bench = {
-        executable: words for _, executable, words in commands(replace(own, plant="bench"), GainRange(), Path("run"))
-    }
-    assert "own.yaml" in bench["bridge"] and "own.yaml" in bench["filter"]
-    learnt = {name: words for _, name, words in commands(replace(own, model=Path("l.yaml")), GainRange(), Path("run"))}
-    assert learnt["sim"][:4] == ["--bench", "own.yaml", "--model", "l.yaml"] and "l.yaml" not in learnt["filter"]
-
-
 def test_on_a_plant_that_runs_policies_of_another_box_are_refused(foreign: str, tmp_path: Path) -> None:
     shipped = str(shipped_agent("paper").source)  # type: ignore[union-attr]
     refused = run("trainer", "--runs", str(tmp_path / "runs"))
@@ -418,28 +269,6 @@ def test_on_a_plant_that_runs_policies_of_another_box_are_refused(foreign: str, 
     refused = run("evaluate", *here, "--policy", shipped)
     assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
     assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.study
-def test_on_a_plant_that_runs_fixed_gains_are_its_own(foreign: str, tmp_path: Path) -> None:
-    """It waits 45 s for a filter that never comes, as it should."""
-    done = run(
-        "evaluate",
-        "--runs",
-        str(tmp_path / "runs"),
-        "--name",
-        "a",
-        "--rearm",
-        "auto",
-        "--fixed",
-        "70",
-        "20",
-        "--frequencies",
-        "2",
-    )
-    assert done.returncode == 0, done.stderr
-    (score,) = json.loads((tmp_path / "runs" / "a" / "evaluation.json").read_text())["runs"]
-    assert score["proportional_gain"] == pytest.approx(70.0, abs=0.5)
 
 
 @pytest.mark.parametrize(

@@ -51,17 +51,3 @@ def test_the_simulation_is_started_if_a_person_wants_it(answer: str) -> None:
 def test_who_declines_is_told_what_can_be_named() -> None:
     with pytest.raises(UserError, match=r"no plant runs: .* --plant sim, emulator or bench"):
         choose_plant(cast(Node, Looking(None)), lambda question: "n")
-
-
-def test_a_terminal_that_closes_is_no_answer() -> None:
-    def closed(question: str) -> str:
-        raise EOFError
-
-    with pytest.raises(UserError, match="no plant runs"):
-        choose_plant(cast(Node, Looking(None)), closed)
-
-
-def test_without_a_terminal_nobody_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", None)
-    with pytest.raises(UserError, match="no plant runs"):
-        choose_plant(cast(Node, Looking(None)))

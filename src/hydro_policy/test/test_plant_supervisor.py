@@ -103,25 +103,6 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
     assert [HOW_TO_ARM in sentence for sentence in heard.said[1:]] == ([] if rearm else [True])
 
 
-def test_enter_before_all_is_ready_is_answered_and_not_kept() -> None:
-    heard, learner = Heard(), Slow()
-    watch = PlantSupervisor(heard, False, [learner.requirement])
-    run(watch, STALE, 0.0, 1.0)
-    watch.arm_now(1.0)
-    assert heard.said[-1] == (
-        "not armed, still waiting for the learner and the filter: you are asked once all is ready"
-    )
-    learner.ready = True
-    run(watch, 0, 1.0, 5.0)
-    assert heard.armings == [] and HOW_TO_ARM in heard.said[-1]
-    watch.arm_now(5.0)
-    run(watch, 0, 5.0, 5.5)
-    assert heard.armings == [False, True]
-    run(watch, ARMED, 5.5, 5.6)
-    watch.arm_now(5.6)
-    assert heard.armings == [False, True] and heard.said[-1] == "the plant is armed already: nothing was done"
-
-
 def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:
     heard = Heard()
     watch = PlantSupervisor(heard, rearm=False)
@@ -158,22 +139,6 @@ def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: b
     assert rearm or HOW_TO_ARM in heard.said[-1]
     run(watch, ARMED, 1.0, 1.1)
     assert watch.may_begin(1.1)
-
-
-def test_a_plant_that_is_armed_by_hand_before_all_is_ready_is_disarmed_again_and_again() -> None:
-    heard, learner = Heard(), Slow()
-    watch = PlantSupervisor(heard, False, [learner.requirement])
-    for second in range(3):
-        run(watch, 0, second, second + 0.5)
-        run(watch, ARMED, second + 0.5, second + 1.0)
-    assert heard.armings == [False] * 3 and heard.said.count(TOO_EARLY) == 3
-
-
-def test_what_stays_armed_is_asked_to_disarm_each_second_and_told_once() -> None:
-    heard = Heard()
-    watch = PlantSupervisor(heard, rearm=True)
-    run(watch, ARMED, 0.0, 3.5)
-    assert heard.armings == [False] * 4 and heard.said == [TOO_EARLY]
 
 
 def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_armed_anew() -> None:

@@ -15,14 +15,6 @@ def rows(first: int, count: int) -> np.ndarray:
     return (np.arange(first, first + count)[:, None] + 0.1 * np.arange(7)).astype(np.float32)
 
 
-def test_oldest_rows_make_room() -> None:
-    memory = ReplayBuffer(2, 1, 100)
-    for first in range(0, 240, 3):
-        memory.extend(rows(first, 3))
-    assert len(memory) == 100
-    np.testing.assert_array_equal(memory.stored()[0], rows(140, 100))
-
-
 def test_more_rows_than_capacity_keep_the_last() -> None:
     memory = ReplayBuffer(2, 1, 100)
     memory.extend(rows(0, 250))
@@ -56,13 +48,3 @@ def test_a_full_buffer_does_not_draw_the_rows_about_to_be_overwritten() -> None:
     memory.extend(rows(0, 250))
     drawn = memory.sample(2000, torch.Generator().manual_seed(0)).observation[:, 0].numpy()
     assert drawn.min() == 214 and drawn.max() == 249  # 36 newest of 100; 64 are the margin
-
-
-def test_restored_buffer_goes_on_where_it_was() -> None:
-    memory, again = ReplayBuffer(2, 1, 100), ReplayBuffer(2, 1, 100)
-    memory.extend(rows(0, 130))
-    again.restore(*memory.stored())
-    for buffer in (memory, again):
-        buffer.extend(rows(130, 20))
-    np.testing.assert_array_equal(memory.rows, again.rows)
-    assert memory.produced == again.produced == 150

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +14,9 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
-from hydro_policy.evaluation import policy_examination
-from hydro_policy.evaluation.controllers import FixedGains, PolicyController
+from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.policy_examination import LEAD
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
@@ -77,19 +74,6 @@ def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_fro
         assert exam["score"] == pytest.approx(ratios.mean()) and exam["beaten"] == (ratios < 1).sum()
     assert session.progress.best_score == min(exam["score"] for exam in exams)
     assert exams[0]["best"]
-
-
-def test_an_examined_policy_is_the_one_that_learning_had_reached_and_acts_by_its_mean() -> None:
-    exam = replace(EXAM, settle=6.0)  # what other gains have left in the integral has faded
-    graph, learner, session = start(settings(episodes=1, exam=exam))
-    graph.run(session, 150.0, learner)
-    # With the weights that were last accepted the same sines give the same error but for the noise.
-    again = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session.policy.load_flat(session.keeper.good)
-    repeat = EvaluationSession(exam.evaluation, [PolicyController(session.policy, GainRange(), "policy")], again)
-    again.run(repeat, 60.0)
-    np.testing.assert_allclose([s.rmse for s in repeat.scores], session.record.of("exam")[-1]["rmse"], rtol=0.1)
-    assert session.record.of("exam")[-1]["policy"] == session.policy.digest(), "it is known which weights were examined"
 
 
 def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_policy_acts_again() -> None:
@@ -181,20 +165,6 @@ def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_
     assert "override" not in json.dumps(session.state())
 
 
-def test_an_override_holds_while_the_policy_waits_or_is_examined_and_the_examination_begins_anew() -> None:
-    graph, learner, session = start(settings(episodes=1))
-    graph.run(session, 2.0, learner)
-    assert session.phase is Phase.EVALUATING
-    done = len(session.exam.scores)
-    session.override.hold(20.0, 5.0, 0.0, graph.time)
-    graph.run(session, 4.0, learner)
-    assert session.phase is Phase.EVALUATING and len(session.exam.scores) <= done
-    assert {g[:2] for g in graph.gains_published[-300:]} == {(5.0, 0.0)}
-    session.override.release()
-    graph.run(session, 60.0, learner)
-    assert session.finished
-
-
 @pytest.mark.parametrize(
     "kp, ki, seconds", [(200.0, 10.0, 0.0), (math.nan, 10.0, 0.0), (60.0, -1.0, 0.0), (60.0, 10.0, -1.0)]
 )
@@ -204,17 +174,6 @@ def test_an_override_out_of_reach_is_refused_and_changes_nothing(kp: float, ki: 
     with pytest.raises(ValueError, match=r"cannot be held|lasts"):
         override.hold(kp, ki, seconds, 1.0)
     assert override.gains(2.0) == (45.0, 5.0)
-
-
-def test_what_happened_is_on_disk_after_each_event_and_a_resumed_run_goes_on_in_the_same_file(tmp_path) -> None:
-    path = tmp_path / "run.json"
-    for kind, words in (("stop", {"sentence": "too loud", "reason": "noise", "chatter": math.nan}), ("end", {})):
-        record = RunRecord(path)
-        record.add(kind, **words)
-        record.flush()
-    events = json.loads(path.read_text())["events"]
-    assert [event["kind"] for event in events] == ["stop", "end"]
-    assert events[0]["sentence"] == "too loud" and events[0]["chatter"] is None
 
 
 class Deaf(OfflineGraph):
@@ -302,30 +261,3 @@ def test_the_current_is_judged_again_once_the_force_is_back_from_base_gains() ->
     assert monitor.add(replace(wild, held=int(Flag.FILTER_STALE))) is None
     *spared, judged = (monitor.add(wild) for _ in range(30))  # 0.2 s of return, and a window of 0.1 s
     assert spared == [None] * 29 and judged is not None and "chattering" in judged
-
-
-def test_with_a_lead_controllers_take_turns_and_the_first_run_of_each_settles_longer() -> None:
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    controllers = [FixedGains(90.0, 15.0), FixedGains(60.0, 10.0)]
-    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5, repeats=2)
-    session = EvaluationSession(settings, controllers, graph, lead=1.0)
-    graph.run(session, 20.0)
-    assert [score.controller for score in session.scores] == [one.name for one in controllers for _ in range(2)]
-    assert session.seconds == session.seconds_done == pytest.approx(4 * 1.0 + 2 * 1.0)
-    begins = [int(trace.states["sequence"][0]) for trace in session.traces]
-    np.testing.assert_allclose(np.diff(begins), [1000, 2000, 1000], atol=2)
-
-
-def test_an_examination_that_follows_no_episode_begins_with_a_lead(monkeypatch: pytest.MonkeyPatch) -> None:
-    leads = []
-
-    class Spied(EvaluationSession):
-        def __init__(self, *given: Any, lead: float, **more: Any) -> None:
-            leads.append(lead)
-            super().__init__(*given, lead=lead, **more)
-
-    monkeypatch.setattr(policy_examination, "EvaluationSession", Spied)
-    graph, learner, session = start(settings())
-    graph.run(session, 90.0, learner)
-    assert session.finished
-    assert leads == [LEAD, 0.0, 0.0]

@@ -21,7 +21,6 @@ from hydro_policy.nodes.training.start import begin_checkpoint, check_run
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
-from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import load_policy
 from hydro_sim.learned.model import Learned
@@ -70,12 +69,6 @@ def damaged(source: Path, folder: Path, damage: Callable[[Tensors], None]) -> Pa
     return path
 
 
-@pytest.mark.parametrize("kind", FILES)
-def test_a_file_as_it_is_shipped_is_taken(kind: str) -> None:
-    source, load = FILES[kind]
-    load(source)
-
-
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("kind", FILES)
 def test_a_file_whose_numbers_are_damaged_is_refused_by_name(kind: str, damage: str, tmp_path: Path) -> None:
@@ -101,30 +94,6 @@ def test_a_file_that_is_cut_short_is_refused_by_name(kind: str, length: int, tmp
         load(path)
 
 
-@pytest.mark.parametrize(
-    ("entry", "value"),
-    [
-        ("gains", {"delta_kp_max": 1e9}),
-        ("gains", {"delta_kp_max": float("nan")}),
-        ("gains", 3),
-        ("log_std_bounds", [2.0, -5.0]),
-        ("log_std_bounds", [float("nan"), 2.0]),
-        ("architecture", {"sizes": [13, 10**9, 10**9, 4]}),
-        ("architecture", {}),
-        ("observation", {}),
-    ],
-)
-def test_a_policy_whose_header_makes_no_sense_is_refused(entry: str, value: object, tmp_path: Path) -> None:
-    source = SHIPPED / "policy.safetensors"
-    with safe_open(str(source), framework="numpy") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-        header = json.loads(file.metadata()["hydro"])
-    path = tmp_path / "policy.safetensors"
-    save_file(tensors, str(path), {"hydro": json.dumps({**header, entry: value})})
-    with pytest.raises(ValueError, match=r"policy\.safetensors"):
-        load_policy(path)
-
-
 @pytest.fixture
 def run(tmp_path: Path) -> RunDirectory:
     """A run that was killed as soon as its first checkpoint was there."""
@@ -141,12 +110,6 @@ def test_a_run_that_was_killed_before_anything_moved_can_be_gone_on_with(run: Ru
     check_run(run, run.load_settings(), checkpoint)
     assert (checkpoint.produced, checkpoint.trainer) == (0, {})
     assert load_policy(run.policy)
-
-
-def test_a_run_that_was_killed_before_its_first_checkpoint_leaves_its_name_free(tmp_path: Path) -> None:
-    RunDirectory(tmp_path / "run").create()
-    (tmp_path / "run" / "checkpoints" / "latest.partial").mkdir()
-    RunDirectory(tmp_path / "run").create()
 
 
 def nothing_in(name: str) -> Callable[[RunDirectory], None]:
@@ -194,12 +157,6 @@ def test_a_damaged_checkpoint_is_refused_in_a_sentence_with_its_place(
     damage(run)
     with pytest.raises(ValueError, match="checkpoints"):
         check_run(run, run.load_settings(), load_checkpoint(run.latest))
-
-
-def test_a_record_that_is_damaged_is_refused_by_name(tmp_path: Path) -> None:
-    (tmp_path / "run.json").write_text('{"events": [')
-    with pytest.raises(ValueError, match=r"run\.json is no record of a run"):
-        RunRecord(tmp_path / "run.json")
 
 
 def test_a_resumed_run_gets_its_own_plant_back(tmp_path: Path) -> None:

@@ -15,13 +15,10 @@ from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.displacement import MEMORY_DTYPE
 from hydro_filter.model.sample import Sample
-from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment
 from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.envs.vector_filter import fleet_filter
-from hydro_policy.envs.vector_runs import fixed
 from hydro_policy.sessions.offline import OfflineGraph
-from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import GainRange, TaskSettings, observe
 from hydro_policy.task.step_aggregator import StepClock
 from hydro_sim.box.box import Box, BoxConfig, Integral
@@ -82,20 +79,6 @@ def test_gains_act_when_a_graph_could_have_delivered_them() -> None:
     assert graph.sample()["proportional_gain"] == 55.0
 
 
-def test_a_dead_time_shifts_what_reaches_the_valve() -> None:
-    """With the valve three samples late the plant does what it does at once, three samples later."""
-
-    def forces(dead_time: int) -> np.ndarray:
-        fleet = VectorBench([BENCH], [AnalyticPlant(BENCH, noise=0.0)])
-        fleet.links["dead_time"] = dead_time
-        fleet.begin(0, SINE, 0)
-        return np.concatenate([fleet.step(np.zeros((1, 2)))[0]["hydraulic_force"].copy() for _ in range(2)])
-
-    prompt, late = forces(0), forces(3)
-    first = np.flatnonzero(np.abs(np.diff(prompt)) > 1e-9)[0]
-    assert np.flatnonzero(np.abs(np.diff(late)) > 1e-9)[0] == first + 3
-
-
 def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
     task = TaskSettings(gains=GainRange(delta_kp_max=60.0))
     environment = Environment(VectorBench([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)]), task)
@@ -136,18 +119,6 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
     following = environment.step(np.array([[-1.0, 0.0], [-1.0, 0.0]]))
     assert not following.terminated.any()
     assert following.samples[0]["sequence"][0] == 1
-
-
-def test_rmse_is_that_of_the_offline_simulation() -> None:
-    settings = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=1.0)
-    fleet = VectorBench([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)])
-    found = vector_runs.rmse(fleet, settings.cases, fixed(np.array((90.0, 15.0))), settings, seed=3)
-    schedule = Schedule(reference=settings.cases[1].signal, gains=(90.0, 15.0), seconds=1.5)
-    want = simulate(AnalyticPlant(BENCH), BENCH, schedule, seed=3)
-    error = (want["reference_force"] - want["load_force"])[500:]
-    assert found[1] == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.01)  # one sample at K_p = 15 in the beginning
-    tripped = vector_runs.rmse(fleet, settings.cases, fixed(np.array((-60.0, 5.0))), settings)
-    assert np.isnan(tripped).all()
 
 
 def compiled_constant() -> Callable[[Sample], float]:

@@ -2,14 +2,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from math import nan, sqrt
 from pathlib import Path
 
 import pytest
 import yaml
 
-from hydro_sim.model.bench import BENCH_DTYPE, Bench
+from hydro_sim.model.bench import Bench
 
 
 def write(path: Path, **changes: object) -> Path:
@@ -30,24 +29,6 @@ def test_shipped_bench_has_the_values_of_the_contract(bench: Bench) -> None:
     assert bench.valve_gain == pytest.approx(1.67e-4 / (0.05 * sqrt(3.5e6)), rel=1e-15)
 
 
-def test_bench_survives_a_file(bench: Bench, tmp_path: Path) -> None:
-    assert Bench.load(write(tmp_path / "bench.yaml")) == bench
-
-
-def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
-    path = write(tmp_path / "bench.yaml")
-    path.write_text(re.sub("bulk_modulus: .*", "bulk_modulus: 1.5e9", path.read_text()))
-    assert yaml.safe_load(path.read_text())["bulk_modulus"] == "1.5e9"
-    assert Bench.load(path).bulk_modulus == 1.5e9
-
-
-def test_optional_key_may_be_absent(tmp_path: Path) -> None:
-    bench = Bench.load(write(tmp_path / "bench.yaml", load_cell_bandwidth=...))
-    assert bench.load_cell_bandwidth is None
-    assert bench.constants()["load_cell_omega"][0] == 0.0
-    assert "load_cell_bandwidth" not in bench.to_mapping()
-
-
 def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
     effects = [
         {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
@@ -63,16 +44,12 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
     [
         ({"bulk_modulos": 1e9}, "unknown key 'bulk_modulos'"),
         ({"stroke": ...}, "key 'stroke' is missing"),
-        ({"stroke": "long"}, "stroke = 'long' is not a number"),
         ({"stroke": -0.08}, "stroke = -0.08 is not a number in [0.001, 5] m"),
         ({"moving_mass": nan}, "moving_mass = nan is not a number in [0.01, 10000] kg"),
-        ({"moving_mass": True}, "moving_mass = True is not a number in [0.01, 10000] kg"),
-        ({"moving_mass": None}, "moving_mass = None is not a number in [0.01, 10000] kg"),
         (
             {"supply_pressure": 1e5, "tank_pressure": 2e5},
             "tank_pressure 200000 Pa is not below supply_pressure 100000 Pa",
         ),
-        ({"effects": "leak"}, "'effects' is a list of mappings, each with an 'id'"),
         ({"effects": [{"parameters": {}}]}, "'effects' is a list of mappings, each with an 'id'"),
         ({"effects": [{"id": "gremlin"}]}, "effect 'gremlin' is not known"),
         ({"effects": [{"id": "backlash"}]}, "effect backlash lacks its parameter width [m]"),
@@ -83,10 +60,6 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
         (
             {"effects": [{"id": "valve_offset", "parameters": {"current": 1e-3, "Current": 0}}]},
             "effect valve_offset has no parameter 'Current'",
-        ),
-        (
-            {"effects": [{"id": "dead_volume", "parameters": {"ratio": 1.1}}]},
-            "effect 'dead_volume' is not known; there is dead_volume chamber=a, dead_volume chamber=b",
         ),
     ],
 )
@@ -106,15 +79,3 @@ def test_what_is_no_bench_is_refused_by_name(content: bytes, tmp_path: Path) -> 
     with pytest.raises(ValueError, match=re.escape(str(path))) as refusal:
         Bench.load(path)
     assert "\n" not in str(refusal.value)
-
-
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"nowhere\.yaml: No such file"):
-        Bench.load(tmp_path / "nowhere.yaml")
-
-
-def test_compiled_code_reads_the_same_values(bench: Bench) -> None:
-    record = replace(bench, load_cell_bandwidth=10.0).constants()[0]
-    assert record["load_cell_omega"] == pytest.approx(62.83185307)
-    for name in set(BENCH_DTYPE.names or ()) - {"load_cell_omega", "effects"}:
-        assert record[name] == getattr(bench, name)

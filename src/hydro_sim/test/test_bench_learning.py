@@ -18,11 +18,9 @@ from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
 from hydro_sim.identification import bench_learning, learn, validate
-from hydro_sim.identification.bench_fit import Coordinates
 from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.bench_states import noise_of
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import BenchModel, Named
 
 TRUTH = {
     "profile": "nominal", "bench": {"spring_stiffness": 32000.0}, "effects": {"valve_deadband": {"half_width": 3e-4}},
@@ -55,20 +53,6 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     assert result.file().unfit == ""
 
 
-def test_what_is_far_larger_than_its_typical_size_is_found() -> None:
-    """A supply that droops ten times as much as the bench file says: 27 typical sizes more."""
-    droop = {"id": "supply_droop", "parameters": {"resistance": 3e9, "time_constant": 0.05}}
-    truth = {"profile": "nominal", "effects": {"supply_droop": {"resistance": 3e10, "time_constant": 0.02}}}
-    states = record_offline(truth_from_mapping(truth), draw(10.0, 5), seed=5).states
-    result = bench_learning.learn(
-        replace(Bench.nominal(), effects=(droop,)), recordings.split({"one": states}), count=40
-    )
-    resistance, time_constant = result.parameters
-    assert resistance.value == pytest.approx(3e10, rel=0.01)
-    assert time_constant.value == pytest.approx(0.02, rel=0.02)
-    assert result.quality.over_noise < 1.2
-
-
 def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
     states: StateArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,24 +79,6 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
     assert replace(found, viscous_friction=61.0).unfit == ""
     assert bench_file.digest(yaml.safe_load((tmp_path / "out.yaml").read_text())) == found.digest
     assert replace(found, learned=None).digest == found.digest
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--out", "weights.safetensors"], "a bench file's name ends in .yaml or .yml"),
-        (["--out", "out.yaml", "--windows", "0"], "--windows needs 1 or more"),
-        (["--out", "/dev/null/x.yaml"], "argument --out: /dev/null/x.yaml cannot be written"),
-    ],
-)
-def test_what_cannot_be_learnt_is_said_in_a_sentence(
-    words: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", *words])
-    with pytest.raises(SystemExit) as ended:
-        learn.main()
-    assert ended.value.code == 2 and sentence in capsys.readouterr().err
 
 
 def test_the_usual_effects_are_learnt_where_a_file_names_none() -> None:
@@ -144,23 +110,3 @@ def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordin
     left = np.sqrt(np.mean(error**2, axis=(0, 1)))
     assert (left[[0, 2, 4, 5]] < 1.3 * noise[:4]).all() and left[6] < 3e-6 and predictor.quality.unfit == ""
     assert (left[[1, 3]] < 2.0 * rates).all()
-
-
-def test_noise_is_measured_within_a_tenth(data: recordings.Data) -> None:
-    assert noise_of(data.training)[:4] == pytest.approx([0.6, 0.6, 6e3, 6e3], rel=0.1)
-
-
-def test_coordinates_come_back_and_stay_within_bounds() -> None:
-    named = [Named("a", "-", 0.01, 100.0, 0.1), Named("b", "N", 0.0, 50.0, 10.0), Named("c", "N", -1.0, 1.0, 1.0)]
-    coordinates = Coordinates(named, np.array([2.0, 5.0, 0.5]), np.array([0, 1]))
-    theta = np.array([3.0, 7.0, 0.5])
-    np.testing.assert_allclose(coordinates.theta(coordinates.q(theta)), theta)
-    np.testing.assert_allclose(coordinates.theta(np.array([50.0, -2.0])), [100.0, 0.0, 0.5])
-
-
-def test_a_dead_time_has_room_to_grow() -> None:
-    bench = replace(Bench.nominal(), effects=({"id": "transport_delay", "parameters": {"time": 0.0}},))
-    model = BenchModel(bench_learning._roomy(bench))
-    coordinates = bench_learning._coordinates(bench, model)
-    assert coordinates.values[-1] == 0.0 and coordinates.high[0] >= 5e-3
-    model.begin(coordinates.theta(np.array([1e9])))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,9 @@ import pytest
 from scipy.linalg import expm
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.model import equations
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
-from hydro_sim.model.effects.base import Effect, parameter
 from hydro_sim.model.effects.catalogue import label
-from hydro_sim.model.plant import AnalyticPlant
 
 FORMER = np.load(Path(__file__).parent / "former_plant.npz")
 """Readings of the hand-written plant that this model took the place of, every 25th sample, for each kind of effect."""
@@ -153,38 +149,12 @@ def test_a_mass_that_is_held_has_no_derivative_of_its_place_by_a_small_force() -
     assert dy[2, 0] == 0.0 and dy[2, 2] == 1.0
 
 
-def test_a_plant_and_a_model_go_to_another_process() -> None:
-    bench = replace(Bench.nominal(), effects=MOTION)
-    plant = AnalyticPlant(bench)
-    plant.step(1e-3)
-    twin = pickle.loads(pickle.dumps(plant))
-    np.testing.assert_array_equal(twin.step(2e-3), plant.step(2e-3))
-
-
 def test_the_c_source_stands_alone() -> None:
     """What a box compiles: nothing but the language and its mathematics."""
     source = BenchModel(Bench.nominal()).source
     assert [line for line in source.splitlines() if line.startswith("#include")] == [
         "#include <math.h>", "#include <string.h>",
     ]  # fmt: skip
-
-
-def test_an_effect_may_not_hide_a_term_behind_a_parameter() -> None:
-    with pytest.raises(TypeError, match="load is the name of a term"):
-
-        class Hiding(Effect):
-            id = "hiding"
-            load = parameter("N", 0.0, 1.0, scale=1.0)
-
-        del Hiding
-
-
-def test_equations_hold_for_numbers_and_arrays_too() -> None:
-    drops = np.array([-4e6, -50.0, 0.0, 50.0, 4e6])
-    flows = equations.orifice(1e-9, drops)
-    np.testing.assert_allclose(flows, [-2e-6, -5e-9, 0.0, 5e-9, 2e-6], rtol=1e-12)
-    assert equations.orifice(1e-9, 4e6) == pytest.approx(2e-6)
-    assert equations.choose(drops > 0.0, 1.0, -1.0).tolist() == [-1.0, -1.0, -1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("spoil", ["current", "state"])

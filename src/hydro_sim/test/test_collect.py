@@ -1,34 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `collect` refuses before it moves anything; how it leaves the plant, whatever happens."""
+"""What `collect` records; how it leaves the plant, whatever happens."""
 
 from __future__ import annotations
 
 import io
 import os
-import pty
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("rclpy")
 
-from hydro_bridge.bags.recording import read_bag  # noqa: E402
-from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Commander, Companion, executable_path  # noqa: E402
-from hydro_bridge.signals import Flag  # noqa: E402
-from hydro_sim.excitation.playback import Playback  # noqa: E402
-from hydro_sim.excitation.schedules import Segment  # noqa: E402
-from hydro_sim.model.bench import Bench  # noqa: E402
-from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY  # noqa: E402
-from hydro_sim.nodes.collect import main  # noqa: E402
-
-SINE = "{seconds: 1.0, amplitude: 200}"
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executable_path
+from hydro_bridge.signals import Flag
+from hydro_sim.excitation.playback import Playback
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
+from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY
+from tests.graph_probe import Probe
 
 
 @pytest.fixture(autouse=True)
@@ -36,58 +33,6 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of its own: collect refuses to begin beside whatever other tests may have left on theirs."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + (os.getpid() + 50) % 100))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--seconds", "nan"], "--seconds nan: 1 to 36000 is meant"),
-        (["--seconds", "-5"], "--seconds -5: 1 to 36000 is meant"),
-        (["--seed", "-1"], "--seed -1: 0 or more is meant"),
-        (["--seconds", "5", "--write-schedule", "/dev/null/s.yaml"], "/dev/null/s.yaml cannot be written"),
-        (["--seconds", "5", "--out", "/dev/null/bag"], "/dev/null/bag cannot be made"),
-        (["--bench", "nowhere.yaml"], "nowhere.yaml: No such file or directory"),
-        (["--rearm", "never"], "invalid choice: 'never'"),
-    ],
-)
-def test_wrong_words_end_in_one_sentence_and_status_2(
-    words: list[str], sentence: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    assert _refused(words, monkeypatch, capfd, tmp_path)[-1].find(sentence) >= 0
-
-
-@pytest.mark.parametrize(
-    ("segments", "sentence"),
-    [
-        (f"[{SINE}, {{seconds: abc}}]", "segments[1].seconds must be a number in s, not 'abc'"),
-        (f"[{SINE}, {{seconds: -2}}]", "segments[1].seconds must be within [0.001, 36000] s, not -2"),
-        (f"[{SINE}, {{seconds: 1, waveform: foo}}]", "segments[1].waveform must be one of hold, sine, "),
-        (f"[{SINE}, {{seconds: 1, amplitude: .nan}}]", "segments[1].amplitude must be a number in N, not nan"),
-        (f"[{SINE}, {{seconds: 1, kp: x}}]", "segments[1].kp must be a number in 1/s, not 'x'"),
-        (f"[{SINE}, {{amplitude: 1}}]", "segments[1] lacks seconds [s]"),
-        (f"[{SINE}, {{seconds: 1, delta_u: 0.01}}]", "segments[1].delta_u is 0.01 A: only the emulator"),
-        ("[]", "must hold one list of segments under the key segments"),
-        ("3", "must hold one list of segments under the key segments"),
-    ],
-)
-def test_a_schedule_is_checked_whole_before_anything_moves(
-    segments: str, sentence: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    (tmp_path / "s.yaml").write_text(f"segments: {segments}\n")
-    said = _refused(["--schedule", str(tmp_path / "s.yaml")], monkeypatch, capfd, tmp_path)
-    assert len(said) == 1
-    assert sentence in said[0]
-
-
-def _refused(
-    words: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], folder: Path
-) -> list[str]:
-    monkeypatch.setattr(sys, "argv", ["collect", "--out", str(folder / "bag"), *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert not (folder / "bag").exists()
-    return capfd.readouterr().err.splitlines()
 
 
 def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> None:
@@ -123,48 +68,18 @@ def plant() -> Iterator[Callable[..., None]]:
         companion.stop()
 
 
-class Listener:
-    """Hears states and references; commands the plant if it has a commander."""
-
-    def __init__(self) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("listener", context=self.context)
-        self.commander: Commander | None = None
-        self.flags: list[int] = []
-        self.references: list[float] = []
-        self.node.create_subscription(GRAPH[STATE][0], STATE, lambda m: self.flags.append(m.flags), GRAPH[STATE][1])
-        self.node.create_subscription(
-            GRAPH[REFERENCE][0], REFERENCE, lambda m: self.references.append(m.offset), GRAPH[REFERENCE][1]
-        )
-        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
-
-    def wait(self, condition: Callable[[], object], timeout: float = 30.0) -> None:
-        end = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < end, "waited in vain"
-            self._executor.spin_once(timeout_sec=0.02)
-            if self.commander is not None:
-                self.commander.seek(time.monotonic())
-
-    def fresh(self) -> int:
-        """Flags of a sample that is yet to come."""
-        self.flags.clear()
-        self.wait(lambda: len(self.flags) > 300)
-        return self.flags[-1]
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-
 @pytest.fixture
-def listener() -> Iterator[Listener]:
-    made = Listener()
+def listener() -> Iterator[Probe]:
+    made = Probe()
     yield made
     made.close()
+
+
+def fresh(listener: Probe) -> int:
+    """Flags of a sample that is yet to come."""
+    listener.forget()
+    listener.wait(lambda: len(listener.heard[STATE]) > 300)
+    return listener.flags()
 
 
 def _collect(folder: Path, segments: list[dict[str, object]], *words: str) -> list[str]:
@@ -177,14 +92,14 @@ HOLD = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}
 
 @pytest.mark.graph
 def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_n(
-    plant: Callable[..., None], listener: Listener, tmp_path: Path
+    plant: Callable[..., None], listener: Probe, tmp_path: Path
 ) -> None:
     plant("-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
     words = _collect(tmp_path, [{**HOLD, "kp": 80.0, "ki": 12.0}] * 2)
     ended = subprocess.run([str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False)
     assert ended.returncode == 0
-    listener.wait(lambda: listener.flags)
-    assert not listener.fresh() & Flag.ARMED
+    listener.wait(lambda: listener.heard[STATE])
+    assert not fresh(listener) & Flag.ARMED
     bag = read_bag(tmp_path / "bag")
     assert bag.metadata["hydro"]["plant"] == "sim"
     assert [s["offset"] for s in yaml.safe_load(bag.attachments["schedule.yaml"])["segments"]] == [300.0, 300.0]
@@ -198,7 +113,9 @@ def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_
 
 
 @pytest.mark.graph
-def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
+def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener: Probe, tmp_path: Path) -> None:
+    references: list[Any] = []
+    listener.node.create_subscription(GRAPH[REFERENCE][0], REFERENCE, references.append, GRAPH[REFERENCE][1])
     plant()
     crash = (
         "import hydro_bridge.ros.commander as node; from hydro_sim.nodes.collect import main\n"
@@ -212,25 +129,25 @@ def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener:
     )
     words = _collect(tmp_path, [HOLD, HOLD])
     process = subprocess.Popen([sys.executable, "-c", crash, *words], stderr=subprocess.PIPE, text=True)
-    listener.wait(lambda: listener.flags and listener.flags[-1] & Flag.ARMED)
+    listener.wait(lambda: listener.flags() & Flag.ARMED)
     assert "KeyError: 'FOO'" in process.communicate(timeout=60)[1]
     assert process.returncode == 1
-    assert not listener.fresh() & Flag.ARMED  # at once, not when the guard gives it up after 10 s
-    assert listener.references[-1] == 0.0
+    assert not fresh(listener) & Flag.ARMED  # at once, not when the guard gives it up after 10 s
+    assert references[-1].offset == 0.0
 
 
 @pytest.mark.graph
 def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a_person_is_asked(
-    plant: Callable[..., None], listener: Listener, tmp_path: Path
+    plant: Callable[..., None], listener: Probe, tmp_path: Path
 ) -> None:
     plant("-r", "__node:=bench")
     arm = [str(executable_path("hydro_bridge", "arm"))]
-    assert not listener.fresh() & Flag.ARMED
+    assert not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=60, check=True)
     output = io.StringIO()
     collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output)
     listener.wait(lambda: HOW_TO_ARM[False] in collect.last_words)
-    assert TOO_EARLY in output.getvalue() and not listener.fresh() & Flag.ARMED
+    assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=30, check=True)
     listener.wait(lambda: not collect.running)
     assert collect.stop() == 0
@@ -240,28 +157,7 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
 
 
 @pytest.mark.graph
-@pytest.mark.study
-def test_a_terminal_that_has_gone_changes_nothing(plant: Callable[..., None], tmp_path: Path) -> None:
-    plant("-r", "__node:=bench")
-    ours, theirs = pty.openpty()
-    words = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
-    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=theirs)
-    os.close(theirs)
-    os.close(ours)  # not its controlling terminal: no SIGHUP comes, and what it says is an error of the system
-    end = time.monotonic() + 60.0
-    while process.poll() is None and time.monotonic() < end:
-        subprocess.run([str(executable_path("hydro_bridge", "arm"))], timeout=30, check=False)
-        time.sleep(2.0)  # who arms too early is disarmed, and the second at rest begins anew
-    assert process.wait(10.0) == 0
-    armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], armed.astype(int), [0]])))
-    begin, end_of_drive = max(edges.reshape(-1, 2), key=lambda stretch: stretch[1] - stretch[0])
-    assert end_of_drive - begin > 900, "it drove"
-    assert end_of_drive < len(armed), "and disarmed; who arms after that, above, arms for nobody"
-
-
-@pytest.mark.graph
-def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
+def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: Probe, tmp_path: Path) -> None:
     plant("-p", "box.load_force_limit:=100.0")
     words = _collect(tmp_path, [{**HOLD, "seconds": 20.0}])
     ended = subprocess.run(
@@ -269,23 +165,22 @@ def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: 
     )
     assert ended.returncode == 3
     assert "error: the plant tripped 3 times in a row: it is left disarmed" in ended.stderr.splitlines()[-1]
-    listener.wait(lambda: listener.flags)
-    assert not listener.fresh() & (Flag.ARMED | Flag.TRIPPED)
+    listener.wait(lambda: listener.heard[STATE])
+    assert not fresh(listener) & (Flag.ARMED | Flag.TRIPPED)
 
 
 @pytest.mark.graph
 @pytest.mark.parametrize(
     ("claims", "sentence"),
-    [(True, "error: listener commands this plant: end it"), (False, f"error: 2 nodes publish {GAINS} (")],
+    [(True, "error: probe commands this plant: end it"), (False, f"error: 2 nodes publish {GAINS} (")],
 )
 def test_beside_another_who_commands_it_refuses_to_start(
-    claims: bool, sentence: str, plant: Callable[..., None], listener: Listener, tmp_path: Path
+    claims: bool, sentence: str, plant: Callable[..., None], listener: Probe, tmp_path: Path
 ) -> None:
     plant()
     collect = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
     if claims:
-        listener.commander = Commander(listener.node)
-        listener.wait(lambda: listener.commander.held)
+        listener.take()
     else:
         listener.node.create_publisher(GRAPH[GAINS][0], GAINS, GRAPH[GAINS][1])
     with subprocess.Popen(collect, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:

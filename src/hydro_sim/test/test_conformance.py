@@ -135,7 +135,7 @@ def test_both_boxes_pass_every_case(memory: Any, name: str) -> None:
     assert len(found) >= 40
 
 
-@pytest.mark.parametrize("samples", [1, 2, 4, 16])
+@pytest.mark.parametrize("samples", [1, 16])
 def test_the_time_that_a_line_takes_is_not_held_against_a_box(memory: Any, samples: int) -> None:
     found = outcomes(Delayed(c_box(memory), samples))
     assert {case: result for case, result in found.items() if result[0] != PASS} == {}

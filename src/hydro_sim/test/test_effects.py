@@ -80,21 +80,6 @@ def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Be
         np.testing.assert_allclose(plant.step(float(current)), x, rtol=1e-9, atol=1e-7)
 
 
-def test_effects_of_no_size_change_nothing(bench: Bench) -> None:
-    nothing = with_effects(
-        bench,
-        effect("friction_coulomb", force=0.0),
-        effect("supply_droop", resistance=0.0, time_constant=0.1),
-        effect("leakage_internal", coefficient=0.0),
-        effect("entrained_air", volume_fraction=0.0),
-        effect("valve_deadband", half_width=0.0),
-        effect("spring_hardening", coefficient=0.0),
-        effect("load_cell_gain cell=load_force", ratio=1.0),
-        effect("transport_delay", time=0.0),
-    )
-    np.testing.assert_allclose(response(nothing, wave())[1], response(bench, wave())[1], rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("name", "parameters", "field", "value"),
     [
@@ -122,12 +107,6 @@ def test_wrong_numbers_are_put_right(
 def test_a_dead_time_of_whole_samples_is_a_shift(bench: Bench) -> None:
     late = response(with_effects(bench, effect("transport_delay", time=7e-3)), wave())[1]
     np.testing.assert_allclose(late[7:], response(bench, wave())[1][:-7], rtol=1e-9, atol=1e-9)
-
-
-def test_dead_times_add_up(bench: Bench) -> None:
-    two = with_effects(bench, effect("transport_delay", time=1.3e-3), effect("transport_delay", time=2.45e-3))
-    one = with_effects(bench, effect("transport_delay", time=3.75e-3))
-    np.testing.assert_allclose(response(two, wave())[1], response(one, wave())[1], rtol=1e-12)
 
 
 def mean_spool(current: FloatArray, *effects: dict[str, Any]) -> FloatArray:
@@ -163,13 +142,6 @@ def test_the_spool_follows_a_step_as_its_closed_form_says(name: str) -> None:
     np.testing.assert_allclose(spool, expected, atol=2e-4)
 
 
-def test_overlap_comes_after_the_spool_whatever_the_order() -> None:
-    lag, overlap = effect("valve_lag", bandwidth=50.0, damping=1.0), effect("valve_deadband", half_width=0.05)
-    np.testing.assert_array_equal(
-        mean_spool(np.full(10, 0.1), lag, overlap), mean_spool(np.full(10, 0.1), overlap, lag)
-    )
-
-
 @pytest.mark.parametrize("form", ["", " form=lopsided", " form=soft"])
 def test_nothing_flows_within_the_overlap(form: str, bench: Bench) -> None:
     sides = {"half_width_negative": 1e-3} if "lopsided" in form else {"softness": 2e-5} if "soft" in form else {}
@@ -198,22 +170,6 @@ def test_dry_friction_holds_up_to_its_level_and_not_beyond(bench: Bench) -> None
     assert gone[0, 3] > 0.0
 
 
-def test_friction_that_slides_takes_its_level_from_the_force(bench: Bench) -> None:
-    """Retracting against friction, f_h - b v - f_l is minus the level once the mass no longer accelerates."""
-    rough = with_effects(bench, effect("friction_coulomb form=directional", force_positive=12.0, force_negative=30.0))
-    y = response(rough, np.full(400, -2e-3))[1][-1]
-    left = equations.hydraulic_force(bench, y[0], y[1]) - 60.0 * y[3] - equations.spring_force(bench, y[2])
-    assert y[3] < -1e-3
-    assert left == pytest.approx(-30.0, abs=0.2)
-
-
-def test_much_friction_on_a_light_mass_stays_quiet(bench: Bench) -> None:
-    light = with_effects(replace(bench, moving_mass=0.02), effect("friction_coulomb", force=500.0))
-    states = response(light, 100 * wave(300))[1]
-    assert np.isfinite(states).all()
-    assert np.count_nonzero(np.diff(np.sign(states[:, 3]))) < 100  # of 300; chatter would change sign every sample
-
-
 def test_bristles_are_a_spring_before_they_slide(bench: Bench) -> None:
     """Of a force too small to slide, the bristles take sigma / (sigma + k_s) where the hydraulics hold no pressure."""
     soft = replace(bench, bulk_modulus=1e7, dead_volume_a=0.1, dead_volume_b=0.1, viscous_friction=500.0)
@@ -239,26 +195,6 @@ def test_play_loses_its_width_at_each_reversal_and_the_gap_at_rest(bench: Bench)
     np.testing.assert_allclose(force[returning], 2e4 * (x[returning] - 0.04 + width / 2), atol=1e-6)
 
 
-def test_sensors_scale_shift_and_lag_in_the_order_of_the_file(bench: Bench) -> None:
-    chain = [effect("load_cell_gain cell=load_force", ratio=1.1), effect("load_cell_bias cell=load_force", force=5.0),
-             effect("pressure_sensor_bias chamber=b", pressure=1e5)]  # fmt: skip
-    plain = response(bench, wave())[0]
-    shown, turned = (
-        response(with_effects(bench, *chain), wave())[0],
-        response(with_effects(bench, *chain[::-1]), wave())[0],
-    )
-    np.testing.assert_allclose(shown[:, 2], 1.1 * plain[:, 2] + 5.0, atol=1e-9)
-    np.testing.assert_allclose(turned[:, 2], 1.1 * (plain[:, 2] + 5.0), atol=1e-9)
-    np.testing.assert_allclose(shown[:, 5] - plain[:, 5], 1e5, atol=1e-3)
-
-
-def test_a_lag_on_the_load_cell_takes_the_place_of_the_bench_files(bench: Bench) -> None:
-    lag = effect("sensor_lag sensor=load_force", bandwidth=25.0, damping=np.sqrt(0.5))
-    np.testing.assert_allclose(
-        response(with_effects(bench, lag), wave())[0], response(bench, wave())[0], rtol=1e-4, atol=2e-2
-    )
-
-
 def test_a_drooping_supply_stalls_lower(bench: Bench) -> None:
     """In a blocked cylinder with an outer leak the supply falls by resistance times the flow that it feeds."""
     leak, resistance = 1e-12, 2e11
@@ -269,16 +205,6 @@ def test_a_drooping_supply_stalls_lower(bench: Bench) -> None:
     pressure = states[-1, 0]
     through = (leak * pressure / (bench.valve_gain * 0.05)) ** 2
     assert bench.supply_pressure - pressure == pytest.approx(resistance * leak * pressure + through, rel=1e-3)
-
-
-def test_a_second_of_what_there_can_be_but_one_is_refused(bench: Bench) -> None:
-    droop = effect("supply_droop", resistance=1e9, time_constant=0.1)
-    with pytest.raises(ValueError, match="effect supply_droop is given twice"):
-        with_effects(bench, droop, droop)
-    with pytest.raises(ValueError, match="25 effects are more than the 24"):
-        with_effects(bench, *[effect("valve_offset", current=0.0)] * 25)
-    with pytest.raises(ValueError, match="dead times add up to more than 62 ms"):
-        with_effects(bench, *[effect("transport_delay", time=0.03)] * 3)
 
 
 def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:

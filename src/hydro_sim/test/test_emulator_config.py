@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from importlib import resources
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import pytest
 import yaml
@@ -47,20 +46,6 @@ def test_nominal_profile_is_the_shipped_bench() -> None:
     assert truth["outside"] == {}
 
 
-def test_default_profile_differs_from_the_nominal_one_in_kind() -> None:
-    effects = profile("default").effects
-    assert effects.valve_lag is not None and effects.valve_lag.order == 2 and effects.valve_lag.rate_limit is not None
-    assert effects.friction_coulomb is not None and effects.friction_coulomb.form == "lugre"
-    assert effects.friction_stribeck is not None and effects.friction_stribeck.breakaway_force == 5.0
-    assert effects.leakage_internal is not None and effects.leakage_internal.coefficient == 1e-13
-    assert [(lag.sensor, lag.bandwidth, lag.order) for lag in effects.sensor_lag] == [("load_force", 25.0, 2)]
-
-
-def test_shipped_truth_file_is_the_default_profile() -> None:
-    with resources.as_file(resources.files("hydro_sim") / "data" / "truth.yaml") as shipped:
-        assert load_truth(shipped) == profile("default")
-
-
 @pytest.mark.parametrize("name", ["nominal", "default"])
 def test_truth_survives_the_way_through_yaml(name: str) -> None:
     text = yaml.safe_dump(truth_to_mapping(profile(name)))
@@ -76,40 +61,21 @@ def test_null_turns_an_effect_of_the_profile_off_and_a_mapping_replaces_it() -> 
     assert truth.effects.valve_lag == profile("default").effects.valve_lag
 
 
-def test_numbers_that_yaml_reads_as_text_are_numbers() -> None:
-    data = yaml.safe_load("bench: {bulk_modulus: 1.2e9}\neffects: {leakage_internal: {coefficient: 1e-12}}")
-    assert data["bench"]["bulk_modulus"] == "1.2e9"
-    truth = truth_from_mapping(data)
-    assert truth.bench.bulk_modulus == 1.2e9
-    assert truth.effects.leakage_internal is not None and truth.effects.leakage_internal.coefficient == 1e-12
-
-
 @pytest.mark.parametrize(
     ("data", "sentence"),
     [
         ({"effect": {}}, "truth.effect is not a known setting; did you mean effects?"),
-        ({"profile": "rusty"}, "profile must be nominal or default, not 'rusty'"),
         ({"effects": {"leakage_internl": {}}}, "did you mean leakage_internal?"),
-        (
-            {"effects": {"leakage_internal": {"coeff": 1}}},
-            "truth.effects.leakage_internal.coeff is not a known setting",
-        ),
-        ({"effects": {"leakage_internal": {}}}, "truth.effects.leakage_internal lacks coefficient [m3/s/Pa]"),
         ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be within [0, 1e-10] m3/s/Pa, not -1"),
-        ({"effects": {"leakage_internal": {"coefficient": "much"}}}, "must be a number in m3/s/Pa, not 'much'"),
-        ({"effects": {"leakage_internal": 3}}, "must be a mapping of settings, not 3"),
-        ({"effects": {"valve_lag": {"order": 1.5}}}, "must be a whole number, not 1.5"),
         ({"effects": {"valve_deadband": {"half_width": 1e-3, "form": "round"}}}, "must be one of hard, soft"),
         ({"effects": {"load_cell_gain": [{"ratio": 1.1}, {"ratio": 1.2}]}}, "names the same cell twice"),
         (
             {"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}},
             "give friction_coulomb form",
         ),
-        ({"profile": "nominal", "effects": {"friction_presliding": {}}}, "give friction_coulomb form"),
         ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
         ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
         ({"bench": {"spring_rest_position": 0.09}}, "must lie within the stroke"),
-        ({"effects": {"spring_rest": {"position": 0.09}}}, "must lie within the stroke"),
         ({"effects": {"friction_viscous": {"coefficient": -61}}}, "takes away more than all"),
     ],
 )
@@ -127,18 +93,6 @@ def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
         load_truth(file)
 
 
-def test_unreadable_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
-    broken = tmp_path / "broken.yaml"
-    broken.write_text("effects: {a: [")
-    with pytest.raises(SettingsError, match="cannot be read"):
-        load_truth(broken)
-    broken.write_text("- 1")
-    with pytest.raises(SettingsError, match="must hold a mapping"):
-        load_truth(broken)
-    with pytest.raises(SettingsError, match="cannot be read"):
-        load_truth(tmp_path / "none.yaml")
-
-
 @pytest.mark.parametrize("section", ["effects", "outside"])
 def test_every_effect_alone_changes_what_the_plant_computes_with(section: str) -> None:
     """No switch is dead: each one changes the numbers that the compiled plant gets."""
@@ -151,59 +105,23 @@ def test_every_effect_alone_changes_what_the_plant_computes_with(section: str) -
 
 
 EXAMPLES: dict[str, Any] = {
-    "friction_coulomb": {},
-    "friction_viscous": {"coefficient": 10},
-    "friction_stribeck": {"breakaway_force": 3},
-    "friction_presliding": {"stiffness": 4e5},
-    "leakage_internal": {"coefficient": 1e-12},
-    "leakage_external": {"coefficient": 1e-12},
-    "valve_deadband": {"half_width": 1e-3},
-    "valve_lag": {},
-    "transport_delay": {"time": 1e-3},
-    "valve_offset": {"current": 1e-4},
-    "valve_gain": {"ratio": 0.9},
-    "valve_gain_asymmetry": {"ratio": 0.9},
-    "bulk_modulus": {"ratio": 0.9},
-    "spring_stiffness": {"ratio": 0.9},
-    "supply_pressure": {"ratio": 0.9},
-    "piston_area": {"ratio": 0.9},
-    "area_ratio": {"ratio": 0.9},
-    "dead_volume": {"ratio": 0.9},
-    "valve_null_leakage": {"coefficient": 1e-9},
-    "valve_gain_drift": {"rate": 1e-3},
-    "supply_droop": {"resistance": 1e9},
-    "entrained_air": {"volume_fraction": 0.01},
-    "load_cell_gain": {"ratio": 1.02},
-    "load_cell_bias": {"force": 2},
-    "pressure_sensor_bias": {"pressure": 1e5},
-    "sensor_lag": {"bandwidth": 40},
-    "spring_hardening": {"coefficient": 1e6},
-    "spring_rest": {"position": 0.041},
-    "backlash": {"width": 1e-3},
-    "moving_mass": {"mass": 0.2},
-    "end_cushion": {"position": 0.05, "stiffness": 1e4},
-    "force_offset": {"force": 5},
-    "tank_pressure": {"pressure": 1e5},
-    "friction_rib": {"force": 10},
-    "friction_pressure": {"coefficient": 1e-6},
-    "spring_hysteresis": {"force": 10},
-    "valve_temperature": {"change": 0.1},
-    "valve_underlap": {"half_width": 1e-3},
-    "cell_crosstalk": {"coefficient": 1e-6},
-    "load_hum": {"amplitude": 5},
-    "load_walk": {"force": 5},
-    "wall_flexibility": {"compliance": 1e-14},
-    "supply_ripple": {"amplitude": 1e5},
-}
-
-
-@pytest.mark.parametrize("section", [Effects, Outside])
-def test_documentation_names_every_effect_and_every_setting(section: type) -> None:
-    page = Path(__file__).parents[3] / "docs" / "manual" / "reference" / "truth.md"
-    rows = {line.split("|")[1].strip(" +"): line for line in page.read_text().splitlines() if line.count("|") > 3}
-    for field in fields(section):
-        settings = fields(get_type_hints(section)[field.name].__args__[0])
-        assert all(f"`{setting.name}`" in rows[field.name] for setting in settings), field.name
+    "friction_coulomb": {}, "friction_viscous": {"coefficient": 10}, "friction_stribeck": {"breakaway_force": 3},
+    "friction_presliding": {"stiffness": 4e5}, "leakage_internal": {"coefficient": 1e-12},
+    "leakage_external": {"coefficient": 1e-12}, "valve_deadband": {"half_width": 1e-3}, "valve_lag": {},
+    "transport_delay": {"time": 1e-3}, "valve_offset": {"current": 1e-4}, "valve_gain": {"ratio": 0.9},
+    "valve_gain_asymmetry": {"ratio": 0.9}, "bulk_modulus": {"ratio": 0.9}, "spring_stiffness": {"ratio": 0.9},
+    "supply_pressure": {"ratio": 0.9}, "piston_area": {"ratio": 0.9}, "area_ratio": {"ratio": 0.9},
+    "dead_volume": {"ratio": 0.9}, "valve_null_leakage": {"coefficient": 1e-9}, "valve_gain_drift": {"rate": 1e-3},
+    "supply_droop": {"resistance": 1e9}, "entrained_air": {"volume_fraction": 0.01},
+    "load_cell_gain": {"ratio": 1.02}, "load_cell_bias": {"force": 2}, "pressure_sensor_bias": {"pressure": 1e5},
+    "sensor_lag": {"bandwidth": 40}, "spring_hardening": {"coefficient": 1e6}, "spring_rest": {"position": 0.041},
+    "backlash": {"width": 1e-3}, "moving_mass": {"mass": 0.2}, "end_cushion": {"position": 0.05, "stiffness": 1e4},
+    "force_offset": {"force": 5}, "tank_pressure": {"pressure": 1e5}, "friction_rib": {"force": 10},
+    "friction_pressure": {"coefficient": 1e-6}, "spring_hysteresis": {"force": 10},
+    "valve_temperature": {"change": 0.1}, "valve_underlap": {"half_width": 1e-3},
+    "cell_crosstalk": {"coefficient": 1e-6}, "load_hum": {"amplitude": 5}, "load_walk": {"force": 5},
+    "wall_flexibility": {"compliance": 1e-14}, "supply_ripple": {"amplitude": 1e5},
+}  # fmt: skip
 
 
 def test_schedule_is_read_strictly_and_fitted(tmp_path: Path) -> None:

@@ -114,14 +114,6 @@ def test_deadband_lets_nothing_through_inside_and_the_rest_outside() -> None:
     assert first_rate(locked(valve_deadband=band), -0.004, "a")[1] == pytest.approx(plain, rel=1e-6)
 
 
-def test_soft_deadband_is_closed_at_null_and_meets_the_hard_one_far_out() -> None:
-    p = truth(valve_deadband={"half_width": 0.002, "form": "soft", "softness": 3e-4}).parameters[0]
-    openings = np.array([valve.opening(p, travel, 0.002) for travel in (0.0, 0.001, 0.002, 0.02)])
-    assert openings[0] == 0.0
-    assert 0.0 < openings[1] < openings[2] == pytest.approx(3e-4 * np.log(2.0), rel=0.01)
-    assert openings[3] == pytest.approx(0.018, rel=1e-4)
-
-
 def test_spool_of_first_order_reaches_63_percent_after_its_time_constant() -> None:
     plant = truth(valve_lag={"bandwidth": 1000 / (2 * np.pi * 8), "order": 1})
     spool = column(held(plant, 0.01, 0.03), "spool")
@@ -149,11 +141,6 @@ def test_transport_delay_shifts_the_command_by_exactly_its_time() -> None:
     assert whole[3:] == pytest.approx(reference[:-3], rel=1e-12)
 
 
-def test_offset_is_cancelled_by_its_opposite_current() -> None:
-    assert np.ptp(column(held(truth(valve_offset={"current": 3e-4}), -3e-4, 0.1), "pressure_a")) < 1e-3
-    assert np.ptp(column(held(truth(valve_offset={"current": 3e-4}), 0.0, 0.1), "pressure_a")) > 1e4
-
-
 @pytest.mark.parametrize(
     ("effects", "positive", "negative"),
     [({"valve_gain": {"ratio": 0.8}}, 0.8, 0.8), ({"valve_gain_asymmetry": {"ratio": 1.3}}, 1.0, 1.3)],
@@ -162,13 +149,6 @@ def test_gain_and_asymmetry_scale_the_flow(effects: dict[str, Any], positive: fl
     for current, ratio in ((0.002, positive), (-0.002, negative)):
         plain, changed = (first_rate(locked(**chosen), current, "a")[1] for chosen in ({}, effects))
         assert changed / plain == pytest.approx(ratio, rel=1e-2)
-
-
-def test_gain_drifts_and_warms_up_over_time() -> None:
-    drift = truth(valve_gain_drift={"rate": 0.01}).parameters[0]
-    warm = truth(outside={"valve_temperature": {"change": -0.2, "time_constant": 5.0}}).parameters[0]
-    assert valve.gain_over_time(drift, 10.0) == pytest.approx(1.1)
-    assert valve.gain_over_time(warm, 5.0) == pytest.approx(1 - 0.2 * (1 - np.exp(-1)))
 
 
 @pytest.mark.parametrize("form", ["bell", "hyperbolic"])
@@ -182,13 +162,6 @@ def test_null_leak_flows_through_both_edges_of_both_chambers(form: str) -> None:
     assert at_width == pytest.approx(np.exp(-1) if form == "bell" else 0.5)
 
 
-def test_underlap_opens_both_edges_at_null() -> None:
-    p = truth(outside={"valve_underlap": {"half_width": 1e-3}}).parameters[0]
-    into_a, out_of_a, _, _ = valve.edge_flows(p, 0.0, 1.0, 8e6, 8e6, SUPPLY)
-    assert into_a == pytest.approx(GAIN * 1e-3 * np.sqrt(8e6), rel=1e-6)
-    assert out_of_a == pytest.approx(into_a, rel=1e-6)
-
-
 def test_supply_droops_by_resistance_times_flow() -> None:
     resistance = 2e10
     effects = {
@@ -199,13 +172,6 @@ def test_supply_droops_by_resistance_times_flow() -> None:
     draw, supply = column(log, "valve_draw")[-1], column(log, "supply_pressure")[-1]
     assert supply == pytest.approx(SUPPLY - resistance * draw, rel=1e-4)
     assert SUPPLY - supply > 1e5
-
-
-def test_supply_ripples_at_the_pumps_frequency() -> None:
-    p = locked(outside={"supply_ripple": {"amplitude": 5e5, "frequency": 40.0}})
-    rise = np.gradient(column(held(p, 1e-4, 0.2), "pressure_a"))
-    spectrum = np.abs(np.fft.rfft(rise - np.polyval(np.polyfit(np.arange(200), rise, 2), np.arange(200))))
-    assert np.fft.rfftfreq(200, 1e-3)[spectrum.argmax()] == 40.0
 
 
 @pytest.mark.parametrize(("form", "exponent"), [("adiabatic", 1.4), ("isothermal", 1.0)])

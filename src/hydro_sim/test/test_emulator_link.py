@@ -3,25 +3,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
-from hydro_bridge.serial.protocol import Hello, State, encode_command, encode_hello
-from hydro_bridge.serial.stream import Decoder, SequenceTracker
+from hydro_bridge.serial.protocol import Hello, State
+from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
-from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_info
+from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
 from hydro_sim.emulator.control import ControlPipe, execute
 from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
@@ -38,16 +31,6 @@ def carried(seed: int = 0, **chances: float) -> tuple[list[bytes], FaultyLine]:
     return [line.carry(frame, 0.0) for frame in FRAMES], line
 
 
-def test_clean_line_changes_nothing() -> None:
-    assert carried()[0] == FRAMES
-
-
-def test_faults_are_seeded() -> None:
-    chances = {"corrupt": 0.1, "drop": 0.1, "reorder": 0.1, "noise": 0.1, "lose": 0.1, "truncate": 0.1}
-    assert carried(1, **chances)[0] == carried(1, **chances)[0]
-    assert carried(1, **chances)[0] != carried(2, **chances)[0]
-
-
 @pytest.mark.parametrize(
     ("name", "length"),
     [("corrupt", 22), ("lose", 21), ("drop", 0), ("duplicate", 44)],
@@ -58,13 +41,6 @@ def test_fault_does_what_it_says_as_often_as_it_says(name: str, length: int) -> 
     assert len(hit) == pytest.approx(400, abs=60)
     assert line.counts[name] == pytest.approx(len(hit), abs=5)  # two flips of one bit may cancel
     assert all(len(after) == length for after in hit)
-
-
-def test_truncation_and_noise_change_the_length() -> None:
-    assert all(len(after) <= 22 and FRAMES[k].startswith(after) for k, after in enumerate(carried(truncate=1.0)[0]))
-    assert all(
-        after.endswith(FRAMES[k]) and 1 <= len(after) - 22 <= 64 for k, after in enumerate(carried(noise=1.0)[0])
-    )
 
 
 def test_reordering_swaps_neighbours_and_loses_nothing() -> None:
@@ -81,16 +57,6 @@ def test_stall_holds_everything_back_and_then_lets_it_go_in_order() -> None:
     line.stall(0.5)
     assert [line.carry(frame, 0.1 * k) for k, frame in enumerate(FRAMES[:5])] == [b""] * 5
     assert line.carry(FRAMES[5], 0.5) == b"".join(FRAMES[:6])
-
-
-def test_a_long_stall_forgets_what_its_buffer_cannot_hold() -> None:
-    line = FaultyLine(LinkFaults(), np.random.default_rng(0))
-    line.stall(10.0)
-    for _ in range(5):
-        for frame in FRAMES:
-            line.carry(frame, 1.0)
-    assert len(line.carry(b"", 10.0)) <= FaultyLine.LIMIT
-    assert line.counts["overflow"] == pytest.approx(5 * len(FRAMES) - FaultyLine.LIMIT // 22, abs=1)
 
 
 @pytest.fixture
@@ -137,97 +103,6 @@ def test_a_reader_that_does_not_read_loses_whole_frames_only(link: BoxLink, mach
     assert decoder.counts.crc_errors == decoder.counts.malformed == 0
     assert decoder.counts.frames == link.report.sent + 1
     port.close()
-
-
-def test_greeting_disarms_and_commands_are_taken_once_and_in_order(link: BoxLink) -> None:
-    port = opened(link)
-    port.write(encode_hello(1, 0))
-    assert link.poll(0.0) == Command()
-    port.write(encode_command(5, 0, Command(arm=True, delta_kp=3.0)))
-    port.write(encode_command(6, 0, Command(arm=True, delta_kp=4.0)))
-    newest = link.poll(0.0)
-    assert newest is not None and newest.delta_kp == 4.0 and link.last_command == 6
-    port.write(encode_command(5, 0, Command(arm=True, delta_kp=3.0)))
-    assert link.poll(0.0) is None
-    assert link.report.hellos == 1
-    port.close()
-
-
-def armed_command(sequence: int, delta_kp: float = 0.0) -> bytes:
-    return encode_command(sequence, 0, Command(arm=True, delta_kp=delta_kp))
-
-
-def test_commands_that_are_old_or_come_again_are_refused_though_they_are_whole(link: BoxLink) -> None:
-    port = opened(link)
-    port.write(encode_hello(0, 0))
-    link.poll(0.0)
-    before = b"".join(armed_command(sequence, 3.0) for sequence in range(1, 21))
-    port.write(before + armed_command(100_000, 4.0))
-    assert link.poll(0.0) == Command(arm=True, delta_kp=4.0)
-    for old in (before, armed_command(100_000, 5.0), armed_command(98_000), armed_command(100_000 + 2**31)):
-        port.write(old)
-        assert link.poll(0.0) is None
-    assert (link.report.commands, link.report.refused, link.last_command) == (21, 23, 100_000)
-    port.close()
-
-
-def test_the_count_of_commands_may_wrap_around(link: BoxLink) -> None:
-    port = opened(link)
-    for sequence in (2**32 - 1, 0, 1):
-        port.write(armed_command(sequence))
-        assert link.poll(0.0) == Command(arm=True)
-    port.write(armed_command(2**32 - 1))
-    assert link.poll(0.0) is None
-    port.close()
-
-
-def test_greetings_without_end_leave_the_box_disarmed_and_nothing_piles_up(link: BoxLink) -> None:
-    port = opened(link)
-    for _ in range(50):
-        port.write((encode_hello(0, 0) + armed_command(1)) * 20)
-        assert link.poll(0.0) == Command()
-    assert link.report.hellos == 50 * 20
-    assert link.poll(0.0) == Command(arm=True) and link.poll(0.0) is None, "the last command, behind the last of them"
-    assert link.report.commands == 50, "of each twenty the last, and the next greeting made that void"
-    port.close()
-
-
-@pytest.mark.parametrize("restart", ["host", "box"])
-def test_a_restart_begins_a_new_count(link: BoxLink, restart: str) -> None:
-    port = opened(link)
-    port.write(armed_command(500_000))
-    assert link.poll(0.0) is not None
-    if restart == "box":
-        link.reboot()
-    else:
-        port.write(encode_hello(0, 0) + armed_command(1, 2.0))
-        assert link.poll(0.0) == Command(), "a greeting disarms, whatever comes behind it in the same millisecond"
-    port.write(armed_command(2, 2.0))
-    assert link.poll(0.0) == Command(arm=True, delta_kp=2.0)
-    assert link.last_command == 2
-    port.close()
-
-
-def test_a_line_that_repeats_itself_trips_the_armed_box_like_a_silent_one(link: BoxLink) -> None:
-    port, machine = opened(link), Machine(profile("default"))
-    sent = [encode_command(sequence, 0, Command(arm=sequence > 5)) for sequence in range(1, 101)]
-    flags = []
-    for _ in range(5):  # the same hundred milliseconds again and again
-        for frame in sent:
-            port.write(frame)
-            command = link.poll(0.0)
-            if command is not None:
-                machine.receive(command)
-            flags.append(Flag(int(machine.tick()["flags"])))
-    assert flags[50] & Flag.ARMED and not flags[50] & Flag.TRIPPED
-    assert link.report.refused == 400
-    assert all(flag & Flag.TRIPPED and not flag & Flag.ARMED for flag in flags[310:])
-    port.close()
-
-
-@pytest.mark.parametrize("form", ["bumpless", "paper"])
-def test_the_box_tells_the_form_of_its_integral(form: Integral) -> None:
-    assert box_info(Bench.nominal(), BoxConfig(integral=form), EMULATED_BOX).integral == form
 
 
 def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link: BoxLink, machine: Machine) -> None:
@@ -277,103 +152,3 @@ def test_orders_come_through_the_pipe_line_by_line(tmp_path: Path) -> None:
     os.close(writer)
     pipe.close()
     assert not (tmp_path / "control").exists()
-
-
-@dataclass
-class Listener:
-    """What a reader of the running emulator saw."""
-
-    decoder: Decoder = field(default_factory=Decoder)
-    states: list[State] = field(default_factory=list)
-    lost: int = 0  # connections
-
-    def __post_init__(self) -> None:
-        self.tracker = SequenceTracker(self.decoder.counts)
-
-    def listen(self, path: Path, seconds: float) -> None:
-        """Read and command at 1 kHz, open again when the port goes away."""
-        port = Port(PortSettings(path=str(path)))
-        end, connected, sent = time.monotonic() + seconds, False, 0
-        wanted = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
-        while time.monotonic() < end:
-            try:
-                if not connected:
-                    port.open()
-                    port.write(encode_hello(1, 0))
-                    self.decoder.reset()
-                    connected, sent = True, 0
-                for frame in self.decoder.feed(port.read(0.1)):
-                    if isinstance(frame, State) and self.tracker.accept(frame.sequence):
-                        self.states.append(frame)
-                        sent += 1
-                        command = Command(arm=sent > 20, delta_kp=75.0, delta_ki=10.0, reference=wanted)
-                        port.write(encode_command(sent, 0, command))
-            except PortLostError:
-                self.lost += connected
-                connected = False
-                time.sleep(0.02)
-        port.close()
-
-
-@contextlib.contextmanager
-def running(folder: Path, *words: str) -> Iterator[tuple[Path, list[str]]]:
-    """The emulator as a process of its own; gives the port and, once it has ended, its last words."""
-    port = folder / "port"
-    command = [sys.executable, "-m", "hydro_sim.emulator.command", "--link", str(port), *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    last_words: list[str] = []
-    try:
-        assert process.stdout is not None and str(port) in process.stdout.readline()
-        yield port, last_words
-        process.send_signal(signal.SIGINT)
-        last_words += process.communicate(timeout=20)[0].splitlines()
-        assert process.returncode == 0
-    finally:
-        process.kill()
-        process.wait()
-
-
-@pytest.mark.graph
-def test_a_reader_gets_every_sample_of_the_running_emulator(tmp_path: Path) -> None:
-    listener = Listener()
-    with running(tmp_path, "--noise-free", str(tmp_path / "free.npz")) as (port, last_words):
-        listener.listen(port, 3.0)
-    sequences = np.array([state.sequence for state in listener.states])
-    assert np.array_equal(np.diff(sequences), np.ones(len(sequences) - 1))
-    assert len(sequences) == pytest.approx(3000, abs=100)
-    assert (listener.decoder.counts.crc_errors, listener.decoder.counts.malformed) == (0, 0)
-    assert listener.states[-1].flags & Flag.ARMED
-    times = np.array([state.time_us for state in listener.states])
-    assert np.array_equal(times, 1000 * sequences)
-    with np.load(tmp_path / "free.npz") as free:
-        log = free["noise_free"][sequences]
-    measured = np.array([state.values[2] for state in listener.states])
-    assert np.std(measured - log["load_force"]) == pytest.approx(0.6, rel=0.1)
-    assert "late" in last_words[0] and "commands taken" in last_words[1]
-    assert not port.exists()
-
-
-@pytest.mark.graph
-def test_a_reader_survives_a_faulty_line_and_a_replug(tmp_path: Path) -> None:
-    faults = tmp_path / "faults.yaml"
-    faults.write_text(
-        "corrupt: 0.02\ndrop: 0.02\nduplicate: 0.02\nreorder: 0.02\nnoise: 0.02\nevents: [{at: 2, unplug: 1}]\n"
-    )
-    control = tmp_path / "control"
-    listener = Listener()
-    with running(tmp_path, "--faults", str(faults), "--control", str(control), "--seed", "3") as (port, last_words):
-        listener.listen(port, 4.0)
-        control.write_text("clear\n")
-        for _ in range(10):  # whenever the emulator reads its orders
-            cleared = Listener()
-            cleared.listen(port, 0.5)
-            if not (cleared.decoder.counts.crc_errors or cleared.decoder.counts.lost):
-                break
-    counts = listener.decoder.counts
-    assert listener.lost == 1
-    assert min(counts.crc_errors, counts.lost, counts.duplicates, counts.reordered) > 5
-    assert len(listener.states) > 2000
-    assert all(abs(state.values[2]) < 1000.0 and np.isfinite(state.values).all() for state in listener.states)
-    assert cleared.decoder.counts.crc_errors == cleared.decoder.counts.lost == 0
-    assert len(cleared.states) > 300
-    assert "faults made" in last_words[1]

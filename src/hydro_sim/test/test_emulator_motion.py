@@ -84,16 +84,6 @@ def test_stribeck_adds_its_breakaway_force_near_standstill_only() -> None:
     assert levels == pytest.approx([17.0, 12.0 + 5.0 / np.e, 12.0 + 5.0 / np.e, 12.0])
 
 
-@pytest.mark.parametrize(("push", "breaks_away"), [(16.0, False), (18.0, True)])
-def test_static_friction_holds_up_to_breakaway_and_not_beyond(push: float, breaks_away: bool) -> None:
-    stribeck = {"breakaway_force": 5.0, "velocity": 0.01}
-    plant = truth(friction_coulomb={"force": 12.0}, friction_stribeck=stribeck, force_offset={"force": push})
-    travel = np.abs(column(held(plant, 0.0, 0.2), "piston_position") - REST).max()
-    assert (travel > 1e-6) == breaks_away
-    if not breaks_away:
-        assert travel < 1e-9
-
-
 @pytest.mark.parametrize(("push", "breaks_away"), [(13.0, False), (17.0, True), (-7.0, False), (-11.0, True)])
 def test_static_friction_holds_by_the_level_of_the_direction_that_it_opposes(push: float, breaks_away: bool) -> None:
     coulomb = {"force_positive": 15.0, "force_negative": 9.0}
@@ -132,14 +122,6 @@ def test_friction_takes_energy_out_at_every_instant() -> None:
     log = plant.run(0.003 * np.sin(2 * np.pi * 2.0 * np.arange(1000) * 1e-3))[2]
     power = column(log, "friction_force") * column(log, "piston_velocity")
     assert power.min() > -1e-6
-
-
-def test_rib_and_seal_pressure_modulate_friction() -> None:
-    rib = truth(outside={"friction_rib": {"force": 20.0, "pitch": 4e-3}}).parameters[0]
-    assert friction.friction_level(rib, 0.1, 1e-3, 0.0) == pytest.approx(20.0)
-    assert friction.friction_level(rib, 0.1, 3e-3, 0.0) == pytest.approx(0.0, abs=1e-9)
-    seal = truth(outside={"friction_pressure": {"coefficient": 2e-6}}).parameters[0]
-    assert friction.friction_level(seal, 0.1, 0.0, -5e6) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(
@@ -192,24 +174,3 @@ def test_piston_stops_at_the_ends_of_its_stroke() -> None:
         position = column(held(truth(), current, 0.5), "piston_position")
         assert position.min() > -1e-3
         assert position.max() < STROKE + 1e-3
-
-
-def test_force_offset_shifts_the_still_bench_on_its_oil() -> None:
-    position = column(held(truth(force_offset={"force": 50.0}), 0.0, 0.5), "piston_position")[-1] - REST
-    assert position == pytest.approx(50.0 / (OIL + STIFFNESS), rel=2e-3)
-
-
-def test_hum_shakes_the_mass_at_its_frequency() -> None:
-    log = held(truth(outside={"load_hum": {"amplitude": 20.0, "frequency": 50.0}}), 0.0, 1.0)
-    spectrum = np.abs(np.fft.rfft(column(log, "piston_velocity")[-500:]))
-    assert np.fft.rfftfreq(500, 1e-3)[spectrum.argmax()] == 50.0
-
-
-def test_random_force_has_its_deviation_and_memory() -> None:
-    plant = truth(outside={"load_walk": {"force": 20.0, "correlation_time": 0.02}})
-    walk = np.empty(20_000)
-    for k in range(len(walk)):
-        plant.step(0.0)
-        walk[k] = plant.state["walk"][0]
-    assert walk.std() == pytest.approx(1.0, rel=0.1)
-    assert np.mean(walk[20:] * walk[:-20]) / walk.var() == pytest.approx(np.exp(-1), abs=0.08)

@@ -11,7 +11,7 @@ from scipy import signal
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.emulator.truth.plant import NoiseStream, TruthPlant
+from hydro_sim.emulator.truth.plant import TruthPlant
 
 MOVING = 0.003 * np.sin(2 * np.pi * 2.0 * np.arange(1500) * 1e-3)
 
@@ -47,11 +47,6 @@ def test_encoder_counts_whole_micrometers_and_no_finer() -> None:
     assert len(np.unique(noisy)) > 100
 
 
-def test_without_noise_and_quantisation_the_measurement_is_the_noise_free_log() -> None:
-    for noisy, clean, _ in logs({"noise_scale": 0.0, "encoder_step": 0.0}).values():
-        assert np.array_equal(noisy, clean)
-
-
 @pytest.mark.parametrize(
     ("effects", "name", "gain", "bias"),
     [
@@ -82,22 +77,9 @@ def test_sensor_lag_is_the_low_pass_that_it_says(order: int) -> None:
     assert np.abs(clean - physical).max() > 0.02 * np.abs(physical).max()
 
 
-def test_crosstalk_adds_the_pressure_to_the_load_cell() -> None:
-    _, clean, physical = logs(outside={"cell_crosstalk": {"coefficient": 1e-6}})["load_force"]
-    pressure = logs()["pressure_a"][2]
-    assert clean - physical == pytest.approx(1e-6 * pressure, rel=1e-9)
-
-
 def test_rates_are_differences_of_what_was_measured_and_follow_the_truth() -> None:
     columns = logs({"noise_scale": 0.0, "encoder_step": 0.0})
     for value, rate in (("load_force", "load_force_rate"), ("piston_position", "piston_velocity")):
         measured = columns[rate][0]
         assert np.sum(measured) * 1e-3 == pytest.approx(columns[value][0][-1] - columns[value][0][0], rel=0.05)
         assert measured[100:] == pytest.approx(columns[rate][2][100:], abs=0.2 * np.abs(measured).max())
-
-
-def test_noise_is_the_same_row_by_row_and_in_blocks() -> None:
-    one, many = NoiseStream(5), NoiseStream(5)
-    rows = np.array([one.row() for _ in range(3000)])
-    blocks = np.concatenate((many.rows(1), np.array([many.row() for _ in range(1500)]), many.rows(1499)))
-    assert np.array_equal(rows, blocks)

@@ -9,11 +9,9 @@ from dataclasses import replace
 from math import inf, nan
 from random import Random
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 import pytest
-from cobs import cobs
 
 from hydro_bridge.serial.protocol import (
     VERSION,
@@ -190,19 +188,6 @@ def test_single_precision_stays_within_its_rounding() -> None:
     assert worst["reference_force_rate"] < 1e-2
 
 
-def test_rates_are_those_of_the_sensors_module() -> None:
-    firmware, random = Firmware(Bench.nominal()), np.random.default_rng(1)
-    last, x, y = np.zeros(1, CONDITIONING_DTYPE)[0], np.zeros(8), np.zeros(8)
-    sensors = Sensors().constants()[0]
-    raws = np.cumsum(random.normal(size=(5000, 5)) * [3.0, 3.0, 1e4, 1e4, 1e-5], axis=0) + [0, 0, 4e6, 6e6, 0.04]
-    restart(last, raws[0], x)
-    for k, raw in enumerate(raws):
-        if k:
-            condition(sensors, last, raw, x)
-        firmware.differentiate(raw, y)
-        np.testing.assert_array_equal(x, y)
-
-
 def test_rates_pass_over_readings_that_are_none_as_those_of_the_sensors_module_do() -> None:
     """Also where the very first reading is none: afterwards all rates are finite at once."""
     firmware, random = Firmware(Bench.nominal()), Random(2)
@@ -265,11 +250,3 @@ def test_what_the_box_says_of_itself_is_what_python_says(memory: Any) -> None:
     assert isinstance(wanted, Hello) and hello.info == wanted.info
     assert details.details.bench_digest == Bench.nominal().digest and details.details.epoch == 7
     assert state.refused == state.refused_references == 0
-
-
-def test_a_frame_that_is_none_is_counted_and_moves_nothing() -> None:
-    firmware = Firmware(Bench.nominal())
-    body = bytearray(cobs.decode(encode_command(5, 0, Command(arm=True))[1:-1])[:-4])
-    body[34] = 9  # waveform
-    firmware.take(b"\0" + cobs.encode(bytes(body) + struct.pack("<I", crc32(body))) + b"\0")
-    assert firmware.counts()["taken"] == 0

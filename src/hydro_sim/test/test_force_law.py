@@ -121,16 +121,3 @@ def test_a_new_integral_gain_leaves_the_bumpless_current_and_changes_its_slope()
     for k_i in actions:
         after = force_law.integrate(force_law.BUMPLESS, carried, error, k_i, 0.0, 0.0, period)
         assert after - carried == pytest.approx(k_i * error * period, abs=1e-12)
-
-
-def test_a_new_integral_gain_is_a_step_of_the_papers_action() -> None:
-    carried, error = 2.0, 8.0  # N s, N
-    assert force_law.integral_action(PAPER, carried, 5.0) == 10.0
-    assert force_law.integral_action(PAPER, carried, 100.0) == 200.0
-    assert force_law.integrate(PAPER, carried, error, 100.0, 0.0, 0.0, 1e-3) == pytest.approx(2.008)
-
-
-def test_an_integral_gain_of_zero_holds_the_bumpless_action_and_drops_the_papers() -> None:
-    assert force_law.integrate(force_law.BUMPLESS, 40.0, 8.0, 0.0, 0.07, 0.05, 1e-3) == 40.0
-    assert force_law.integral_action(force_law.BUMPLESS, 40.0, 0.0) == 40.0
-    assert force_law.integral_action(PAPER, 2.0, 0.0) == 0.0

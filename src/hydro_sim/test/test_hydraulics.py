@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 
@@ -157,14 +157,6 @@ def test_integration_is_of_fourth_order(bench: Bench) -> None:
     errors = [abs((end(steps) - exact) / exact)[2] for steps in (100, 200, 400)]
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)
     assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.2)
-
-
-def test_fifty_microseconds_are_fine_enough(bench: Bench) -> None:
-    coarse, fine = (hydraulics.rest_state(bench.constants()[0]) for _ in range(2))
-    for _ in range(100):
-        hydraulics.advance(bench.constants()[0], coarse, 5e-3, SAMPLE_PERIOD, hydraulics.SUBSTEPS)
-        hydraulics.advance(bench.constants()[0], fine, 5e-3, SAMPLE_PERIOD, 20 * hydraulics.SUBSTEPS)
-    np.testing.assert_allclose(coarse, fine, rtol=1e-5)
 
 
 def test_load_cell_amplifier_answers_a_step_as_a_butterworth_filter(bench: Bench) -> None:

@@ -6,14 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_DTYPE, Flag, matrix
+from hydro_bridge.signals import Flag, matrix
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation import drawn as schedule
-from hydro_sim.excitation.coverage import coverage
-from hydro_sim.excitation.schedules import load_schedule, save_schedule
 from hydro_sim.files import recordings
-from hydro_sim.files.recordings import DataError
 
 
 @pytest.fixture(scope="module")
@@ -48,41 +45,9 @@ def test_runs_do_not_cross_gaps_or_faults(recording):
     ]
 
 
-def test_recordings_without_a_long_run_are_refused():
-    with pytest.raises(DataError, match="2000 samples"):
-        recordings.split({"empty": np.zeros(10, STATE_DTYPE)})
-
-
-def test_digest_tells_recordings_apart(recording):
-    changed = recording.states.copy()
-    changed["load_force"][7] += 1e-9
-    assert recordings.digest(recording.states) == recordings.digest(recording.states.copy())
-    assert recordings.digest(recording.states) != recordings.digest(changed)
-
-
-def test_schedule_is_that_of_its_seed():
-    assert schedule.draw(100.0, 3) == schedule.draw(100.0, 3)
-    assert schedule.draw(100.0, 3) != schedule.draw(100.0, 4)
-    assert sum(stretch.seconds for stretch in schedule.draw(100.0, 3)) == pytest.approx(100.0)
-
-
 def test_schedule_keeps_within_its_limits():
     limits = schedule.Range()
     for stretch in schedule.draw(3000.0, 1):
         assert abs(stretch.offset) + stretch.amplitude <= limits.force_max + 1e-3
         assert limits.kp[0] <= stretch.kp <= limits.kp[1]
         assert limits.ki[0] <= stretch.ki <= limits.ki[1]
-
-
-def test_schedule_file_is_the_emulators_too(tmp_path):
-    drawn = schedule.draw(50.0, 2)
-    save_schedule(drawn, tmp_path / "s.yaml")
-    assert load_schedule(tmp_path / "s.yaml") == drawn
-
-
-def test_coverage_counts_what_was_visited(recording):
-    still = recording.states.copy()
-    still["load_force"] = 0.0
-    rows = {row["quantity"]: row["visited"] for row in coverage(recording.states).rows}
-    assert rows["load force"] > 0.5
-    assert {row["quantity"]: row["visited"] for row in coverage(still).rows}["load force"] == pytest.approx(0.05)

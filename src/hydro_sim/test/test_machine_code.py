@@ -38,11 +38,6 @@ def test_a_damaged_library_is_compiled_anew(apart: Path) -> None:
     assert first.stdout == again.stdout == "42\n"
 
 
-def test_the_compiler_may_come_with_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CC", "cc -DANSWER=42")
-    assert machine_code.cached_library("words", lambda: "int answer(void) { return ANSWER; }\n").answer() == 42
-
-
 def test_a_compiler_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler -O2")
     with pytest.raises(ValueError, match="no C compiler found"):

@@ -11,12 +11,8 @@ import pytest
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.errors import UserError
 from hydro_bridge.files import bench_file
-from hydro_bridge.safety.box_info import differences, known_box
-from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.signals import STATE_DTYPE
-from hydro_sim.box.box import BoxConfig, box_info, with_base_gains
 from hydro_sim.files import recordings, weights
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch
 from hydro_sim.files.stamping import header_of, stamp_of, stamped
@@ -49,12 +45,6 @@ def test_what_was_made_for_this_box_fits_and_each_difference_is_one_sentence() -
         assert mismatch("it", wrong, BOX, "remedy", model="m") == sentence
 
 
-def test_what_was_trained_on_any_bench_needs_the_same_base_gains_alone() -> None:
-    made = MadeFor(box="b", base_kp=15.0, base_ki=5.0, any_bench=True)
-    assert mismatch("it", made, BOX, "remedy") == ""
-    assert "base K_p" in mismatch("it", made, replace(BOX, base_gains=(30.0, 5.0)), "remedy")
-
-
 def test_a_stamp_changes_no_tensor_and_no_digest_of_a_model(tmp_path: Path) -> None:
     blob, path = weights.shipped().read_bytes(), tmp_path / "model.safetensors"
     made = MadeFor(box="b", model="m", base_kp=1.0, base_ki=2.0, integral="paper", any_bench=True)
@@ -68,32 +58,6 @@ def test_a_stamp_changes_no_tensor_and_no_digest_of_a_model(tmp_path: Path) -> N
     assert stamp_of(path) is None and Learned.load(path).made is None
     with pytest.raises(ValueError, match="no readable entry"):
         header_of(b"nonsense")
-
-
-def test_a_model_that_is_loaded_and_saved_keeps_its_stamp(tmp_path: Path) -> None:
-    learned = replace(Learned.load(), made=MadeFor(box="b"))
-    learned.save(tmp_path / "m.safetensors")
-    assert Learned.load(tmp_path / "m.safetensors").made == MadeFor(box="b")
-
-
-def test_a_box_that_contradicts_its_bench_file_is_told_and_does_not_get_its_digest(bench: Bench) -> None:
-    info, numbers = box_info(bench, BoxConfig(), "box"), bench.to_mapping()
-    as_sent = replace(info, valve_current_max=float(np.float32(info.valve_current_max)))
-    assert differences(as_sent, numbers) == "" and known_box(as_sent, numbers, "bridge").bench_digest == bench.digest
-    wider = replace(info, valve_current_max=0.08)
-    assert differences(wider, numbers) == "its valve_current_max is 0.08 A, the bench file says 0.05 A"
-    assert known_box(wider, numbers, "bridge").bench_digest == replace(bench, valve_current_max=0.08).digest
-    assert "sample period is 0.002 s" in differences(replace(info, sample_period=2e-3), None)
-    assert known_box(BoxInfo(), None, "bridge").bench_digest == ""
-
-
-def test_a_box_with_other_base_gains_keeps_its_limits_in_all() -> None:
-    usual, other = BoxConfig(), with_base_gains(60.0, 8.0)
-    assert (other.base_kp, other.base_ki) == (60.0, 8.0)
-    for name in ("kp", "ki"):
-        for end in ("min", "max"):
-            reach = [getattr(box, f"base_{name}") + getattr(box, f"delta_{name}_{end}") for box in (usual, other)]
-            assert reach[0] == pytest.approx(reach[1])
 
 
 def _bag(folder: Path, bench: Bench | None) -> Path:
@@ -110,13 +74,3 @@ def test_recordings_say_what_their_box_believed_and_two_benches_make_no_model(be
     assert recordings.believed_bench([silent, mine]) == own.digest
     with pytest.raises(recordings.DataError, match="believed different benches"):
         recordings.believed_bench([mine, theirs])
-
-
-def test_a_file_that_is_no_bench_is_one_sentence(tmp_path: Path) -> None:
-    path = tmp_path / "bench.yaml"
-    for text in ("3", "stroke: abc", "stroke: true", "a: [b"):
-        path.write_text(text)
-        with pytest.raises(UserError, match=r"is no bench\.yaml"):
-            bench_file.read_numbers(path)
-    with pytest.raises(UserError, match="No such file"):
-        bench_file.read_numbers(tmp_path / "nowhere.yaml")

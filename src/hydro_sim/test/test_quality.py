@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -45,17 +44,3 @@ def test_the_filter_refuses_a_file_by_its_worst_reading(tmp_path: Path) -> None:
     learned["worst"] = 2.0
     file.write_text(yaml.safe_dump(replace(bench, learned=learned).to_mapping()), encoding="utf-8")
     assert isinstance(load_model(file), Bench)
-
-
-@pytest.mark.parametrize(
-    ("learned", "sentence"),
-    [
-        ([], "'learned' is a mapping"),
-        ({"over_noise": 1.0}, "needs the number 'worst'"),
-        ({"over_noise": "1", "worst": 1.0}, "needs the number 'over_noise'"),
-        ({"over_noise": 1.0, "worst": 1.0}, "needs the name 'worst_reading'"),
-    ],
-)
-def test_what_learn_does_not_write_is_refused(learned: Any, sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        Bench.from_mapping(Bench.nominal().to_mapping() | {"learned": learned})

@@ -45,28 +45,6 @@ def test_rate_is_the_derivative_and_amplitude_the_bound(
     assert np.max(np.abs(values - offset)) <= 300.0 * (1.0 + 1e-12)
 
 
-def test_sine_is_a_sine() -> None:
-    times = np.linspace(0.0, 1.0, 100)
-    values, rates = reference.sample(SINE, times)
-    np.testing.assert_allclose(values, 300.0 * np.sin(4.0 * np.pi * times), atol=1e-9)
-    np.testing.assert_allclose(rates, 1200.0 * np.pi * np.cos(4.0 * np.pi * times), atol=1e-8)
-
-
-def test_multisine_comes_near_its_amplitude_and_never_repeats() -> None:
-    signal = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=300.0, frequency=0.5)
-    values, _ = reference.sample(signal, np.arange(0.0, 100.0, 1e-2))
-    assert 285.0 < np.max(np.abs(values)) <= 300.0
-    period = values[:200]
-    assert all(np.max(np.abs(values[200 * k : 200 * (k + 1)] - period)) > 10.0 for k in range(1, 50))
-
-
-def test_smooth_step_stands_at_both_levels() -> None:
-    signal = ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=200.0, offset=50.0, frequency=1.0)
-    values, rates = reference.sample(signal, np.array([0.0, 0.0625, 0.2, 0.4, 0.5, 0.5625, 0.7, 0.99]))
-    np.testing.assert_allclose(values, [-150.0, 50.0, 250.0, 250.0, 250.0, 50.0, -150.0, -150.0], atol=1e-9)
-    np.testing.assert_allclose(rates[[2, 3, 6, 7]], 0.0)
-
-
 def trace(state: np.ndarray, times: FloatArray, changes: dict[int, ReferenceSignal]) -> FloatArray:
     """Value and rate at each time, shape (n, 2), with the signals wanted from given samples on."""
     out = []

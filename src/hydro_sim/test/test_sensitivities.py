@@ -111,13 +111,3 @@ def test_the_filter_finds_states_that_nothing_measures() -> None:
     assert error[0] < 3e3 and error[1] < 3e3 and error[3] < 5e-4
     drawn = [state.name for state in model.states].index("demand")
     assert error[drawn] < 0.02 * np.ptp(np.array(states)[500:, drawn])
-
-
-def test_arrays_of_other_shapes_are_refused() -> None:
-    model = BenchModel(replace(Bench.nominal(), **SETS["held"]), substeps=10)
-    exact = Sensitivities(model)
-    k, dk = exact.coefficients(model.values)
-    with pytest.raises(ValueError, match=r"an array has shape \(3,\), the model needs"):
-        exact.window(k, np.zeros(3), np.zeros(5), np.eye(exact.held), dk)
-    with pytest.raises(ValueError, match="an array of int64"):
-        exact.coefficients(np.zeros(len(model.parameters), int))

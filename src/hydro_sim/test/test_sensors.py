@@ -43,21 +43,6 @@ def test_readings_have_the_stated_noise_and_steps(bench: Bench) -> None:
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
-def test_encoder_shows_whole_steps_only() -> None:
-    raw = np.array([0.0, 0.0, 0.0, 0.0, 0.0123456])
-    sensors.sense(Sensors().constants()[0], np.zeros(5), raw)
-    assert raw[4] == pytest.approx(0.012346, abs=1e-12)
-
-
-def test_ideal_sensors_show_the_truth(bench: Bench) -> None:
-    plant = AnalyticPlant(bench, noise=0.0)
-    plant.reset(3)
-    for _ in range(50):
-        x = plant.step(0.001)
-    y = plant.physical_state()
-    np.testing.assert_array_equal(x[[2, 4, 5, 6]], y[[4, 0, 1, 2]])
-
-
 def test_noise_is_the_same_however_many_rows_are_taken() -> None:
     singly = Noise(7)
     rows = np.array([singly.row() for _ in range(2500)])
@@ -65,10 +50,3 @@ def test_noise_is_the_same_however_many_rows_are_taken() -> None:
     pieces = [together.row()[None], together.rows(10), together.rows(1500), together.row()[None], together.rows(988)]
     np.testing.assert_array_equal(np.concatenate(pieces), rows)
     assert not np.array_equal(Noise(8).rows(3), rows[:3])
-
-
-def test_impossible_settings_are_refused(bench: Bench) -> None:
-    with pytest.raises(ValueError, match="velocity_age"):
-        Sensors(velocity_age=1e-4)
-    with pytest.raises(ValueError, match="noise scale -1"):
-        AnalyticPlant(bench, noise=-1)

@@ -24,21 +24,6 @@ from hydro_sim.model.bench import Bench  # noqa: E402
 pytestmark = pytest.mark.graph
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--bench", "nowhere.yaml"], "error: nowhere.yaml: No such file or directory"),
-        (["--speed", "-1"], "error: speed must be within [0, 100], not -1"),
-        (["--ros-args", "-p", "box.load_force_limit:=-5.0"], "error: parameter box.load_force_limit: "),
-    ],
-)
-def test_what_it_cannot_use_is_refused_in_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
-    sim = [str(executable_path("hydro_sim", "sim")), *arguments]
-    ended = subprocess.run(sim, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
-    assert ended.returncode == 2
-    assert sentence in ended.stderr and "Traceback" not in ended.stderr
-
-
 def test_effects_of_a_corrected_bench_are_simulated_and_named(tmp_path: Path) -> None:
     lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.9}}
     corrected = replace(Bench.nominal(), effects=(lag,))

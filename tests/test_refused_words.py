@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a command line asks for and cannot have: one sentence, status 2, nothing left behind."""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from docs.generate_reference import executables
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.signals import STATE_DTYPE
+from hydro_sim.model.bench import Bench
+
+SINE = "{seconds: 1.0, amplitude: 200}"
+SCHEDULES = {
+    "seconds": f"[{SINE}, {{seconds: abc}}]",
+    "waveform": f"[{SINE}, {{seconds: 1, waveform: foo}}]",
+    "nan": f"[{SINE}, {{seconds: 1, amplitude: .nan}}]",
+    "pulse": f"[{SINE}, {{seconds: 1, delta_u: 0.01}}]",
+    "none": "3",
+}
+REFUSED = {
+    "hydro_bridge bridge": (
+        ("--ros-args -p guard.delta_kp_mx:=30.0", "no parameter guard.delta_kp_mx; is guard.delta_kp_max"),
+        ("--ros-args --params-file /nowhere", "ROS refuses its arguments"),
+        ("--ros-args --nonsense", "--nonsense"),
+        ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
+        ("--port /dev/null", "/dev/null is another device, not a serial port"),
+    ),
+    "hydro_bridge recorder": (
+        ("--out @new --topics '/bad name'", "Invalid topic name"),
+        ("--out /dev/null/bag", "/dev/null is no folder: choose another place"),
+        ("--out @bag", "exists already; a recording is never overwritten"),
+    ),
+    "hydro_bridge arm": (
+        ("--timeout=nan", "argument --timeout: nan: a number of seconds above 0 is meant"),
+        ("--timeout=-1", "argument --timeout: -1: a number of seconds above 0 is meant"),
+    ),
+    "hydro_bridge view": (
+        ("@bag --no-open --from 3 --to 2", "the end must come behind the begin"),
+        ("@bag --no-open --from soon", "seconds from the first sample"),
+        ("@bag --no-open --from 60", "no samples from 60"),
+    ),
+    "hydro_bridge dashboard": (("--port 65536", "65536"), ("--port http", "http")),
+    "hydro_sim collect": (
+        ("--out @new --seconds nan", "--seconds nan: 1 to 36000 is meant"),
+        ("--out @new --seed -1", "--seed -1: 0 or more is meant"),
+        ("--out /dev/null/bag --seconds 5", "/dev/null/bag cannot be made"),
+        ("--out @new --bench nowhere.yaml", "nowhere.yaml: No such file or directory"),
+        ("--out @new --schedule @seconds", "segments[1].seconds must be a number in s, not 'abc'"),
+        ("--out @new --schedule @waveform", "segments[1].waveform must be one of hold, sine, "),
+        ("--out @new --schedule @nan", "segments[1].amplitude must be a number in N, not nan"),
+        ("--out @new --schedule @pulse", "segments[1].delta_u is 0.01 A: only the emulator"),
+        ("--out @new --schedule @none", "must hold one list of segments under the key segments"),
+    ),
+    "hydro_sim emulator": (
+        ("--offline", "--offline needs --out"),
+        ("--out @new", "add --offline"),
+        ("--offline --out @new --truth none.yaml", "none.yaml cannot be read"),
+        ("--batch none.yaml", "none.yaml cannot be read"),
+        ("--offline --out /dev/null/x", "/dev/null is no folder: choose another place"),
+        ("--seconds nan", "--seconds nan"),
+    ),
+    "hydro_sim learn": (
+        ("@bag --out @new --horizon 0", "--horizon is 0, needs 1 or more"),
+        ("@bag --out @new --learning-rate nan", "--learning-rate is nan"),
+        ("@bag --out /dev/null/x", "/dev/null/x cannot be written"),
+        ("@bag --out @new --structure bench", "name one by --bench"),
+        ("@bag --out @new.yaml --structure bench --bench @plain.yaml", "plain.yaml names no effects"),
+        ("@bag --out @new --structure residual --printed-loss", "--printed-loss"),
+        ("@bag --out @new --hidden 8 8 8", "--hidden names 3 layers"),
+    ),
+    "hydro_sim validate": (
+        ("nowhere --horizon 0", "--horizon 0: 1 to 5000 samples are meant"),
+        ("nowhere --stride -1", "--stride -1: 1 sample or more is meant"),
+    ),
+    "hydro_sim sim": (
+        ("--bench nowhere.yaml", "nowhere.yaml: No such file or directory"),
+        ("--speed -1", "speed must be within [0, 100], not -1"),
+        ("--ros-args -p box.load_force_limit:=-5.0", "parameter box.load_force_limit: "),
+    ),
+    "hydro_filter filter": (
+        ("--metric /nowhere.safetensors", "cannot be read as weights"),
+        ("--metric constant --foreign-rate 3", "--foreign-rate is no setting of this metric"),
+        ("--metric constant --model x", "--model needs a learned one"),
+        ("--every 10", "--every 10 needs --metric constant"),
+    ),
+    "hydro_filter filter_header": (
+        ("--out @new --metric learned --noise-floor 1", "--noise-floor: a learned metric brings its own"),
+        ("--out @new --model x", "--model: the constant metric has none"),
+        ("--out @new --metric learned --contraction-rate -1", "contraction_rate"),
+    ),
+    "hydro_filter learn_metric": (("--out /dev/null/x", "/dev/null"),),
+    "hydro_policy policy_header": (("--out @new --policy @plain.yaml", "is not a policy"),),
+    "hydro_policy pretrain": (
+        ("--out @new --model nowhere.safetensors", "nowhere.safetensors"),
+        ("--out @new --bench b.yaml --model shipped", "a bench of its own"),
+        ("--out @new --bench b.yaml --model c.yaml", "which of them is simulated?"),
+        ("--out @new --episodes 0", "episodes must be within"),
+        ("--out /dev/null/run", "/dev/null is no folder: choose another place"),
+    ),
+    "hydro_policy trainer": (
+        ("--runs @new --resume /nowhere", "holds no run to resume"),
+        ("--runs @new --ros-args -p sac.discont:=0.9", "no parameter sac.discont; is sac.discount meant?"),
+        ("--runs @new --plant sim --truth t.yaml", "--truth is of no use with --plant sim; it goes with emulator"),
+        ("--runs @new --plant external --filter=--bypass", "--filter is of no use with --plant external"),
+        ("--runs @new --plant emulator --bench /nowhere", "/nowhere"),
+        ("--runs @new --plant sim --model /nowhere", "--model /nowhere: there is no such file"),
+        ("--runs /dev/null", "cannot be made"),
+    ),
+    "hydro_policy evaluate": (
+        ("--runs @new --fixed nan 5", "fixed gains are two finite numbers, not nan and 5"),
+        ("--runs @new --repeats 0", "repeats must be within [1, 1000], not 0"),
+        ("--runs @new --json /dev/null/figures.json", "/dev/null is no folder: choose another place"),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "plain.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
+    for name, segments in SCHEDULES.items():
+        (folder / name).write_text(f"segments: {segments}\n")
+    with BagWriter(folder / "bag") as bag:
+        bag.write_states(np.zeros(10, STATE_DTYPE))
+    return folder
+
+
+@pytest.mark.parametrize("command", REFUSED)
+def test_it_is_refused_in_one_sentence(
+    command: str, files: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
+    each: Callable[..., None],
+) -> None:  # fmt: skip
+    package, name = command.split()
+    main = importlib.import_module(executables(package)[name]).main
+    before = set(files.rglob("*"))
+
+    def check(row: tuple[str, str]) -> None:
+        monkeypatch.setattr(sys, "argv", [name, *shlex.split(row[0].replace("@", f"{files}/"))])
+        try:
+            status = main()
+        except SystemExit as ended:
+            status = ended.code
+        said = capfd.readouterr().err
+        assert status == 2, said
+        assert "error: " in said.splitlines()[-1] and row[1] in said.splitlines()[-1], said
+        assert "Traceback" not in said and set(files.rglob("*")) == before, "nothing is left behind"
+
+    each(REFUSED[command], check)
