@@ -26,6 +26,7 @@ STUDIES = frozenset(
         "foreign_truth",
         "learned_structures",
         "model_mismatch",
+        "null_simulations",
         "pairings",
         "paper",
         "relearned_filter",

@@ -26,7 +26,7 @@ import pandas as pd
 from benchmarks import _report
 from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.signals import STATE_FIELDS
-from hydro_diagnosis.blind_benchmark.magnitudes import FORMS, SINGLES, VALUES, Pick, Shape, Size
+from hydro_diagnosis.blind_benchmark.cases import FORMS, SINGLES, VALUES, Pick, Shape, Size
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import read_table
 from hydro_diagnosis.recording import InputError

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
-from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model.noise_floor import sensor_noise
+from hydro_diagnosis.estimation.problem import sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
-from hydro_diagnosis.validation.heldout import HORIZON, WINDOWS, errors
+from hydro_diagnosis.preprocessing.loading import load_dataset
+from hydro_diagnosis.validation import HORIZON, WINDOWS, errors
 from hydro_sim.model.bench import Bench
 
 DYNAMIC = ("velocity", "pressure_a", "pressure_b")

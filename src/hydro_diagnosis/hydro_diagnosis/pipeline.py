@@ -17,8 +17,7 @@ from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages.hypotheses import reconsidered, understood
-from hydro_diagnosis.stages.modelling import modelled
-from hydro_diagnosis.stages.naming import named, trusted
+from hydro_diagnosis.stages.naming import modelled, named, trusted
 from hydro_diagnosis.stages.reading import Progress, Question
 from hydro_diagnosis.stages.reporting import reported, unfinished
 from hydro_sim.model.bench import Bench
@@ -48,9 +47,9 @@ def diagnose(
         number of jobs); without, the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
-        A file or content needs only the numbers that the recorded channels connect (`needed_numbers`).
+        A file or content needs only the numbers that the recorded channels connect (`bench_numbers.needed`).
     model
-        Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
+        Learned weights as the baseline, in place of `bench` (structured ones).
     columns
         Column map of a file, or of a bag's fields or topics: see `column_map`.
     without

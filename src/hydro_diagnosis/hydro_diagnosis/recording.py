@@ -11,6 +11,9 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 
+SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
+
+
 MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """Channels of the sensors; the rates are computed by the box and not used."""
 UNITS = {

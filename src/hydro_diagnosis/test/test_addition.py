@@ -13,11 +13,10 @@ from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.closure.candidates import laws, tables
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.effects.splines import splined
-from hydro_diagnosis.estimation.addition import apart, summed
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.effects.kernels import splined
+from hydro_diagnosis.estimation.equation_residuals import apart, summed
+from hydro_diagnosis.estimation.fit import fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.slopes import jacobian
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_sim.model import grammar

@@ -27,7 +27,7 @@ from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
-from hydro_diagnosis.validation.equations import held_out
+from hydro_diagnosis.validation import held_out
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

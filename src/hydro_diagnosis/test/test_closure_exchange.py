@@ -8,8 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.growth import _exchanged
-from hydro_diagnosis.closure.rounds import Rounds
+from hydro_diagnosis.closure.growth import Rounds, _exchanged
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure

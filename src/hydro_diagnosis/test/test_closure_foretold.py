@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hydro_diagnosis.closure.foretold import foretold
+from hydro_diagnosis.closure.admission import foretold
 from hydro_diagnosis.closure.growth import Closed
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
-from hydro_diagnosis.closure.disguise import barred, in_disguise
-from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred, definite, in_disguise
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.path_memory import held_lag, limited, turning
+from hydro_diagnosis.effects.kernels import held_lag, limited, turning
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem

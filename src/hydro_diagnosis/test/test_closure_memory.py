@@ -11,7 +11,7 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.effects.path_memory import along
+from hydro_diagnosis.effects.kernels import along
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
+from hydro_diagnosis.closure.alternatives import merged
 from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.growth import Closed
-from hydro_diagnosis.closure.merging import merged
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure, closure

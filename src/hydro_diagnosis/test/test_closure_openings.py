@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
+from hydro_diagnosis.closure.alternatives import openings
 from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.openings import openings
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import LIBRARY

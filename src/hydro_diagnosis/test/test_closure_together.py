@@ -14,8 +14,8 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.cli import run
+from hydro_diagnosis.closure.evidence import mimics, paying, together
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.closure.together import mimics, paying, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import fit

@@ -9,9 +9,8 @@ import pytest
 
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.fluid import EntrainedAir
-from hydro_diagnosis.effects.valve_dynamics import TransportDelay, ValveLag, ValveLagFirstOrder
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.effects.valve import TransportDelay, ValveLag, ValveLagFirstOrder
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown

@@ -18,7 +18,7 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.io.identity import identified
+from hydro_diagnosis.stages.reading import identified
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 

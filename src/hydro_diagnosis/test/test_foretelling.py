@@ -20,7 +20,7 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.foretelling import distrusted, made_worse, made_worse_in_all, not_foretold
+from hydro_diagnosis.selection.effect_summary import distrusted, made_worse, made_worse_in_all, not_foretold
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

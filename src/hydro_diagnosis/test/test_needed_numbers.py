@@ -14,13 +14,24 @@ import yaml
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import InputError
+from hydro_diagnosis.bench_numbers import (
+    NONE,
+    Guarded,
+    PartialBench,
+    acts,
+    completed,
+    knows,
+    left_out,
+    needed,
+    numbers,
+    read_bench,
+    refuse_missing,
+)
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.estimation.needed_numbers import acts, left_out, needed, refuse_missing
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.partial_bench import NONE, Guarded, PartialBench, completed, knows, numbers, read_bench
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.wiring.sizes import doubts
+from hydro_diagnosis.wiring import doubts
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

@@ -12,8 +12,7 @@ from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design.next_recording import catalog
-from hydro_diagnosis.experiment_design.rival_laws import next_for_law, rival_law
+from hydro_diagnosis.experiment_design import catalog, next_for_law, rival_law
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.outcome import score

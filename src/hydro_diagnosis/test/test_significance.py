@@ -14,8 +14,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.significance import form_error, is_significant
+from hydro_diagnosis.selection.outcome import SearchSettings, form_error, is_significant
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

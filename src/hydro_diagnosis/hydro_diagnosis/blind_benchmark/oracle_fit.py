@@ -20,13 +20,13 @@ from joblib import Parallel, delayed
 from hydro_bridge.cli.console import progress
 from hydro_diagnosis import InputError
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD, Case
-from hydro_diagnosis.blind_benchmark.facts import Result
-from hydro_diagnosis.dataset.loading import load_dataset
+from hydro_diagnosis.blind_benchmark.scores import Result
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.validation.heldout import HORIZON, WINDOWS, compare
+from hydro_diagnosis.preprocessing.loading import load_dataset
+from hydro_diagnosis.validation import HORIZON, WINDOWS, compare
 from hydro_sim.model.bench import Bench
 
 KINDS = ("single", "faint", "value", "form", "pair", "triple")

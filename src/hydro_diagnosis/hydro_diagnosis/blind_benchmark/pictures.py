@@ -1,21 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of a proof: confusion matrix, errors against size, coverage of intervals, held-out fit."""
+"""proof.html: standards, failures, and plots of confusion, errors against size, coverage and held-out fit."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
+from hydro_bridge.cli.console import Table
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import data_uri, environment
 from hydro_diagnosis.blind_benchmark.cases import FITTED, SECONDS
-from hydro_diagnosis.blind_benchmark.facts import Result
-from hydro_diagnosis.blind_benchmark.standards import confusion, wilson
+from hydro_diagnosis.blind_benchmark.scores import Result, confusion, wilson
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.selection.outcome import SearchSettings
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+
+_CAPTIONS = {
+    "confusion": "What was said about each cause that was concealed alone; numbers are cases, blue is their share.",
+    "errors": "Error of the size of each cause that was concealed alone, against how large it was. The detection floor "
+    "is the size at which evidence would just be enough, or from which on it is worth claiming.",
+    "coverage": "95 % intervals that hold the truth, by cause (number of parameters), with Wilson's interval.",
+    "held_out": "Held-out error: on the line, naming cost nothing against knowing the true structure.",
+}
+
+
+def write_page(path: Path, table: Table, pictures: Mapping[str, Path], failed: Sequence[Mapping[str, Any]],
+          about: Mapping[str, str]) -> None:  # fmt: skip
+    """Write the page; `about`: facts on the run, by name."""
+    made = environment("hydro_diagnosis", "blind_benchmark/templates")
+    made.filters["flat"] = _flat
+    page = made.get_template("proof.html").render(
+        title="Proof on sealed cases",
+        about=about,
+        table=table,
+        pictures=[(_CAPTIONS[what], data_uri(file)) for what, file in pictures.items()],
+        failed=failed,
+    )
+    write_whole(path, page.encode())
+
+
+def _flat(data: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(_rounded(data), default_flow_style=True, width=10**6).strip() if data else ""
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _rounded(one) for key, one in value.items()}
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
 
 NAMES = {"confusion": "confusion.png", "errors": "errors.png", "coverage": "coverage.png", "held_out": "held_out.png"}
 """File names, by what they show."""

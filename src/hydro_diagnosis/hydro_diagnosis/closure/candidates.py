@@ -12,7 +12,7 @@ from hydro_diagnosis.closure.evidence import Blocks, HeldOutBlocks
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.effects.path_memory import held_lag
+from hydro_diagnosis.effects.kernels import held_lag
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem

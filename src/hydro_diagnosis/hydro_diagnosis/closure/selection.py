@@ -3,7 +3,7 @@
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
 each, all numbers, those of the names too, are estimated anew. Where such laws leave something, names and laws are
-searched together (`together`): names that the judgement dropped may come back, and names that it made may go.
+searched together (`evidence.together`): names that the judgement dropped may come back, and names that it made may go.
 """
 
 from __future__ import annotations
@@ -14,15 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from hydro_diagnosis.closure.alternatives import merged, openings, renamed
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
-from hydro_diagnosis.closure.disguise import barred, in_disguise
-from hydro_diagnosis.closure.growth import TERMS, Closed, count_terms, grown_by_law
-from hydro_diagnosis.closure.merging import merged
-from hydro_diagnosis.closure.openings import openings
-from hydro_diagnosis.closure.renaming import renamed
-from hydro_diagnosis.closure.rounds import CONDENSED, LEAST, Rounds
+from hydro_diagnosis.closure.evidence import THRESHOLD, barred, held_out_gain, in_disguise, mimics, paying, together
+from hydro_diagnosis.closure.growth import CONDENSED, LEAST, TERMS, Closed, Rounds, count_terms, grown_by_law
 from hydro_diagnosis.closure.screen import Screen
-from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit

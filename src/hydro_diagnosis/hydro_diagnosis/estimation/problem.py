@@ -1,23 +1,233 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recordings as one least-squares problem: claims in, residuals in units of the measured noise out."""
+"""The recordings as one least-squares problem: claims in, residuals in units of the measured noise out.
+
+The deviation of each residual is what it may be off if nothing is missing: the sensors' noise, measured by the white
+part of the recordings; the uncertainty of velocity reversals and of flows; rows that were not recorded.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from math import hypot
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
+from hydro_diagnosis.bench_numbers import connected
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.addition import Parts
-from hydro_diagnosis.estimation.equation_residuals import EquationResiduals
-from hydro_diagnosis.estimation.layout import Layout
-from hydro_diagnosis.estimation.needed_numbers import connected
-from hydro_diagnosis.estimation.weights import Noise, Weights
-from hydro_diagnosis.model.noise_floor import sensor_noise
-from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.estimation.equation_residuals import EquationResiduals, Parts
+from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
+from hydro_diagnosis.model.segment_record import BLOCK
+from hydro_diagnosis.preprocessing.smoothing import (
+    ACCELERATION_NOISE_GAIN,
+    TOTAL_NOISE_GAIN,
+    VELOCITY_NOISE_GAIN,
+    white_noise,
+)
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
+
+CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Assignment of a residual vector's entries to channels: `channel[i]` indexes `CHANNELS`."""
+
+    channel: np.ndarray[Any, np.dtype[np.int64]]
+    segment: np.ndarray[Any, np.dtype[np.int64]]
+    time: FloatArray
+
+    @classmethod
+    def of(cls, blocks: Sequence[str], models: Sequence[SegmentModel]) -> Layout:
+        """Return that of these blocks, channel by channel and in each segment by segment."""
+        channel, segment, time = [], [], []
+        for block in blocks:
+            for name in BLOCKS[block]:
+                for k, model in enumerate(models):
+                    at = model.block_time() if block == HYDRAULIC else model.kept_time()
+                    channel.append(np.full(len(at), CHANNELS.index(name)))
+                    segment.append(np.full(len(at), k))
+                    time.append(at)
+        return cls(np.concatenate(channel), np.concatenate(segment), np.concatenate(time))
+
+    def count(self) -> FloatArray:
+        """Entries per channel, shape (5,)."""
+        return self._count
+
+    def squares(self, residual: FloatArray) -> FloatArray:
+        """Sum of each channel's squares, shape (5,)."""
+        sums = np.zeros(len(CHANNELS))
+        for index, begin, end in self._stretches:
+            part = residual[begin:end]
+            sums[index] += part @ part
+        return sums
+
+    @cached_property
+    def _count(self) -> FloatArray:
+        return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
+
+    @cached_property
+    def _stretches(self) -> list[tuple[int, int, int]]:
+        """Channel, begin and end of the stretches of one channel each."""
+        edges = [0, *(np.flatnonzero(np.diff(self.channel)) + 1).tolist(), len(self.channel)]
+        return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
+
+
+def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
+    """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units.
+
+    It does not depend on the logger: of recordings at several rates, those of the highest estimate it best.
+    """
+    found: dict[str, list[tuple[int, float]]] = {}
+    densest = min(model.spacing for model in models)
+    for model in (model for model in models if model.spacing == densest):
+        measured = model.segment.measured
+        recorded = slice(model.segment.phase, None, model.spacing)
+        for channel, signal in _nearly_white(model).items():
+            noise = white_noise(signal[recorded], None if measured is None else measured[recorded])
+            found.setdefault(channel, []).append((len(signal), noise))
+    return {channel: _pooled(parts) for channel, parts in found.items()}
+
+
+def _pooled(parts: list[tuple[int, float]]) -> float:
+    counts, deviations = np.array(parts).T
+    return float(np.sqrt(np.average(np.square(deviations), weights=counts)))
+
+
+def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
+    """Channels without the kinks that the nominal model knows of: the current's steps bend pressures and f_h."""
+    signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
+    if model.has_position and model.has_pressures and "valve_current" in model.channels:
+        run = model.chamber_run(())
+        signals["pressure_a"], signals["pressure_b"] = run.innovations
+        if "hydraulic_force" in signals:
+            signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
+    return signals
+
+
+_SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+
+
+FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
+"""Lower bound [Pa, N] by the residuals' own discretization (diagnosis.md, "Noise floor")."""
+
+
+def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
+    """Standard deviation of each residual if nothing is missing, in its physical unit; `step` between recorded rows."""
+    position = sensors.get("piston_position", 0.0)
+    inertia = bench.moving_mass * position * ACCELERATION_NOISE_GAIN / step**2
+    damping = bench.viscous_friction * position * VELOCITY_NOISE_GAIN / step
+    spring = bench.spring_stiffness * position * TOTAL_NOISE_GAIN
+    area = bench.piston_area
+    by_pressure = hypot(area * sensors.get("pressure_a", 0.0), bench.area_ratio * area * sensors.get("pressure_b", 0.0))
+    cell = sensors.get("hydraulic_force", by_pressure)
+    noise = {
+        "motion": hypot(cell * TOTAL_NOISE_GAIN, inertia, damping, spring),
+        "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
+        "hydraulic": hypot(cell, by_pressure) / (BLOCK / step) ** 0.5,
+    }
+    for chamber in "ab":
+        noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN
+    return {channel: hypot(deviation, FLOOR[channel]) for channel, deviation in noise.items()}
+
+
+LEVEL = 1.0
+"""Averaging time [s] of the error that missing rows may hide."""
+
+
+class Noise:
+    """What the sensors' noise makes of the residuals, whatever is claimed.
+
+    Parameters
+    ----------
+    models, blocks, bench
+        Segments, blocks of equations that they check, and the assumed bench.
+    sensors
+        Noise of each sensor by its channel, SI units.
+    """
+
+    def __init__(
+        self, models: Sequence[SegmentModel], blocks: Sequence[str], bench: Bench, sensors: dict[str, float]
+    ) -> None:
+        self.models, self.blocks, self.sensors = models, blocks, sensors
+        self.residuals = [residual_noise(sensors, bench, model.step * model.spacing) for model in models]
+        """Of each segment's residuals by channel, physical units."""
+        self.flows = [model.pressure_doubt(sensors) for model in models] if PRESSURE in blocks else []
+        """Of each segment: what noise in the flows makes of the pressures' residuals."""
+
+    def mass_attenuation(self, mass: float) -> float:
+        """Share of a moving mass [kg] that the encoder's noise hides: that of noise in the acceleration's power.
+
+        Least squares with a noisy regressor are off by up to that (errors in variables: Fuller 1987); through the
+        controller the noise is also in the motion itself, so that the exact amount is not known.
+        """
+        step = min(model.step * model.spacing for model in self.models)
+        noise = self.sensors.get("piston_position", 0.0) * ACCELERATION_NOISE_GAIN / step**2
+        power = float(np.mean(np.square(np.concatenate([model.finish(model.a) for model in self.models]))))
+        return mass * noise**2 / max(power - noise**2, noise**2, 1e-12)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Deviation of every residual under claims."""
+
+    noise: Noise
+    reversals: Sequence[FloatArray] = ()
+    """By segment: force [N] in doubt because the sign of dry friction is."""
+    unseen: Mapping[tuple[str, int], FloatArray] = field(default_factory=dict)
+    """By channel and segment: what the rows that are missing may hide, physical unit."""
+    _known: dict[tuple[str, int], FloatArray | float] = field(default_factory=dict)
+
+    @classmethod
+    def under(cls, claims: Sequence[Claim], noise: Noise, changes: Parts) -> Weights:
+        """Weights under all these claims; `changes`: of the residuals if half of the rows are left out."""
+        doubt: list[FloatArray] = []
+        if MOTION in noise.blocks:
+            count = sum(model.reversals for model in noise.models)
+            doubt = [model.kept(model.friction_doubt(claims, count)) for model in noise.models]
+        return cls(noise, doubt, {key: _level(noise.models[key[1]], change) for key, change in changes.items()})
+
+    @property
+    def doubted(self) -> tuple[float, ...]:
+        """What identifies them: the sum of all doubt per segment."""
+        return tuple(float(np.sum(doubt)) for doubt in (*self.reversals, *self.unseen.values()))
+
+    def deviation(self, channel: str, segment: int) -> FloatArray | float:
+        """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
+        key = channel, segment
+        if key not in self._known:
+            self._known[key] = self._deviation(channel, segment)
+        return self._known[key]
+
+    def deviations(self, layout: Layout) -> FloatArray:
+        """`deviation` of every residual in the order of `layout`."""
+        found = np.empty(len(layout.time))
+        for name in (CHANNELS[index] for index in np.unique(layout.channel)):
+            for k in range(len(self.noise.models)):
+                found[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)] = self.deviation(name, k)
+        return found
+
+    def _deviation(self, channel: str, segment: int) -> FloatArray | float:
+        deviation: FloatArray | float = self.noise.residuals[segment][channel]
+        if channel == "motion":
+            deviation = np.hypot(deviation, self.reversals[segment])
+        if channel in ("pressure_a", "pressure_b"):
+            deviation = np.hypot(deviation, self.noise.flows[segment][CHANNELS.index(channel)])
+        if (channel, segment) in self.unseen:
+            return np.asarray(np.maximum(deviation, self.unseen[channel, segment]))
+        return deviation
+
+
+def _level(model: SegmentModel, change: FloatArray) -> FloatArray:
+    """Root mean square of a change over `LEVEL` seconds around each residual."""
+    duration = len(model.time) * model.step
+    count = max(round(LEVEL * len(change) / duration), 1)
+    return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
 
 
 class Problem:
@@ -55,7 +265,7 @@ class Problem:
         self.shelf: dict[str, Any] = {}
         """What later stages keep of these recordings, by their own names."""
         self.columns = self.equations.columns
-        """Responses to terms that add, and derivatives of the residual (`slopes.jacobian`), as computed."""
+        """Responses to terms that add, and derivatives of the residual (`fit.jacobian`), as computed."""
         self.evaluations = 0
         """Number of calls of `residual`: the measure of a search's effort."""
         self.update_weights(())

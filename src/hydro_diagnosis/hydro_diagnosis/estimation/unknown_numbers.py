@@ -14,11 +14,11 @@ from functools import cache
 
 import numpy as np
 
+from hydro_diagnosis.bench_numbers import lacks, numbers, told
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, Effect, changed
 from hydro_diagnosis.estimation.fit import Fit, fit, spreads
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.partial_bench import lacks, numbers, told
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_sim.model.bench import Bench
 

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, changes
-from hydro_diagnosis.model import chambers, kernels
+from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_record import SegmentRecord
-from hydro_diagnosis.preprocessing.white_noise import white_noise
+from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
@@ -128,7 +128,7 @@ class ChamberObserver(SegmentRecord):
             claims = [claim for claim in claims if claim.effect.curves != channel]
         gain = self.step / OBSERVER_MEMORY
         if not any(changes(claim, "measure") for claim in claims):
-            return np.asarray(kernels.innovations(self.channels[channel], built, gain))
+            return np.asarray(chambers.innovations(self.channels[channel], built, gain))
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
         unexplained = self.channels[channel] - self.reading(channel, integral, claims)
         start = float(np.mean(unexplained[:10]))

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from hydro_diagnosis.bench_numbers import PartialBench
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import Report
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.partial_bench import PartialBench
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment

@@ -16,8 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.free_form import FreeForm, variable_of
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 
 NOTICEABLE = 0.35

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second stage: causes of the table are searched for, judged, and tried on the held-out recordings."""
+"""Second and third stage: causes of the table are searched for and judged, the remainder is modelled by laws.
+
+Names and laws are tried on the held-out recordings, and withdrawn where they predict these worse.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,24 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.estimation.intervals import Interval, intervals, surely
-from hydro_diagnosis.estimation.needed_numbers import rehearsable
+from hydro_diagnosis.bench_numbers import rehearsable
+from hydro_diagnosis.closure.admission import Admitted, admitted, foretold, reports
+from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.effects.base import Effect
+from hydro_diagnosis.estimation.free_form import free_forms
+from hydro_diagnosis.estimation.intervals import Interval, all_hold, intervals, surely
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design.next_recording import next_recording
+from hydro_diagnosis.experiment_design import next_for_law, next_recording
 from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.foretelling import made_worse, made_worse_in_all, withheld
+from hydro_diagnosis.selection.effect_summary import made_worse, made_worse_in_all, withheld
+from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
-from hydro_diagnosis.validation.equations import held_out
-from hydro_diagnosis.validation.heldout import Known
+from hydro_diagnosis.stages.reading import Progress
+from hydro_diagnosis.validation import Known, equations_told, held_out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,3 +120,46 @@ def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interv
         if len(sure.claims) == len(assessment.fit.claims):
             return assessment, bounds
         assessment = assess(problem, sure, outcome.nothing)
+
+
+def modelled(names: Standing, library: Sequence[Effect], progress: Progress) -> Standing:
+    """Names and closure together; the names alone where nothing remains, or no closure is admitted."""
+    if not names.assessment.remainder:
+        return names
+    progress(stage_bar.MODELLING)
+    problem, unseen = names.problem, names.unseen
+    others = [effect for effect in library if effect.named]
+    candidates = (foretold(one, unseen) for one in closures(problem, names.assessment, others))
+    found = admitted(problem, unseen, candidates, names.models, names.proof, names.simulated)
+    bounds = intervals(found.closed.problem, found.closed.fit) if found else []
+    if not found or not all_hold(found.closed.fit.claims, bounds):
+        return names
+    beside = replace(
+        names,
+        problem=found.closed.problem,
+        assessment=_closed(found.closed.problem, names.assessment, found),
+        bounds=bounds,
+        closures=reports(found, bounds),
+    )
+    ahead = names.next_recording if beside.names == names.names else None  # it would tell apart what is not claimed
+    if ahead is None and rehearsable(problem.bench):
+        ahead = next_for_law(beside.problem, found.closed.fit)
+    unseen.update_weights(found.closed.fit.claims)
+    proof = {**found.held, "equations": equations_told(unseen, found.closed.fit.claims)}
+    return replace(beside, proof=proof, next_recording=ahead)
+
+
+def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assessment:
+    """The judgement with a closure: `modelled` where it leaves nothing, else something remains as before."""
+    claims = found.closed.fit.claims
+    labels = {claim.effect.label for claim in claims}
+    dropped = tuple(claim for claim in assessment.dropped if claim.effect.label not in labels)
+    places = tuple(locate_claims(problem, found.closed.fit, problem.residual(())))
+    assessment = replace(assessment, fit=found.closed.fit, places=places, dropped=dropped)
+    if not noticeable(problem, found.closed.fit.residual):
+        return replace(assessment, verdict="modelled", remainder=(), forms=())
+    named = any(claim.effect.named and not claim.effect.estimated for claim in claims)
+    verdict = "partly_explained" if named else assessment.verdict
+    forms = tuple(free_forms(problem, found.closed.fit)[:6])
+    remainder = tuple(locate(problem, found.closed.fit.residual, forms)) or assessment.remainder
+    return replace(assessment, verdict=verdict, remainder=remainder, forms=forms)

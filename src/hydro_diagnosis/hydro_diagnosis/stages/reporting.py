@@ -1,23 +1,216 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Last stage: what is claimed, and what may still be wrong with it, as a report."""
+"""Last stage: the report of what is claimed, and of what may still be wrong with it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
-from hydro_diagnosis.estimation.unrecorded_rows import untold
-from hydro_diagnosis.findings import INTERRUPTED, EffectReport, Report
+import numpy as np
+import scipy.signal
+
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.estimation.fit import Fit, pack, spreads
+from hydro_diagnosis.estimation.intervals import Interval, untold
+from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
+from hydro_diagnosis.estimation.score_test import allowed
+from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.selection.current_alignment import current_is_early
-from hydro_diagnosis.selection.effect_summary import describe, location_of
-from hydro_diagnosis.selection.foretelling import distrusted, made_worse, not_foretold
-from hydro_diagnosis.selection.number_estimates import number_estimates
-from hydro_diagnosis.selection.periodicity import line_of
+from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_foretold
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages.naming import Standing
 from hydro_diagnosis.stages.reading import Case
+from hydro_sim.model.bench import Bench
+
+SLOWEST = 5.0
+"""Hz: what repeats less often may be the reference's doing."""
+AROUND = 40
+"""Bins on either side of a line whose median is what it stands out of."""
+STANDS_OUT = 40.0
+"""Times that median: among 5000 bins of white noise it is exceeded once in 10^8."""
+SHARE = 0.3
+"""Of what remains in a channel, that a line must hold."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in the spectrum of what remains, the same in all recordings."""
+
+    frequency: float
+    """Hz."""
+    share: float
+    """Of the squares of what remains there, of the recording that has least of it."""
+
+    @property
+    def sentence(self) -> str:
+        """What it is typical of."""
+        return (
+            f"{100.0 * self.share:.0f} % of what remains repeats every {1e3 / self.frequency:.3g} ms "
+            f"({self.frequency:.3g} Hz), unless the reference does: typical of the mains, a pump's strokes, a dither "
+            "or a machine nearby; stop it, for it is not modelled."
+        )
+
+
+def line_of(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> Line | None:
+    """Return the line that holds most of what remains in a channel of the residuals in every recording, or None.
+
+    `parts`: layouts, and residuals [noise] in their order: of the fitted recordings, of the held-out ones.
+    """
+    lines, finest = [], 0.0
+    for layout, residual in parts:
+        here = layout.channel == CHANNELS.index(channel)
+        for segment in np.unique(layout.segment[here]):
+            at = here & (layout.segment == segment)
+            lines.append(_strongest(layout.time[at], residual[at]))
+            finest = max(finest, 2.0 / max(float(np.ptp(layout.time[at])), 1e-9))
+    told = [line for line in lines if line is not None]
+    if not told or len(told) < len(lines) or np.ptp([line.frequency for line in told]) > finest:
+        return None
+    return Line(float(np.mean([line.frequency for line in told])), min(line.share for line in told))
+
+
+def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
+    """The line of one recording: most of the residual's power beyond the noise (1 a sample) within two bins."""
+    if len(time) < 8 * AROUND:
+        return None
+    step = float(np.median(np.diff(time)))
+    even = np.interp(np.arange(time[0], time[-1], step), time, residual)
+    frequency, power = scipy.signal.periodogram(even, 1.0 / step, window="hann", scaling="spectrum")
+    beyond = float(np.mean(even * even)) - 1.0
+    best = int(np.argmax(np.where(frequency > SLOWEST, power, 0.0)))
+    around = np.r_[power[max(best - AROUND, 1) : max(best - 2, 1)], power[best + 3 : best + AROUND]]
+    if beyond <= 0.0 or frequency[best] <= SLOWEST or power[best] < STANDS_OUT * np.median(around):
+        return None
+    share = float(power[best - 2 : best + 3].sum()) / 1.5 / beyond  # Hann's window widens a line: 1.5 bins of noise
+    return Line(float(frequency[best]), min(share, 1.0)) if share > SHARE else None
+
+
+TIMING = 2e-5
+"""Tolerance [s] of a dead time of one row."""
+
+
+def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str | None:
+    """Return a sentence if a claimed dead time is one row: a current written a row before it acts looks the same."""
+    rows = {model.step * model.spacing for model in problem.models}
+    for effect in effects:
+        bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
+        if bounds and any(bounds[0] - TIMING <= row <= bounds[1] + TIMING for row in rows):
+            return (
+                "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
+                "the same; if this one does, move that column down by one row and diagnose again"
+            )
+    return None
+
+
+ALIKE = 0.999
+"""Correlation of what a number and a cause change in the residuals, beside all that is fitted, from which they are one.
+"""
+OWN = 0.01
+"""Share of a number's signature that nothing else in the fit makes, below which it cannot be told from the others."""
+VAGUE = 0.5
+"""Half width of the interval over the value from which a number is not told."""
+
+
+def number_estimates(
+    problem: Problem,
+    found: Fit,
+    bounds: Sequence[Interval],
+    library: Sequence[Effect],
+    numbers: Mapping[str, float | None],
+) -> list[NumberEstimate]:
+    """One entry per estimated number, in their order.
+
+    `bounds`: of the parameters of all claims; `numbers`: by name, the bench file's value if it holds one.
+    """
+    weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
+    columns = found.jacobian * weight[:, None]
+    owners = [claim for claim in found.claims for _ in claim.effect.parameters]
+    names = dict(zip((claim.effect.label for claim in problem.estimated), numbers, strict=True))
+    entries = []
+    for k, (claim, bound) in enumerate(zip(owners, bounds, strict=True)):
+        if claim.effect.estimated:
+            mixed = _mixed(columns, k, [names.get(one.effect.label, one.effect.id) for one in owners])
+            others = mixed or _alike(problem, found, columns, k, weight, library)
+            name = names[claim.effect.label]
+            entries.append(_entry(problem.bench, name, claim, bound, numbers[name], others, told=not mixed))
+    return entries
+
+
+def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
+    """What else in the fit makes nearly all of a number's signature; the number itself if it has none."""
+    column = columns[:, k]
+    if not np.linalg.norm(column) > 1e-9 * np.sqrt(len(column)):
+        return [names[k]]
+    others = np.delete(columns, k, axis=1)
+    lengths = np.linalg.norm(others, axis=0)
+    if not len(lengths) or np.linalg.norm(column - _part(others, column)) > OWN * np.linalg.norm(column):
+        return []
+    lengths = np.maximum(lengths, 1e-300)
+    shares = np.linalg.lstsq(others / lengths, column, rcond=1e-12)[0]
+    by_size = np.argsort(-np.abs(shares))
+    rest = [name for j, name in enumerate(names) if j != k]
+    return list(dict.fromkeys(rest[j] for j in by_size if abs(shares[j]) > 0.3 * np.max(np.abs(shares))))
+
+
+def _part(others: FloatArray, column: FloatArray) -> FloatArray:
+    """What a set of columns makes of another one."""
+    if not others.shape[1]:
+        return np.zeros_like(column)
+    scaled = others / np.maximum(np.linalg.norm(others, axis=0), 1e-300)
+    return np.asarray(scaled @ np.linalg.lstsq(scaled, column, rcond=1e-12)[0])
+
+
+def _alike(
+    problem: Problem, found: Fit, columns: FloatArray, k: int, weight: FloatArray, library: Sequence[Effect]
+) -> list[str]:
+    """Causes that are not claimed and would change the residuals as the number does."""
+    others = np.delete(columns, k, axis=1)
+    own = columns[:, k] - _part(others, columns[:, k])
+    alike = []
+    for effect in allowed(library, found.claims, problem.blocks):
+        if not effect.named or effect.needs or len(effect.parameters) > 1:
+            continue
+        probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
+        shown = (problem.residual((*found.claims, probe)) - found.residual) * weight
+        shown = shown - _part(others, shown)
+        size = float(np.linalg.norm(shown) * np.linalg.norm(own))
+        if size > 0.0 and abs(float(shown @ own)) > ALIKE * size:
+            alike.append(effect.label)
+    return alike
+
+
+def _entry(
+    bench: Bench, name: str, claim: Claim, bound: Interval, given: float | None, others: list[str], *, told: bool
+) -> NumberEstimate:
+    unit = next(entry.metadata["unit"] for entry in fields(Bench) if entry.name == name)
+    parameter = pack([claim])[0][0].name
+    value, low, high = (
+        float(getattr(claim.effect.settled(bench, {parameter: one}), name))
+        for one in (bound.value, bound.low, bound.high)
+    )
+    positive = next(entry.metadata["low"] for entry in fields(Bench) if entry.name == name) > 0.0
+    sure = told and bound.identifiable and not (positive and high - low > 2.0 * VAGUE * abs(value))
+    return NumberEstimate(
+        name=name,
+        value=value,
+        unit=unit,
+        ci95=[low, high] if sure else None,
+        given=given,
+        alike=[one for one in others if one != name],
+        sentence=_sentence(name, f"{value:.5g} {unit}", f"{low:.5g} to {high:.5g}" if sure else "", others),
+    )
+
+
+def _sentence(name: str, value: str, interval: str, others: Sequence[str]) -> str:
+    alike = " and ".join(one for one in others if one != name)
+    if interval:
+        said = f"{name} is estimated at {value} (95 % {interval})"
+        return f"{said}, provided that there is none of what would look the same: {alike}." if alike else f"{said}."
+    if alike:
+        return f"{name} cannot be told from {alike} by these recordings: it is left open."
+    return f"These recordings hold too little of {name} to tell it: it is left open."
 
 
 def reported(case: Case, search: Search, found: Standing, begun: float) -> Diagnosis:
