@@ -77,7 +77,7 @@ def main() -> None:
 def _show(folder: Path, names: Sequence[str], methods: Sequence[str], file: Path | None) -> None:
     """Open the seal and print the table."""
     if not (folder / "proof.json").exists():
-        print("the peers are done; the table comes once `prove` has unseal the seal: then run this again")
+        print("the peers are done; the table comes once `prove` has opened the seal: then run this again")
         raise SystemExit(3)
     digest = (folder / SEALED / DIGEST).read_text().split()[0]
     cases = [case for case in unseal(folder / SEALED, digest) if case.name in names]

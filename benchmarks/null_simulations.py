@@ -159,29 +159,6 @@ def keep(path: Path, bench: Bench, trials: Mapping[int, Trial], threshold: float
     os.replace(scratch, path)
 
 
-def calibrate(chosen: argparse.Namespace) -> int:
-    """Calibrate and print the threshold's statistics; return 130 after Ctrl-C before the first trial."""
-    if min(chosen.runs, chosen.jobs) < 1:
-        raise UserError(f"--runs {chosen.runs} --jobs {chosen.jobs}: there must be one of each at least")
-    bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
-    threshold = SearchSettings().threshold
-    wanted = range(chosen.seed, chosen.seed + chosen.runs)
-    file = Path(chosen.write) if chosen.write else None
-    before = kept(file, bench) if file else {}
-    trials = {seed: before[seed] for seed in wanted if seed in before}
-    try:
-        for seed, one in _searched(bench, [seed for seed in wanted if seed not in trials], chosen.jobs):
-            trials[seed] = one
-            if file:
-                keep(file, bench, {**before, **trials}, threshold)
-    except KeyboardInterrupt:
-        print("interrupted: what follows rests on the trials that were finished", file=sys.stderr)
-    if not trials:
-        return 130
-    _show(list(trials.values()), threshold, chosen.rate, chosen.json)
-    return 0
-
-
 def _searched(bench: Bench, seeds: Sequence[int], jobs: int) -> Iterator[tuple[int, Trial]]:
     runs = Parallel(jobs, return_as="generator")(delayed(trial)(bench, seed) for seed in seeds)
     yield from zip(seeds, progress(runs, total=len(seeds), label="searching", unit="run"), strict=True)
@@ -228,9 +205,25 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str]) -> int:
     """Search, print the statistics of the threshold; 130 after Ctrl-C before the first trial."""
     chosen = parser().parse_args(arguments)
-    from hydro_diagnosis.calibration.run import calibrate
-
-    return calibrate(chosen)
+    if min(chosen.runs, chosen.jobs) < 1:
+        raise UserError(f"--runs {chosen.runs} --jobs {chosen.jobs}: there must be one of each at least")
+    bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
+    threshold = SearchSettings().threshold
+    wanted = range(chosen.seed, chosen.seed + chosen.runs)
+    file = Path(chosen.write) if chosen.write else None
+    before = kept(file, bench) if file else {}
+    trials = {seed: before[seed] for seed in wanted if seed in before}
+    try:
+        for seed, one in _searched(bench, [seed for seed in wanted if seed not in trials], chosen.jobs):
+            trials[seed] = one
+            if file:
+                keep(file, bench, {**before, **trials}, threshold)
+    except KeyboardInterrupt:
+        print("interrupted: what follows rests on the trials that were finished", file=sys.stderr)
+    if not trials:
+        return 130
+    _show(list(trials.values()), threshold, chosen.rate, chosen.json)
+    return 0
 
 
 @command(ValueError, OSError)

@@ -68,8 +68,8 @@ def unseal(folder: Path, digest: str) -> list[Case]:
     return [Case.from_mapping(data) for data in json.loads(content)]
 
 
-SEALED, BLIND, OPENED = "sealed", "blind", "opened"
-"""Folders of a proof: answers; input and output of the diagnosis; results computed once the seal was opened."""
+SEALED, BLIND = "sealed", "blind"
+"""Folders of a proof: answers; input and output of the diagnosis."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -120,7 +120,11 @@ def run(arguments: Sequence[str]) -> int:
             return 3
     answers = [case for case in unseal(folder / SEALED, digest) if case.name in done]
     print("opened: the answers are those that were sealed")
-    results = [result for result in _results(answers, folder, chosen.workers) if _asked(result, chosen.kinds)]
+    results = [
+        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text()))
+        for case in answers
+        if not chosen.kinds or case.kind in chosen.kinds
+    ]
     _show(
         results,
         folder,
@@ -181,28 +185,13 @@ def _diagnose(folder: Path, workers: int, seconds: float) -> bool:
 
 
 def _forget_other_versions(folder: Path) -> None:
-    """Remove what another version of the diagnosis answered, and what was computed for it."""
+    """Remove what another version of the diagnosis answered."""
     from hydro_diagnosis.blind_benchmark.blind import ANSWER, engine
 
     this = engine()
     for answer in (folder / BLIND).glob(f"*/{ANSWER}"):
         if json.loads(answer.read_text())["engine"] != this:
-            (folder / OPENED / f"{answer.parent.name}.json").unlink(missing_ok=True)
             answer.unlink()
-
-
-def _asked(result: Result, kinds: Sequence[str] | None) -> bool:
-    return kinds is None or result.case.kind in kinds
-
-
-def _results(cases: Sequence[Case], folder: Path, workers: int) -> list[Result]:
-    from hydro_diagnosis.blind_benchmark.blind import ANSWER
-    from hydro_diagnosis.blind_benchmark.oracle_fit import rule
-
-    results = [
-        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text())) for case in cases
-    ]
-    return rule(results, folder / BLIND, folder / OPENED, workers)
 
 
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
@@ -233,7 +222,7 @@ def _row(result: Result) -> dict[str, Any]:
         "case": case.name, "kind": case.kind, "label": case.label, "noise": case.noise, "size": case.size,
         "truth": {**case.effects, **case.outside}, "verdict": result.verdict, "claimed": result.claimed,
         "passed": result.passed, "located": result.located, "places": result.places,
-        "held_out": result.held_out, "held_out_true": result.held_out_true, "worst_channel": result.worst_channel(),
+        "held_out": result.held_out, "worst_channel": result.worst_channel(),
         "estimates": [{**vars(one), "error": one.error} for one in result.estimates],
         "wall": result.answer["wall"], "cpu": result.answer["cpu"],
     }  # fmt: skip

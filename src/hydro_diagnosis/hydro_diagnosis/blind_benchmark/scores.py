@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 from math import sqrt
 from typing import Any
@@ -97,13 +97,11 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """One case, its diagnosis, and the errors of the true structure."""
+    """One case and its diagnosis."""
 
     case: Case
     answer: Mapping[str, Any]
     """answer.json of `blind`."""
-    ruling: Mapping[str, Any] = field(default_factory=dict)
-    """Held-out errors of the true structure by channel, where the diagnosis has not fitted it itself."""
 
     @property
     def refused(self) -> bool:
@@ -191,11 +189,6 @@ class Result:
     def held_out(self) -> float | None:
         """Held-out error over the noise floor, root mean square over channels; infinite where it diverges."""
         return None if self.refused else _over(self.answer["report"]["fit"]["holdout"])
-
-    @property
-    def held_out_true(self) -> float | None:
-        """The same for the fit of the true structure; None where the library does not have it."""
-        return self.held_out if self.exact and not self.case.outside else _over(self.ruling)
 
     def worst_channel(self) -> str:
         """Channel whose held-out error is largest over its noise floor."""
@@ -313,21 +306,13 @@ def _numbers(table: Table, results: Sequence[Result]) -> None:
 
 
 def _fits(table: Table, results: Sequence[Result]) -> None:
-    """Held-out errors, over the noise floor and over what the true structure reaches."""
+    """Held-out errors over the noise floor."""
     over = [result.held_out for result in results if result.held_out is not None]
     if not over:
         return
     middle, tail = np.percentile(over, [50, 95], method="higher")  # some may diverge
     _figure(table, "held-out error over noise floor, median", "<= 1.03", f"{middle:.3f}", len(over), middle <= 1.03)
     _figure(table, "held-out error over noise floor, 95th percentile", "<= 1.3", f"{tail:.3f}", len(over), tail <= 1.3)
-    true = [result.held_out_true for result in results if result.held_out_true is not None]
-    against = [r.held_out / r.held_out_true for r in results if r.held_out is not None and r.held_out_true]
-    if against:
-        top, far = (float(np.percentile(one, 95, method="higher")) for one in (true, against))
-        table.add(standard="the same for the fit of the true structure", goal="", count=len(true), wilson="", met="",
-                  reached=f"median {np.median(true):.3f}, p95 {top:.3f}")  # fmt: skip
-        table.add(standard="held-out error over that of the true structure", goal="", count=len(against), wilson="",
-                  met="", reached=f"median {np.median(against):.3f}, p95 {far:.3f}")  # fmt: skip
 
 
 def _times(table: Table, results: Sequence[Result]) -> None:
