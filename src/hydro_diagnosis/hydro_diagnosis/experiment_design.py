@@ -152,13 +152,13 @@ TRIED = 3
 """Laws that are fitted, the most promising first."""
 
 
-def next_for_law(problem: Problem, found: Fit) -> dict[str, Any] | None:
+def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
     """The recording that separates the weightiest law of a fit from its rival; None without a law or a rival."""
     fits = {k: fit(problem, _others(found, k)) for k, claim in enumerate(found.claims) if _is_law(claim)}
     if not fits:
         return None
     place = max(fits, key=lambda k: fits[k].deviance)
-    rival = rival_law(problem, found, place, fits[place])
+    rival = rival_law(problem, found, place, fits[place], screen)
     if rival is None:
         return None
     share = (fits[place].deviance - rival.deviance) / (fits[place].deviance - found.deviance)
@@ -167,13 +167,13 @@ def next_for_law(problem: Problem, found: Fit) -> dict[str, Any] | None:
     return proposal(problem, found, rival, names, alike)
 
 
-def rival_law(problem: Problem, found: Fit, place: int, without: Fit) -> Fit | None:
+def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Screen | None = None) -> Fit | None:
     """The fit with the next best law, as the last claim, in the place of a law; None where none gains nearly as much.
 
-    `without`: the fit of all other claims.
+    `without`: the fit of all other claims. `screen`: of the laws of these recordings, computed here if there is none.
     """
     own = found.claims[place].effect.label
-    screen = Screen.last(problem) or Screen.beside(problem, without, laws(problem))
+    screen = screen or Screen(problem, without, laws(problem))
     prospects, _there_is = screen.prospects(without, TRIED, {own})
     enough = NEARLY * (without.deviance - found.deviance)
     for prospect in prospects:

@@ -34,7 +34,7 @@ def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers(proble
         Claim(law, {"coefficient": -0.9, "level": 0.013}),
     ]
     found = fit(problem, claims, iterations=24)
-    screen = Screen.beside(problem, fit(problem, ()), laws(problem))
+    screen = Screen(problem, fit(problem, ()), laws(problem))
     better = _exchanged(problem, found, Rounds(screen), names)
     values = {claim.effect.label: claim.values for claim in better.claims}
     assert not noticeable(problem, found.residual) and score(problem, better) < score(problem, found)

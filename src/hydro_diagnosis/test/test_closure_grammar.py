@@ -38,9 +38,10 @@ def law(equation: str, form: str) -> Law:
     return found
 
 
-def problem_of(states: StateArray) -> Problem:
+def problem_of(states: StateArray, *ruled_out: str) -> Problem:
     table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
-    return Problem([checked(table, BENCH).segments[0]], BENCH)
+    causes = [effect.adapted(BENCH) for effect in CANDIDATES if effect.label in ruled_out]
+    return Problem([checked(table, BENCH).segments[0]], BENCH, ruled_out=causes)
 
 
 def test_a_lag_of_limited_rate_is_that_of_its_differential_equation() -> None:
@@ -320,11 +321,10 @@ def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., 
 def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: Callable[..., StateArray]) -> None:
     """Drag in one direction alone is friction that depends on the direction; a leak is another thing."""
     entry = {"equation": "motion", "form": "drag, outwards", "parameters": {"coefficient": 150.0}}
-    problem = problem_of(record(replace(BENCH, closures=(entry,)), 3))
-    found = fit(problem, [Claim(closure(law("motion", "drag, outwards"), BENCH), {"coefficient": 150.0})])
-    causes = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}
+    states = record(replace(BENCH, closures=(entry,)), 3)
     for ruled_out, refused in ((), False), (("friction_viscous:directional",), True), (("leakage_internal",), False):
-        problem.ruled_out = tuple(causes[label] for label in ruled_out)
+        problem = problem_of(states, *ruled_out)
+        found = fit(problem, [Claim(closure(law("motion", "drag, outwards"), BENCH), {"coefficient": 150.0})])
         assert in_disguise(problem, found, found.claims[0]) == refused
 
 
@@ -335,10 +335,9 @@ def test_no_law_is_looked_for_where_a_ruled_out_cause_would_take_what_remains(
     record: Callable[..., StateArray], form: str, coefficient: float, wanted: set[str]
 ) -> None:
     entry = {"equation": "motion", "form": form, "parameters": {"coefficient": coefficient}}
-    problem = problem_of(record(replace(BENCH, closures=(entry,)), 3))
+    states = record(replace(BENCH, closures=(entry,)), 3)
+    problem = problem_of(states)
     viscous = next(effect for effect in LIBRARY if effect.label == "friction_viscous").adapted(BENCH)
     found = fit(problem, [Claim(viscous, {"coefficient": 50.0})])
     assert barred(problem, found) == frozenset()
-    causes = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}
-    problem.ruled_out = causes["friction_viscous:directional"], causes["leakage_internal"]
-    assert barred(problem, found) == wanted
+    assert barred(problem_of(states, "friction_viscous:directional", "leakage_internal"), found) == wanted

@@ -30,9 +30,9 @@ def closed_by(problem: Problem, names: list[str], *forms: str, equation: str = "
     found = [effect.adapted(Bench.nominal()) for effect in LIBRARY if effect.label in names]
     terms: list[Closure] = [closure(grammar.ALL[equation, form], problem.bench) for form in forms]
     claims = [Claim(name, {one.name: one.probes[0] for one in name.parameters}) for name in found]
-    Screen.beside(problem, fit(problem, claims), laws(problem))
+    screen = Screen(problem, fit(problem, claims), laws(problem))
     claims += [Claim(term, term.nothing()[0]) for term in terms]
-    return Closed(fit(problem, claims, iterations=40), "law", 1.0, problem)
+    return Closed(fit(problem, claims, iterations=40), "law", 1.0, problem, screen)
 
 
 def test_friction_and_a_stiffness_that_creeps_are_drag_that_fades(problem_of: Callable[..., Problem]) -> None:

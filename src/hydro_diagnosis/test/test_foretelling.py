@@ -53,7 +53,7 @@ def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_for
     bench = replace(BENCH, **truth)
     fitted, unseen = (problem_of(record(bench, seed, amplitude=size)) for seed, size in ((1, SLOW), (2, FAST)))
     found = fit(fitted, claims(*named))
-    unseen.update_weights(found.claims)
+    unseen = unseen.weighed(found.claims)
     note = not_foretold(unseen, found.claims)
     assert (note == "") == foretold
     assert foretold or "(motion)" in note

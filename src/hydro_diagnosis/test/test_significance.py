@@ -86,7 +86,7 @@ def test_newcomer_that_leaves_nothing_is_no_error_in_the_form_of_its_kin(
     states = record(replace(BENCH, effects=truth), 5)
     table = RawTable("run", states["time"].copy(), None, {name: states[name].copy() for name in states.dtype.names})
     problem = Problem(checked(table, BENCH).segments, BENCH)
-    problem.update_weights([claim(library("friction_coulomb"), force=8.0)])
+    problem = problem.weighed([claim(library("friction_coulomb"), force=8.0)])
     base = fit(problem, [claim(library("friction_coulomb"), force=8.0)])
     assert noticeable(problem, base.residual) == (STRIBECK in truth)
     found = fit(problem, [*base.claims, claim(library(newest))])

@@ -16,7 +16,6 @@ law that is best beside it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import replace
 from itertools import chain, combinations
 
@@ -47,7 +46,7 @@ TRIED = 9
 
 def merged(closed: Closed) -> Closed:
     """The model with fewer claims, where one law does as well as several; only where nothing remains."""
-    problem, screen = closed.problem, Screen.last(closed.problem)
+    problem, screen = closed.problem, closed.screen
     while screen is not None and not noticeable(problem, closed.fit.residual):
         better = next(_simpler(problem, closed.fit, screen), None)
         if better is None:
@@ -166,6 +165,5 @@ def openings(
     for remains, claims in found[:START_FITS]:
         if remains > START_LEFT * left:
             return
-        weighed = copy(problem)  # its weights are its own, all else is shared
-        weighed.update_weights(claims)
+        weighed = problem.weighed(claims)
         yield weighed, fit(weighed, claims)

@@ -27,7 +27,6 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import SearchSettings, score
-from hydro_diagnosis.selection.search import Search
 
 EDGE = 1e-3
 """Share of a number's size or range, within which of a bound it stands there."""
@@ -215,19 +214,6 @@ THRESHOLD = 30.0
 """Deviance that a term must gain on held-out blocks, and any claim in evidence."""
 FORM_ERROR = SearchSettings().form_error
 """Share of the present terms' signature that an error of their form may explain: another term must explain more."""
-SETTINGS = SearchSettings(restarts=1, effort=1500)
-"""Less effort than for names alone: a missing law is found first."""
-
-
-def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> Fit:
-    """Names and laws that account for the recordings together; `problem` is weighed for them afterwards."""
-    found = Search(problem, (*names, *laws), SETTINGS).run().fit
-    while True:  # the search has weighed for all that it found
-        kept = paying(problem, found)
-        if len(kept.claims) == len(found.claims):
-            return kept
-        problem.update_weights(kept.claims)
-        found = fit(problem, kept.claims)
 
 
 def paying(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:

@@ -9,7 +9,6 @@ velocity over which one reverses becomes a parameter where that pays.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,7 +78,7 @@ class Rounds:
     """Rounds over a screen. Each is gone through once: growth with names and growth without them begin alike."""
 
     def __init__(self, screen: Screen) -> None:
-        self._screen = screen
+        self.screen = screen
         self._known: dict[tuple[Any, ...], tuple[Any, list[Fit], set[str]]] = {}
 
     def fits(self, problem: Problem, current: Fit, tried: set[str]) -> list[Fit]:
@@ -93,8 +92,8 @@ class Rounds:
         return list(fits)
 
     def _fitted(self, problem: Problem, current: Fit, tried: set[str]) -> list[Fit]:
-        prospects, there_is = self._screen.prospects(current, FITTED, tried)
-        toll = threshold(len(self._screen))
+        prospects, there_is = self.screen.prospects(current, FITTED, tried)
+        toll = threshold(len(self.screen))
         fits: list[Fit] = []
         disguised, clean = 0.0, False
         for one in prospects:
@@ -144,6 +143,8 @@ class Closed:
     """Held-out deviance that it gains over the names alone."""
     problem: Problem
     """The problem with the weights of the fit."""
+    screen: Screen | None = None
+    """Of the laws that were tried."""
 
 
 def count_terms(found: Fit) -> int:
@@ -156,7 +157,7 @@ def grown_by_law(problem: Problem, base: Fit, rounds: Rounds, names: Sequence[Ef
 
     In each round the law with most evidence is taken, or a simpler one that has nearly as much.
     """
-    weighed = copy(problem)  # its weights are its own, all else is shared
+    weighed = problem
     current, tried = base, set[str]()
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     for _ in range(room + (NAMES if names else 0)):
@@ -170,12 +171,12 @@ def grown_by_law(problem: Problem, base: Fit, rounds: Rounds, names: Sequence[Ef
         tried -= {one.claims[-1].effect.label for one in fits if one is not taken}
         current = taken
         if not isinstance(taken.claims[-1].effect, Closure):
-            weighed.update_weights(taken.claims)
+            weighed = weighed.weighed(taken.claims)
             current = fit(weighed, taken.claims)
     if count_terms(current) == count_terms(base):
-        return Closed(base, "law", 0.0, problem)
+        return Closed(base, "law", 0.0, problem, rounds.screen)
     current = paying(weighed, _exchanged(weighed, current, rounds, names))  # what stood for another's numbers goes
-    return Closed(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed)
+    return Closed(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed, rounds.screen)
 
 
 def _exchanged(problem: Problem, found: Fit, rounds: Rounds, names: Sequence[Effect]) -> Fit:

@@ -9,7 +9,6 @@ the best few are fitted.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
@@ -181,31 +180,6 @@ class Screen:
             self._responses.add(np.arange(at, at + len(probes)), shown(problem, base, ways, probes))
             at += len(probes)
         self._responses.finish()
-
-    @classmethod
-    def beside(cls, problem: Problem, base: Fit, terms: Sequence[Claim]) -> Screen:
-        """The screen; an earlier one of these recordings beside the same names if there is one.
-
-        What a law does depends little on the other claims' values: to rank laws, not to fit them, it may be old.
-        """
-        names = tuple(one.effect.label for one in base.claims if one.effect.named)
-        key = problem.doubted, names, tuple((one.effect.label, *one.values.values()) for one in terms)
-        known = problem.shelf.get("screen")
-        if known is None or known[0] != key:
-            known = problem.shelf["screen"] = key, cls(problem, base, terms)
-        return known[1].for_problem(problem)
-
-    @classmethod
-    def last(cls, problem: Problem) -> Screen | None:
-        """The last screen of these recordings, beside whichever names: to choose what is fitted it will do."""
-        known = problem.shelf.get("screen")
-        return known[1].for_problem(problem) if known else None
-
-    def for_problem(self, problem: Problem) -> Screen:
-        """The same responses, with the weights of another problem of these recordings."""
-        found = copy(self)
-        found.problem = problem
-        return found
 
     def __len__(self) -> int:
         return len(self.terms)

@@ -3,20 +3,19 @@
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
 each, all numbers, those of the names too, are estimated anew. Where such laws leave something, names and laws are
-searched together (`evidence.together`): names that the judgement dropped may come back, and names that it made may go.
+searched together: names that the judgement dropped may come back, and names that it made may go.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
 
 from hydro_diagnosis.closure.alternatives import merged, openings, renamed
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
-from hydro_diagnosis.closure.evidence import THRESHOLD, barred, held_out_gain, in_disguise, mimics, paying, together
+from hydro_diagnosis.closure.evidence import THRESHOLD, barred, held_out_gain, in_disguise, mimics, paying
 from hydro_diagnosis.closure.growth import CONDENSED, LEAST, TERMS, Closed, Rounds, count_terms, grown_by_law
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim, Effect
@@ -24,9 +23,13 @@ from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import score
+from hydro_diagnosis.selection.outcome import SearchSettings, score
+from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import MOST_OF_THE_GAP, Assessment, coincidence
 from hydro_sim.model.effects.catalogue import CLOSURES
+
+SETTINGS = SearchSettings(restarts=1, effort=1500)
+"""Less effort than for names alone: a missing law is found first."""
 
 
 def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[Closed]:
@@ -43,7 +46,7 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     if not left and by_law.gain > 0.0:
         by_law = renamed(merged(by_law), names)
         yield by_law
-    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem), closed)
+    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem, by_law.screen), closed)
     both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
     yield from (renamed(one, names) for one in (both if left else (by_table,)) if one.gain > 0.0)
 
@@ -55,7 +58,7 @@ def _open(terms: Sequence[Claim], closed: frozenset[str]) -> list[Claim]:
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> Closed:
     """Laws and names that together leave nothing; else laws alone beside the names that stand."""
-    screen = Screen.beside(problem, base, _open(laws(problem), closed))
+    screen = Screen(problem, base, _open(laws(problem), closed))
     rounds = Rounds(screen)
     upon = _upon_others(problem, base, screen, rounds, names)
     if upon is not None:
@@ -70,11 +73,22 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
     for fitted in (base, beside.fit, alone.fit):
         likely |= {one.effect.label: one.effect for one in fitted.claims if isinstance(one.effect, Closure)}
         likely |= {one.effect.label: one.effect for one in screen.prospects(fitted, PROMISING)[0]}
-    weighed = copy(problem)  # its weights are its own, all else is shared
-    found = together(weighed, names, list(likely.values()))
+    weighed, found = together(problem, names, list(likely.values()))
     gain = held_out_gain(weighed, fit(weighed, base.claims), found)
-    both = Closed(found, "law", gain, weighed)
+    both = Closed(found, "law", gain, weighed, screen)
     return both if not noticeable(weighed, found.residual) and _sound(both) else alone
+
+
+def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> tuple[Problem, Fit]:
+    """Names and laws that account for the recordings together, and the problem with their weights."""
+    outcome = Search(problem, (*names, *laws), SETTINGS).run()
+    problem, found = outcome.problem, outcome.fit
+    while True:
+        kept = paying(problem, found)
+        if len(kept.claims) == len(found.claims):
+            return problem, kept
+        problem = problem.weighed(kept.claims)
+        found = fit(problem, kept.claims)
 
 
 def _upon_others(problem: Problem, base: Fit, screen: Screen, rounds: Rounds, names: Sequence[Effect]) -> Closed | None:
@@ -115,8 +129,8 @@ def _by_table(below: Closed, closed: frozenset[str]) -> Closed:
         names_stay=True,
     )
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
-        return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
-    return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
+        return Closed(before, "smooth", 0.0, problem, below.screen)  # no table, or none that pays
+    return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem, below.screen)
 
 
 def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:

@@ -186,6 +186,8 @@ class EquationResiduals:
     def __init__(self, models: Sequence[SegmentModel], blocks: Sequence[str], baseline: Sequence[Claim]) -> None:
         self._models, self._blocks, self._baseline = models, blocks, tuple(baseline)
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
+        self.evaluations = 0
+        """Evaluations of all residuals so far (`Problem.evaluations`)."""
         self.columns = Columns()
         """Responses to terms that add, and derivatives of the residual (`fit.jacobian`), as computed."""
 

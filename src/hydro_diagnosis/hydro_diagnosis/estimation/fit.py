@@ -66,7 +66,7 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, fi
             if keeping:
                 problem.columns.put(key, known, known.nbytes)
         else:
-            problem.evaluations += 1  # a search's effort is the same, however it is spared
+            problem.count(1)
         columns[:, k - first] = known
     return columns
 
@@ -187,7 +187,7 @@ def fit(
             # a step that gained next to nothing tells nothing about the slopes
             old = lasting and gained >= tolerance and _share(missed, foretold, weight) < STRAIGHT
             slopes = slopes if old else jacobian(problem, unpack(effects, values), residual)
-            problem.evaluations += len(values) if old else 0  # a search's effort is the same, however it is spared
+            problem.count(len(values) if old else 0)
         if ends:
             break
     if old:

@@ -8,6 +8,7 @@ part of the recordings; the uncertainty of velocity reversals and of flows; rows
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -231,10 +232,22 @@ def _level(model: SegmentModel, change: FloatArray) -> FloatArray:
 
 
 class Problem:
-    """Segments, the assumed bench, and claims that are already made (`baseline`).
+    """Segments, the assumed bench, and the weights of the residuals; only caches and the count of evaluations change.
 
-    `like`: the same segments with more rows, whose judged samples are judged here too. `estimated`: where each fit
-    begins with the numbers that are estimated in all of them.
+    Parameters
+    ----------
+    segments, bench
+        Recorded stretches and the bench file.
+    baseline
+        Claims that are already made.
+    noise
+        Of each sensor by its channel, SI units; measured in the segments unless given.
+    like
+        The same segments with more rows, whose judged samples are judged here too.
+    estimated
+        Start values of the bench numbers that every fit estimates.
+    ruled_out
+        Causes that the user says it cannot be.
     """
 
     def __init__(
@@ -245,12 +258,12 @@ class Problem:
         noise: dict[str, float] | None = None,
         like: Problem | None = None,
         estimated: Sequence[Claim] = (),
+        ruled_out: Sequence[Effect] = (),
     ) -> None:
         self.bench = bench
         self.estimated = tuple(estimated)
         self.baseline = tuple(baseline)
-        self.ruled_out: tuple[Effect, ...] = ()
-        """Causes that the user says it cannot be."""
+        self.ruled_out = tuple(ruled_out)
         likes = like.models if like else [None] * len(segments)
         self.models: list[SegmentModel] = [
             SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)
@@ -262,13 +275,9 @@ class Problem:
         self.thinner = Problem(thinner, bench, baseline, self.sensor_noise, self) if lacking else None
         """The same problem from half of the rows where rows are missing; None where none are."""
         self.equations = EquationResiduals(self.models, self.blocks, self.baseline)
-        self.shelf: dict[str, Any] = {}
-        """What later stages keep of these recordings, by their own names."""
         self.columns = self.equations.columns
         """Responses to terms that add, and derivatives of the residual (`fit.jacobian`), as computed."""
-        self.evaluations = 0
-        """Number of calls of `residual`: the measure of a search's effort."""
-        self.update_weights(())
+        self.weights = self._weights(())
         self.layout = Layout.of(self.blocks, self.models)
         moves = MOTION in self.blocks
         self.attenuation = {"moving_mass": self._noise.mass_attenuation(bench.moving_mass)} if moves else {}
@@ -289,12 +298,32 @@ class Problem:
         present = {one.block for one in connected(have, self.bench)}
         return tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
 
-    def update_weights(self, claims: Sequence[Claim]) -> None:
-        """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
+    def weighed(self, claims: Sequence[Claim]) -> Problem:
+        """Return the problem with residuals weighed down where these claims leave the sign of friction uncertain.
+
+        Missing rows weigh residuals down, too. All else is shared, caches and the count of evaluations among them.
+        """
+        other = copy(self)
+        other.weights = self._weights(claims)
+        return other
+
+    def _weights(self, claims: Sequence[Claim]) -> Weights:
         changes = self._changes(claims) if self.thinner is not None else {}
-        self.weights = Weights.under((*self.baseline, *claims), self._noise, changes)
-        self.doubted = self.weights.doubted
-        """Identifies the present doubt: its sum per segment, all zeros without any."""
+        return Weights.under((*self.baseline, *claims), self._noise, changes)
+
+    @property
+    def doubted(self) -> tuple[float, ...]:
+        """Sum of the uncertainty per segment, all zeros without any: identifies the weights."""
+        return self.weights.doubted
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of all residuals: the measure of a search's effort."""
+        return self.equations.evaluations
+
+    def count(self, evaluations: int) -> None:
+        """Count evaluations that a cache has spared: a search's effort is the same."""
+        self.equations.evaluations += evaluations
 
     def _changes(self, claims: Sequence[Claim]) -> Parts:
         """Change of each residual if half of the rows are left out, physical unit."""
@@ -322,7 +351,7 @@ class Problem:
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""
-        self.evaluations += 1
+        self.count(1)
         return np.concatenate([part / self.deviation(*key) for key, part in self.parts(claims).items()])
 
     def parts(self, claims: Sequence[Claim]) -> Parts:
@@ -330,6 +359,5 @@ class Problem:
         return self.equations.parts(claims)
 
     def forget(self) -> None:
-        """Drop what was kept to spare computing, of copies too."""
-        self.shelf.clear()
+        """Drop cached responses and derivatives."""
         self.columns.clear()

@@ -62,6 +62,8 @@ class Step:
 class Outcome:
     """Outcome of a search."""
 
+    problem: Problem
+    """The problem with the weights of the fit."""
     fit: Fit
     nothing: Fit
     steps: list[Step] = field(default_factory=list)

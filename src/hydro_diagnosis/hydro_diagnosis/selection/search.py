@@ -47,8 +47,8 @@ def _labels(base: Fit) -> frozenset[str]:
 class Shortlists:
     """Candidates beside every base that a search has looked at."""
 
-    def __init__(self, problem: Problem, library: Sequence[Effect], settings: SearchSettings) -> None:
-        self._problem, self._library, self._settings = problem, library, settings
+    def __init__(self, library: Sequence[Effect], settings: SearchSettings) -> None:
+        self._library, self._settings = library, settings
         self._looked: dict[frozenset[str], _Looked] = {}
         """By the labels of a base."""
         self._signatures = Signatures()
@@ -57,34 +57,34 @@ class Shortlists:
         """Compute what candidates do to the residuals anew, from the next base on."""
         self._signatures = Signatures()
 
-    def beside(self, base: Fit, promised: float, but: str = "") -> list[Fit]:
+    def beside(self, problem: Problem, base: Fit, promised: float, but: str = "") -> list[Fit]:
         """Fits with one claim more, the best first, by secants from the slopes of the base, as far as not polished.
 
         `promised`: gain to first order from which on candidates are fitted, all `but` one; the others wait.
         """
         looked = self._looked.get(_labels(base))
         if looked is None:
-            prospects = screen(self._problem, base, self._library, self._signatures)[: self._settings.shortlist]
+            prospects = screen(problem, base, self._library, self._signatures)[: self._settings.shortlist]
             hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self._settings.threshold]
-            looked = self._looked[_labels(base)] = _Looked(self._problem.doubted, hopeful)
-        elif not np.allclose(looked.doubt, self._problem.doubted, rtol=SAME_DOUBT, atol=0.0):
+            looked = self._looked[_labels(base)] = _Looked(problem.doubted, hopeful)
+        elif not np.allclose(looked.doubt, problem.doubted, rtol=SAME_DOUBT, atol=0.0):
             again = [Prospect(one.claims[-1], np.inf) for one in looked.fits]
-            looked = self._looked[_labels(base)] = _Looked(self._problem.doubted, [*again, *looked.waiting])
+            looked = self._looked[_labels(base)] = _Looked(problem.doubted, [*again, *looked.waiting])
         now = [one for one in looked.waiting if one.gain >= promised and one.claim.effect.label != but]
         looked.waiting = [one for one in looked.waiting if one not in now]
-        looked.fits += [with_one_more(self._problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
-        looked.fits.sort(key=lambda one: score(self._problem, one))
+        looked.fits += [with_one_more(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
+        looked.fits.sort(key=lambda one: score(problem, one))
         return [one for one in looked.fits if one.claims[-1].effect.label != but]
 
-    def polish(self, base: Fit, enough: float, most: int = 1000) -> None:
+    def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000) -> None:
         """Fit in full those that score `enough` with one claim more than a base, the best and `most` of them."""
         looked = self._looked[_labels(base)]
         for k, one in enumerate(looked.fits[:most]):
             label = one.claims[-1].effect.label
-            if label not in looked.polished and score(self._problem, one) <= enough:
-                looked.fits[k] = fit(self._problem, one.claims, tolerance=SCREEN_TOLERANCE)
+            if label not in looked.polished and score(problem, one) <= enough:
+                looked.fits[k] = fit(problem, one.claims, tolerance=SCREEN_TOLERANCE)
                 looked.polished.add(label)
-        looked.fits.sort(key=lambda one: score(self._problem, one))
+        looked.fits.sort(key=lambda one: score(problem, one))
 
 
 POLISHED = 3
@@ -120,12 +120,12 @@ class Search:
         self.steps: list[Step] = []
         """Steps of acceptance and removal so far, passed to the outcome."""
         self._begun = problem.evaluations
-        self._shortlists = Shortlists(problem, self.library, self.settings)
+        self._shortlists = Shortlists(self.library, self.settings)
 
     def run(self) -> Outcome:
         """Search; where something remains, search again from other first claims, and keep the best outcome."""
         nothing = fit(self.problem, ())
-        restarts = self._ranked(nothing)
+        restarts = self._ranked(self.problem, nothing)
         best = self._from(nothing, restarts[:1])
         for opening in restarts[1 : self.settings.restarts]:
             if not noticeable(self.problem, best.fit.residual) or self._spent > self.settings.effort / 3:
@@ -137,14 +137,13 @@ class Search:
 
     def _from(self, nothing: Fit, opening: Sequence[Fit]) -> Outcome:
         """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""
-        self.problem.update_weights(())
         self.steps.clear()
         self._shortlists.renew()
-        outcome = Outcome(nothing, nothing)
+        outcome = Outcome(self.problem.weighed(()), nothing, nothing)
         ranked, idle = list(opening), 0
         for _ in range(2 * self.settings.most):
             if ranked:
-                idle = idle + 1 if nibbles(self.problem, outcome.fit, ranked[0]) else 0
+                idle = idle + 1 if nibbles(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
             elif not self._backward(outcome) and (self._tired or not self._swap(outcome, 0.0)):
                 break
@@ -159,7 +158,7 @@ class Search:
         if self._tired:
             outcome.cut_short = f"its effort of {self.settings.effort} evaluations was spent"
             return []
-        ranked = self._ranked(outcome.fit)
+        ranked = self._ranked(outcome.problem, outcome.fit)
         if ranked and len(outcome.fit.judged) >= self.settings.most:
             outcome.cut_short = f"it looks for {self.settings.most} causes at most"
             return []
@@ -176,26 +175,26 @@ class Search:
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
-        self.problem.update_weights((*one.fit.claims, *other.fit.claims))
-        first, second = (score(self.problem, fit(self.problem, found.fit.claims)) for found in (one, other))
+        problem = self.problem.weighed((*one.fit.claims, *other.fit.claims))
+        first, second = (score(problem, fit(problem, found.fit.claims)) for found in (one, other))
         winner = one if first <= second else other
-        self.problem.update_weights(winner.fit.claims)
+        winner.problem = self.problem.weighed(winner.fit.claims)
         return winner
 
-    def _ranked(self, base: Fit) -> list[Fit]:
+    def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
         """Fits with one claim more that pay, the best first.
 
         None at all where the best only mends the form of its kin: what others explain of that is mimicry.
         """
-        enough = score(self.problem, base) - self.settings.threshold
+        enough = score(problem, base) - self.settings.threshold
         self._shortlists.renew()
-        fits = self._shortlists.beside(base, 0.0)
+        fits = self._shortlists.beside(problem, base, 0.0)
         if fits:
-            best = score(self.problem, fits[0])
-            self._shortlists.polish(base, best + CONTENDING * (score(self.problem, base) - best), POLISHED)
-        better = [one for one in self._shortlists.beside(base, 0.0) if score(self.problem, one) <= enough]
-        worth = [one for one in better if all_significant(self.problem, one)]
-        mends = bool(worth) and form_error(self.problem, base, worth[0], self.settings.form_error)
+            best = score(problem, fits[0])
+            self._shortlists.polish(problem, base, best + CONTENDING * (score(problem, base) - best), POLISHED)
+        better = [one for one in self._shortlists.beside(problem, base, 0.0) if score(problem, one) <= enough]
+        worth = [one for one in better if all_significant(problem, one)]
+        mends = bool(worth) and form_error(problem, base, worth[0], self.settings.form_error)
         return [] if mends else worth
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
@@ -205,24 +204,25 @@ class Search:
         """
         changed = False
         for claim in outcome.fit.judged:
+            problem = outcome.problem
             if claim not in outcome.fit.claims:
                 continue
             if any(claim.effect.id in one.effect.needs for one in outcome.fit.claims):
                 continue
-            label, base = claim.effect.label, without_one(self.problem, outcome.fit, claim)
-            present = score(self.problem, outcome.fit)
-            worth = max(score(self.problem, base) - present, 0.0)
-            self._shortlists.beside(base, promising * worth, label)
-            self._shortlists.polish(base, present + CONTENDING * worth)
-            fits = self._shortlists.beside(base, promising * worth, label)
+            label, base = claim.effect.label, without_one(problem, outcome.fit, claim)
+            present = score(problem, outcome.fit)
+            worth = max(score(problem, base) - present, 0.0)
+            self._shortlists.beside(problem, base, promising * worth, label)
+            self._shortlists.polish(problem, base, present + CONTENDING * worth)
+            fits = self._shortlists.beside(problem, base, promising * worth, label)
             outcome.rivals[label] = fits[:4]
-            better = [one for one in fits if self._pays_in_place(one, claim.effect, outcome.fit)]
-            if better and all_significant(self.problem, better[0]):
+            better = [one for one in fits if self._pays_in_place(outcome, one, claim.effect)]
+            if better and all_significant(problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
 
-    def _pays_in_place(self, other: Fit, effect: Effect, current: Fit) -> bool:
+    def _pays_in_place(self, outcome: Outcome, other: Fit, effect: Effect) -> bool:
         """Return whether the newest claim of `other` may take the place of `effect`.
 
         What it has more of parameters must each be worth the threshold.
@@ -230,18 +230,18 @@ class Search:
         newest = other.claims[-1].effect
         more = len(newest.parameters) - len(effect.parameters)
         toll = self.settings.threshold * max(more, 0)
-        return score(self.problem, other) + toll < score(self.problem, current) - SWAP_BIC_MARGIN
+        return score(outcome.problem, other) + toll < score(outcome.problem, outcome.fit) - SWAP_BIC_MARGIN
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
         while outcome.fit.judged:
             smaller = [
-                self._without(outcome.fit, claim)
+                self._without(outcome, claim)
                 for claim in outcome.fit.judged
                 if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
             ]
-            best = min(smaller, key=lambda one: score(self.problem, one))
-            if score(self.problem, best) - score(self.problem, outcome.fit) > self.settings.threshold:
+            best = min(smaller, key=lambda one: score(outcome.problem, one))
+            if score(outcome.problem, best) - score(outcome.problem, outcome.fit) > self.settings.threshold:
                 return changed
             kept = {claim.effect.label for claim in best.claims}
             dropped = [claim.effect.label for claim in outcome.fit.claims if claim.effect.label not in kept]
@@ -249,26 +249,27 @@ class Search:
             changed = True
         return changed
 
-    def _without(self, found: Fit, claim: Claim) -> Fit:
+    def _without(self, outcome: Outcome, claim: Claim) -> Fit:
         """The fit without a claim, in full where the claim may be worth little."""
-        fewer = without_one(self.problem, found, claim)
-        worth = score(self.problem, fewer) - score(self.problem, found)
-        return fewer if worth > DOUBTFUL * self.settings.threshold else fit(self.problem, fewer.claims)
+        problem, found = outcome.problem, outcome.fit
+        fewer = without_one(problem, found, claim)
+        worth = score(problem, fewer) - score(problem, found)
+        return fewer if worth > DOUBTFUL * self.settings.threshold else fit(problem, fewer.claims)
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
-        outcome.fit = self._weighed(found)
-        outcome.nothing = fit(self.problem, ())
-        gained = score(self.problem, outcome.fit) - score(self.problem, outcome.nothing)
+        outcome.problem, outcome.fit = self._weighed(found)
+        outcome.nothing = fit(outcome.problem, ())
+        gained = score(outcome.problem, outcome.fit) - score(outcome.problem, outcome.nothing)
         outcome.steps.append(Step(action, label, gained))
         self.steps[:] = outcome.steps
         self.progress(f"{action} {label}")
 
-    def _weighed(self, found: Fit) -> Fit:
-        """The fit under the doubt that its own claims bring, which moves with them, until both stand still."""
+    def _weighed(self, found: Fit) -> tuple[Problem, Fit]:
+        """Weights and fit under the uncertainty that the fit's own claims bring, iterated until they stand still."""
         for _ in range(MAX_REWEIGHT_ITERATIONS):
             before = pack(found.claims)[1]
-            self.problem.update_weights(found.claims)
-            found = fit(self.problem, found.claims)
-            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(self.problem.doubted):
+            problem = self.problem.weighed(found.claims)
+            found = fit(problem, found.claims)
+            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(problem.doubted):
                 break
-        return found
+        return problem, found

@@ -270,14 +270,14 @@ def reconsidered(case: Case, found: Standing, progress: Progress) -> Case:
     left_over = found.assessment.remainder or noticeable(found.unseen, found.unseen.residual(claims))
     if case.question.as_wired or not left_over:
         return case
-    repairs = suspected(case.problem, claims, case.held)
+    repairs = suspected(found.problem, claims, case.held)
     if not repairs:
         return case
     try:
         other = read(_repaired(case.question, repairs), progress)
     except InputError:
         return case
-    return _decided(case, _left(case, found.unseen, claims), repairs, other, progress)
+    return _decided(case, _left(found.problem, found.unseen, claims), repairs, other, progress)
 
 
 def _mismatch(problem: Problem) -> bool:
@@ -353,14 +353,13 @@ def _tried(case: Case, progress: Progress) -> Explained:
     """What is left after a small search for causes."""
     with threadpool_limits(1, "blas"):
         found = Search(case.problem, case.candidates, TRIAL, progress).run()
-    problem = case.problem
+    problem = found.problem
     unseen = Problem(case.held, problem.bench, problem.baseline, noise=problem.sensor_noise)
-    unseen.update_weights(found.fit.claims)
-    return _left(case, unseen, found.fit.claims)
+    return _left(problem, unseen.weighed(found.fit.claims), found.fit.claims)
 
 
-def _left(case: Case, unseen: Problem, claims: Sequence[Claim]) -> Explained:
-    return Explained(left(case.problem, claims), left(unseen, claims), tuple(claims))
+def _left(problem: Problem, unseen: Problem, claims: Sequence[Claim]) -> Explained:
+    return Explained(left(problem, claims), left(unseen, claims), tuple(claims))
 
 
 def _decided(case: Case, here: Explained, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:

@@ -62,15 +62,16 @@ class Standing:
 
 def named(search: Search, held: Sequence[Segment]) -> Standing:
     """Names that account for the recordings, unless they make the held-out ones worse."""
-    problem, progress = search.problem, search.progress
+    progress = search.progress
     progress(stage_bar.SEARCHING)
     outcome = search.run()
+    problem = outcome.problem
     progress(stage_bar.JUDGING)
     assessment, bounds = _judged(problem, outcome)
     models = [SegmentModel(segment, problem.bench) for segment in held]
     progress(stage_bar.CHECKING)
     unseen = Problem(held, problem.bench, problem.baseline, noise=problem.sensor_noise)
-    unseen.update_weights(assessment.fit.claims)
+    unseen = unseen.weighed(assessment.fit.claims)
     simulated: Known = {}
     proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
     found = Standing(
@@ -95,12 +96,13 @@ def _withdrawn(found: Standing, worse: str) -> Standing:
     """The bench file again, with a note on the names: `worse` of the held-out recordings."""
     problem, nothing = found.problem, found.outcome.nothing
     assessment = refuted(problem, found.assessment, nothing)
-    found.unseen.update_weights(assessment.fit.claims)
+    unseen = found.unseen.weighed(assessment.fit.claims)
     bare = replace(
         found,
+        unseen=unseen,
         assessment=assessment,
         bounds=intervals(problem, assessment.fit),
-        proof=held_out(problem, found.unseen, assessment.fit.claims, found.models, found.simulated),
+        proof=held_out(problem, unseen, assessment.fit.claims, found.models, found.simulated),
         taken_back=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder),
     )
     return replace(bare, next_recording=_ahead(bare))
@@ -143,10 +145,10 @@ def modelled(names: Standing, library: Sequence[Effect], progress: Progress) -> 
     )
     ahead = names.next_recording if beside.names == names.names else None  # it would tell apart what is not claimed
     if ahead is None and rehearsable(problem.bench):
-        ahead = next_for_law(beside.problem, found.closed.fit)
-    unseen.update_weights(found.closed.fit.claims)
+        ahead = next_for_law(beside.problem, found.closed.fit, found.closed.screen)
+    unseen = unseen.weighed(found.closed.fit.claims)
     proof = {**found.held, "equations": equations_told(unseen, found.closed.fit.claims)}
-    return replace(beside, proof=proof, next_recording=ahead)
+    return replace(beside, unseen=unseen, proof=proof, next_recording=ahead)
 
 
 def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assessment:

@@ -228,9 +228,11 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         progress("estimating " + ", ".join(estimate))
         with threadpool_limits(1, "blas"):
             believed = starting_bench(fitted, given, baseline_claims, estimate)
-    problem = Problem(fitted, believed, baseline_claims, estimated=standing(believed, estimate))
     ruled_out = [effect for effect in CANDIDATES if effect not in unruled and effect.named]
-    problem.ruled_out = tuple(_acting(ruled_out, believed))
+    problem = Problem(
+        fitted, believed, baseline_claims,
+        estimated=standing(believed, estimate), ruled_out=_acting(ruled_out, believed),
+    )  # fmt: skip
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
     facts = {
