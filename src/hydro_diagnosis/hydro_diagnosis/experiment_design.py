@@ -23,13 +23,12 @@ from hydro_diagnosis.closure.evidence import definite
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
+from hydro_diagnosis.estimation.fit import Fit, fit, jacobian, score
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError, RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Recording
-from hydro_diagnosis.selection.effect_summary import CLOSE
-from hydro_diagnosis.selection.outcome import Outcome, score
+from hydro_diagnosis.selection.outcome import CLOSE, Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law

@@ -18,14 +18,13 @@ from hydro_diagnosis.closure.admission import admitted, harmless, reports, share
 from hydro_diagnosis.closure.growth import Closed
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_diagnosis.validation import held_out
 from hydro_sim.model.bench import Bench

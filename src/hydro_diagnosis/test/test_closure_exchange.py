@@ -12,10 +12,8 @@ from hydro_diagnosis.closure.growth import Rounds, _exchanged
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import score
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 

@@ -15,13 +15,12 @@ from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.effects.kernels import held_lag, limited, turning
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench

@@ -7,15 +7,14 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.closure.alternatives import merged
 from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.growth import Closed
 from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.closure.selection import merged
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 

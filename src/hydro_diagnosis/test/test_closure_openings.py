@@ -7,14 +7,12 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.closure.alternatives import openings
 from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.screen import Screen
-from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.closure.selection import closures, openings
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model.bench import Bench
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.closure.alternatives import renamed
 from hydro_diagnosis.closure.growth import Closed
+from hydro_diagnosis.closure.selection import renamed
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import fit

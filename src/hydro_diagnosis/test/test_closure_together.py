@@ -18,12 +18,11 @@ from hydro_diagnosis.closure.evidence import mimics, paying
 from hydro_diagnosis.closure.selection import closures, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench

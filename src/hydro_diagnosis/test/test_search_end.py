@@ -8,11 +8,10 @@ from collections.abc import Callable
 import pytest
 
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import NAMES, SearchSettings, nibbles
-from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
+from hydro_diagnosis.selection.search import Search, nibbles
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()

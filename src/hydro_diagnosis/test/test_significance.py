@@ -9,12 +9,12 @@ import pytest
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FitParameter
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import SearchSettings, form_error, is_significant
+from hydro_diagnosis.selection.outcome import SearchSettings
+from hydro_diagnosis.selection.search import form_error, is_significant
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

@@ -11,8 +11,8 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.effects import CANDIDATES, Claim
-from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.intervals import intervals, shifts, surely, untold
+from hydro_diagnosis.estimation.fit import fit, mean_squares
+from hydro_diagnosis.estimation.intervals import intervals, shifts, surely
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import EffectReport, ParameterEstimate
 from hydro_diagnosis.io.table import RawTable
@@ -20,9 +20,9 @@ from hydro_diagnosis.preprocessing.box_clock import judged
 from hydro_diagnosis.preprocessing.quality import checked, counted, uneven
 from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, smooth
 from hydro_diagnosis.recording import Recording
-from hydro_diagnosis.selection.localisation import mean_squares
-from hydro_diagnosis.selection.outcome import SearchSettings, all_significant
-from hydro_diagnosis.stages.reporting import current_is_early
+from hydro_diagnosis.selection.outcome import SearchSettings
+from hydro_diagnosis.selection.search import all_significant
+from hydro_diagnosis.stages.reporting import current_is_early, untold
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

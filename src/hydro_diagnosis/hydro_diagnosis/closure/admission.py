@@ -16,13 +16,11 @@ import numpy as np
 from hydro_diagnosis.closure.growth import Closed
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import ClosureReport, ParameterEstimate
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.selection.effect_summary import holdout_gain
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.validation import Known, held_out
 from hydro_sim.model.laws import Law
 

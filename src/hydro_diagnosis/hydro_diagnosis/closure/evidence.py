@@ -21,24 +21,16 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit, spreads
-from hydro_diagnosis.estimation.intervals import QUANTILE
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.fit import FORM_ERROR, QUANTILE, SHORTEST, Fit, fit, noticeable, score, spreads
+from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import SearchSettings, score
 
 EDGE = 1e-3
 """Share of a number's size or range, within which of a bound it stands there."""
-FOLDS = 4
-SHORTEST = 1e-100
-"""Length of a column below which it counts as nothing: its square still is a number."""
 UNSEEN = 1e-14
 """Share of the largest information of any number, below which one is not seen at all."""
 VAGUE = 0.5
 """95 % reach of a law's further number, over its size or its range, from which it says nothing."""
-BLOCK = 1.0
-"""Length of a held-out block [s]: many times the memory of any residual."""
 
 
 class Blocks:
@@ -46,7 +38,7 @@ class Blocks:
 
     def __init__(self, problem: Problem) -> None:
         layout = problem.layout
-        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        fold = layout.folds()
         self._order = np.lexsort((fold, layout.channel))
         group = (layout.channel * FOLDS + fold)[self._order]
         self._edges = np.searchsorted(group, np.arange(len(CHANNELS) * FOLDS + 1))
@@ -212,8 +204,6 @@ def _beside(columns: FloatArray, shown: FloatArray) -> FloatArray:
 
 THRESHOLD = 30.0
 """Deviance that a term must gain on held-out blocks, and any claim in evidence."""
-FORM_ERROR = SearchSettings().form_error
-"""Share of the present terms' signature that an error of their form may explain: another term must explain more."""
 
 
 def paying(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:

@@ -17,11 +17,9 @@ from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.equation_residuals import written
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import screen as screen_names
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import score
 from hydro_sim.model.effects.catalogue import CLOSURES
 from hydro_sim.model.law_signals import SIGN_VELOCITY
 from hydro_sim.model.laws import REVERSING, TURN, Law, rounded

@@ -28,12 +28,11 @@ from hydro_diagnosis.effects.closure import (
     SnubberClosure,
     ValveClosure,
 )
-from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
-from hydro_diagnosis.model.observer import OBSERVER_MEMORY, SLOPE_STEP
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY, SLOPE_STEP
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
@@ -46,9 +45,9 @@ class GaugeWays:
 
     def __init__(self, model: SegmentModel, claims: Sequence[Claim]) -> None:
         self.model, self.claims, self.bench = model, claims, model.bench(claims)
-        oil = model.oil(claims)
+        oil = model.observer.oil(claims)
         self._gain = model.step / OBSERVER_MEMORY
-        self._built = model.built(self.bench, oil, claims)[1]
+        self._built = model.observer.built(self.bench, oil, claims)[1]
         self._by_pressure = {name: self._sensitivity(oil, k) for k, name in enumerate(_CHANNELS)}
 
     def _sensitivity(self, oil: Oil, index: int) -> tuple[FloatArray, FloatArray]:
@@ -58,7 +57,7 @@ class GaugeWays:
             pressures = list(oil.pressures)
             pressures[index] = pressures[index] + sign * SLOPE_STEP
             shifted = Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
-            moved.append(self.model.built(self.bench, shifted, self.claims)[1])
+            moved.append(self.model.observer.built(self.bench, shifted, self.claims)[1])
         a, b = ((up - down) / (2.0 * SLOPE_STEP) for up, down in zip(*moved, strict=True))
         return a, b
 
@@ -99,7 +98,7 @@ class Responses:
         self.bench = model.bench(claims)
         self.memory = RecordMemory(model.step, model.beside)
         if "pressure" in problem.blocks:
-            self.oil = model.oil(claims)
+            self.oil = model.observer.oil(claims)
             self.stiff = chambers.compliances(self.bench, self.oil, claims)
             p_a, p_b = self.oil.pressures
             extends = kernels.substep_mean(self.oil.spool) >= 0.0
@@ -218,12 +217,17 @@ class Responses:
         return np.stack([self.model.means(one) for one in signals])
 
 
-def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequence[Claim]) -> dict[int, FloatArray]:
-    """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals)."""
+def shown(
+    problem: Problem, claims: Sequence[Claim], residual: FloatArray, ways: Sequence[Responses], terms: Sequence[Claim]
+) -> dict[int, FloatArray]:
+    """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals).
+
+    `claims`, `residual`: of the fit beside which the terms stand.
+    """
     effect = terms[0].effect
     assert isinstance(effect, Closure)
     if isinstance(effect, SnubberClosure):
-        changes = np.stack([problem.residual((*base.claims, one)) - base.residual for one in terms])
+        changes = np.stack([problem.residual((*claims, one)) - residual for one in terms])
         channel = problem.layout.channel
         return {int(k): changes[:, channel == k] for k in np.unique(channel)}
     parts = [way.of(terms) for way in ways]

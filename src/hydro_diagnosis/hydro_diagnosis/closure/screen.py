@@ -15,11 +15,10 @@ from itertools import groupby, pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.closure.evidence import BLOCK, FOLDS, SHORTEST
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, spreads
-from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
+from hydro_diagnosis.estimation.fit import SHORTEST, Fit, spreads
+from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Layout, Problem
 
 
 def column_gains(own: FloatArray, cross: FloatArray, square: FloatArray, weight: FloatArray, count: FloatArray,
@@ -78,7 +77,7 @@ class FoldedResponses:
 
     def __init__(self, layout: Layout, terms: int) -> None:
         self.every = max(int(layout.count().max()) // ROWS, 1)
-        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        fold = layout.folds()
         kept = [np.flatnonzero(layout.channel == k)[:: self.every] for k in range(len(CHANNELS))]
         self._order = [np.argsort(fold[rows], kind="stable") for rows in kept]
         self._rows = [rows[order] for rows, order in zip(kept, self._order, strict=True)]
@@ -177,7 +176,9 @@ class Screen:
         for _, same in groupby(self.terms, key=lambda one: one.effect.label):
             probes = [_probed(one) for one in same]
             self._laws.append(slice(at, at + len(probes)))
-            self._responses.add(np.arange(at, at + len(probes)), shown(problem, base, ways, probes))
+            self._responses.add(
+                np.arange(at, at + len(probes)), shown(problem, base.claims, base.residual, ways, probes)
+            )
             at += len(probes)
         self._responses.finish()
 

@@ -17,8 +17,8 @@ from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Clai
 from hydro_diagnosis.effects.closure import EdgeClosure, FlowClosure, LoadClosure, MotionClosure
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
-from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
+from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 ROOM = 96e6
@@ -141,7 +141,7 @@ def direct_response(model: SegmentModel, claim: Claim, beside: Sequence[Claim]) 
         return _of_load(model, claim, beside)
     if not isinstance(effect, FlowClosure | EdgeClosure):
         raise TypeError(f"{effect.label} does not just add")
-    oil, bench = model.oil(beside), model.bench(beside)
+    oil, bench = model.observer.oil(beside), model.bench(beside)
     flows = effect.inflows((nothing, nothing), oil, model.memory, claim.values)
     stiff = chambers.compliances(bench, oil, beside)
     gain = model.step / OBSERVER_MEMORY
@@ -258,5 +258,5 @@ class EquationResiduals:
 
 
 def _pressure(model: SegmentModel, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    run: ChamberRun = model.chamber_run(claims)
+    run: ChamberRun = model.observer.chamber_run(claims)
     return model.arc_residual(run), *model.pressure_residuals(run)

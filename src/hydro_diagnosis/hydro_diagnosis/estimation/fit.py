@@ -18,7 +18,7 @@ import numpy as np
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.equation_residuals import Key, acts, apart, between, shapes, written
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_sim.model.tables import Table
 
 
@@ -95,6 +95,15 @@ def _present(claim: Claim) -> Claim:
 
 STRAIGHT = 0.05
 """Share of a step's effect that slopes may have missed and still hold at its end."""
+QUANTILE = 1.96
+NOTICEABLE = 0.35
+"""Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
+CHANCE = 4.0
+"""Standard deviations of the mean of n squares of white noise, sqrt(2 / n), that it must exceed 1 by too."""
+FORM_ERROR = 0.035
+"""Share of a claim's signature that its form may be off by: another of its family must explain more."""
+SHORTEST = 1e-100
+"""Length of a column below which it counts as nothing: its square still is a number."""
 
 
 @dataclass(frozen=True)
@@ -241,3 +250,47 @@ def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float 
     slopes = np.delete(found.jacobian, range(begin, begin + counts[at]), axis=1)
     others = (*found.claims[:at], *found.claims[at + 1 :])
     return fit(problem, others, tolerance=tolerance, slopes=slopes)
+
+
+def score(problem: Problem, found: Fit) -> float:
+    """Deviance plus price: lower is better."""
+    return found.deviance + found.free * float(np.log(len(found.residual)))
+
+
+def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
+    """Each channel's mean square over the noise's."""
+    layout = problem.layout
+    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
+    count = layout.count()
+    return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
+
+
+def bounds(problem: Problem) -> dict[str, float]:
+    """Each channel's mean square over the noise's above which it holds more than noise.
+
+    The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
+    """
+    count = problem.layout.count()
+    return {
+        name: 1.0 + max(NOTICEABLE, CHANCE * float(np.sqrt(2.0 / count[k])))
+        for k, name in enumerate(CHANNELS)
+        if count[k]
+    }
+
+
+def remaining(problem: Problem, residual: FloatArray) -> dict[str, float]:
+    """Mean square over the noise's of those channels that hold more than noise."""
+    limit = bounds(problem)
+    return {name: square for name, square in mean_squares(problem, residual).items() if square > limit[name]}
+
+
+def noticeable(problem: Problem, residual: FloatArray) -> bool:
+    """Return whether any channel holds more than noise."""
+    return bool(remaining(problem, residual))
+
+
+def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
+    """Share of the held-out squared residual, beyond that of all claims, that a claim removes; below 0: it adds."""
+    squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
+    nothing, fewer, everything = squares
+    return (fewer - everything) / max(nothing - everything, 1e-12)

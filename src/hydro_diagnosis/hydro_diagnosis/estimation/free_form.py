@@ -20,8 +20,8 @@ from hydro_diagnosis.estimation.fit import Fit, deviance, spreads
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import fading_sums
-from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
 from hydro_sim.model import equations as eq
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -41,7 +41,7 @@ class Responses:
         self._roots: list[tuple[FloatArray, FloatArray]] = []
         if "pressure" in problem.blocks and equation in ("pressure_a", "pressure_b", "actuation"):
             for model, bench in zip(problem.models, self._benches, strict=True):
-                oil = model.oil(everything)
+                oil = model.observer.oil(everything)
                 self._stiff.append(chambers.compliances(bench, oil, everything))
                 opened = kernels.substep_mean(oil.spool) >= 0
                 drops = zip(*eq.edge_drops(bench.supply_pressure, bench.tank_pressure, *oil.pressures), strict=True)
@@ -146,6 +146,11 @@ class FreeForm:
     """The input at the knots: m3/s for the chambers, N for motion and load, A for actuation, the sensor's unit else."""
 
 
+def gains_by_equation(forms: Sequence[FreeForm]) -> dict[str, float]:
+    """Evidence of the best form in each equation; `forms`: the most informative first."""
+    return {form.equation: form.gain for form in reversed(forms)}
+
+
 _INPUTS = (
     ("pressure_a", ""),
     ("pressure_b", ""),
@@ -194,7 +199,7 @@ def _least_squares(columns: FloatArray, goal: FloatArray) -> FloatArray:
 
 
 def variables(problem: Problem) -> list[str]:
-    """Names of what a hidden input may depend on, for `variable_of`."""
+    """Names of what a hidden input may depend on, for `SegmentModel.variable`."""
     have = set.intersection(*(set(model.channels) for model in problem.models))
     names = ["time", "position", "velocity"]
     names += ["current"] if "valve_current" in have else []
@@ -202,23 +207,8 @@ def variables(problem: Problem) -> list[str]:
     return names
 
 
-def variable_of(model: SegmentModel, name: str) -> FloatArray:
-    """A variable that a hidden input may depend on, shape (n,), SI units."""
-    if name == "time":
-        return model.time
-    if name == "position":
-        return model.x
-    if name == "velocity":
-        return model.v
-    if name == "current":
-        return model.channels["valve_current"]
-    if name == "pressure_difference":
-        return model.smooth(model.channels["pressure_a"] - model.channels["pressure_b"])
-    return model.smooth(model.channels[name])
-
-
 def _knots(problem: Problem, variable: str) -> FloatArray:
-    values = np.concatenate([variable_of(model, variable)[model.settle :] for model in problem.models])
+    values = np.concatenate([model.variable(variable)[model.settle :] for model in problem.models])
     if variable in ("velocity", "current"):  # denser around zero, where friction and valve change their ways
         shares = np.linspace(0.0, 1.0, KNOTS)
         return np.unique(np.quantile(values, shares))
@@ -230,7 +220,7 @@ def _hats(problem: Problem, variable: str, knots: FloatArray) -> Iterator[list[F
     groups = [[model] for model in problem.models] if variable == "time" else [problem.models]
     for group in groups:
         for j in range(len(knots)):
-            yield [_hat(variable_of(one, variable), knots, j) * (one in group) for one in problem.models]
+            yield [_hat(one.variable(variable), knots, j) * (one in group) for one in problem.models]
 
 
 def _hat(values: FloatArray, knots: FloatArray, index: int) -> FloatArray:

@@ -16,15 +16,9 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, fit, pack, spreads, unpack
+from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
+from hydro_diagnosis.estimation.fit import QUANTILE, Fit, fit, pack, spreads, unpack
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.score_test import allowed, cause
-
-MUCH = 10.0
-"""Multiple of its smallest size worth claiming that a cause may hide without being listed."""
-_PROBES = 3
-"""Values at which each cause is tried."""
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
@@ -45,50 +39,6 @@ def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
     return np.split(moved, np.cumsum(counts)[:-1])
 
 
-def untold(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
-    """Causes that could hide in missing rows, with the size from which they would show; None if none are missing.
-
-    `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
-    """
-    if problem.thinner is None:
-        return None
-    weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
-    change = problem.change(found.claims) * weight
-    limits: dict[str, tuple[float, str]] = {}
-    for effect in allowed(library, found.claims, problem.blocks):
-        if not effect.named or effect.needs:
-            continue
-        name = " ".join(part for part in cause(effect)).replace("=", " ")
-        price = threshold + len(effect.parameters) * float(np.log(len(weight)))
-        tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
-        limit = min(tried, key=lambda one: one[0])
-        limits[name] = min(limit, limits.get(name, limit), key=lambda one: one[0])
-    hidden = [f"{name}{words}" for name, (_, words) in limits.items() if words]
-    if not hidden:
-        return None
-    return "between the recorded rows there is room for causes that are therefore not told: " + ", ".join(hidden)
-
-
-def _least(
-    problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray, price: float
-) -> tuple[float, str]:
-    """Multiple of a probe from which it shows, and in words if that is much: ` under 0.4 kg`, or alone if never."""
-    start = {one.name: one.probes[min(probe, len(one.probes) - 1)] for one in effect.parameters}
-    signature = (problem.residual((*found.claims, Claim(effect, start))) - found.residual) * weight
-    power = float(signature @ signature)
-    if power <= 0.0:
-        return np.inf, " at any size"
-    share = max(2.0 * abs(float(signature @ change)), (price * power) ** 0.5) / power
-    main = next((one for one in effect.parameters if one.smallest > 0.0), None)
-    if main is None:
-        return share, " at any size" if share > 1.0 else ""
-    size = share * abs(start[main.name] - main.neutral)
-    if size <= MUCH * main.smallest:
-        return share, ""
-    return share, f" under {size:.2g} {main.unit}" if main.neutral == 0.0 else f" within {size:.2g} {main.unit}"
-
-
-QUANTILE = 1.96
 SYSTEMATIC = 0.03
 """Share of a parameter's smallest size worth claiming; shapes have their own: `FitParameter.systematic`."""
 PROFILING = 4

@@ -32,6 +32,10 @@ from hydro_diagnosis.preprocessing.smoothing import (
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
+FOLDS = 4
+"""Folds of the cross-validation of terms without a name."""
+FOLD_SECONDS = 1.0
+"""Length of a held-out block [s]: many times the memory of any residual."""
 CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
 
 
@@ -59,6 +63,10 @@ class Layout:
     def count(self) -> FloatArray:
         """Entries per channel, shape (5,)."""
         return self._count
+
+    def folds(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """Fold of each entry for cross-validation over blocks of `FOLD_SECONDS`, shape (n,)."""
+        return (np.floor(self.time / FOLD_SECONDS).astype(np.int64) + self.segment) % FOLDS
 
     def squares(self, residual: FloatArray) -> FloatArray:
         """Sum of each channel's squares, shape (5,)."""
@@ -104,7 +112,7 @@ def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
     """Channels without the kinks that the nominal model knows of: the current's steps bend pressures and f_h."""
     signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
     if model.has_position and model.has_pressures and "valve_current" in model.channels:
-        run = model.chamber_run(())
+        run = model.observer.chamber_run(())
         signals["pressure_a"], signals["pressure_b"] = run.innovations
         if "hydraulic_force" in signals:
             signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
@@ -158,7 +166,7 @@ class Noise:
         self.models, self.blocks, self.sensors = models, blocks, sensors
         self.residuals = [residual_noise(sensors, bench, model.step * model.spacing) for model in models]
         """Of each segment's residuals by channel, physical units."""
-        self.flows = [model.pressure_doubt(sensors) for model in models] if PRESSURE in blocks else []
+        self.flows = [model.observer.pressure_doubt(sensors) for model in models] if PRESSURE in blocks else []
         """Of each segment: what noise in the flows makes of the pressures' residuals."""
 
     def mass_attenuation(self, mass: float) -> float:

@@ -25,9 +25,9 @@ from scipy.special import ndtr
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, Kinematics, changes
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.model.chambers import ChamberRun
-from hydro_diagnosis.model.observer import ChamberObserver
-from hydro_diagnosis.model.segment_record import SegmentRecord
+from hydro_diagnosis.model.segment_record import ChamberObserver, SegmentRecord
 from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
+from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -38,8 +38,16 @@ _FAST = 1.0
 _GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
 
 
-class ForceBalance(SegmentRecord):
-    """Forces on the moving mass under some claims, from the recorded position."""
+PLACES = 4
+"""Corrected positions that a segment keeps."""
+
+
+class SegmentModel(SegmentRecord):
+    """A segment, the forces on its mass, and its residuals under some claims, in physical units."""
+
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
+        super().__init__(segment, bench, like)
+        self.observer = ChamberObserver(self)
 
     def dry_friction_level(self, claims: Sequence[Claim], velocity: FloatArray | None = None) -> FloatArray:
         """Level [N] of dry friction while sliding."""
@@ -144,13 +152,19 @@ class ForceBalance(SegmentRecord):
         )
         return np.asarray(np.abs(high - low) / 2.0)
 
-
-PLACES = 4
-"""Corrected positions that a segment keeps."""
-
-
-class SegmentModel(ChamberObserver, ForceBalance):
-    """A segment and its residuals under some claims, in physical units."""
+    def variable(self, name: str) -> FloatArray:
+        """A variable that a hidden input may depend on, shape (n,), SI units."""
+        if name == "time":
+            return self.time
+        if name == "position":
+            return self.x
+        if name == "velocity":
+            return self.v
+        if name == "current":
+            return self.channels["valve_current"]
+        if name == "pressure_difference":
+            return self.smooth(self.channels["pressure_a"] - self.channels["pressure_b"])
+        return self.smooth(self.channels[name])
 
     def placed(self, claims: Sequence[Claim]) -> SegmentModel:
         """The same segment with the position that is the piston's under these claims; itself, if it is the recorded."""

@@ -168,7 +168,7 @@ class Plant:
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         spool = chambers.spool_position(current, model.step / substeps, claims)
         memory = model.memory = RecordMemory(model.step, model.beside)
-        model.chamber_run(claims)
+        model.observer.chamber_run(claims)
         model.required_force(claims)
         for claim in claims:
             claim.effect.trace(model.kinematics, memory, claim.values)

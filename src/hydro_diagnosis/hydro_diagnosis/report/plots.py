@@ -12,7 +12,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import CHANNELS
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -142,7 +141,7 @@ def _variable(cause: Effect, found: Diagnosis) -> str:
 def _sampled(found: Diagnosis, segment: int, variable: str, channel: int) -> FloatArray:
     model, layout = found.problem.models[segment], found.problem.layout
     at = (layout.channel == channel) & (layout.segment == segment)
-    return np.interp(layout.time[at], model.time, variable_of(model, variable))
+    return np.interp(layout.time[at], model.time, model.variable(variable))
 
 
 def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -245,7 +244,7 @@ _WIDTHS = ("half_width", "half_width_negative", "current", "width")
 
 def _looked(model: SegmentModel, claims: tuple[Claim, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Valve current, and what an ideal valve would have needed for the recorded and for the fitted flow into A [A]."""
-    bench, oil = model.bench(claims), model.oil(claims)
+    bench, oil = model.bench(claims), model.observer.oil(claims)
     stiff, _ = chambers.compliances(bench, oil, claims)
     pressure = gaussian_filter1d(oil.pressures[0], _WIDTH, order=1, mode="nearest") / model.step
     flow = pressure / stiff + bench.piston_area * gaussian_filter1d(model.v, _WIDTH)

@@ -6,21 +6,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable, score
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
 from hydro_diagnosis.findings import EffectReport, Location, LookAlike, ParameterEstimate, Rival
-from hydro_diagnosis.selection.localisation import Place, locate, noticeable
-from hydro_diagnosis.selection.outcome import Outcome, score
+from hydro_diagnosis.selection.localisation import Place, locate
+from hydro_diagnosis.selection.outcome import CLOSE, Outcome
 from hydro_diagnosis.selection.verdict import Assessment
-
-CLOSE = 10.0
-"""BIC within which a rival is not distinguished from a claim (Kass and Raftery 1995: decisive beyond it)."""
 
 
 def describe(
@@ -65,13 +60,6 @@ def _report(
         rivals=rivals,
         look_alikes=look_alikes,
     )
-
-
-def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
-    """Share of the held-out squared residual, beyond that of all claims, that a claim removes; below 0: it adds."""
-    squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
-    nothing, fewer, everything = squares
-    return (fewer - everything) / max(nothing - everything, 1e-12)
 
 
 def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
@@ -169,7 +157,7 @@ def not_foretold(unseen: Problem, claims: Sequence[Claim]) -> str:
     residual = unseen.residual(claims)
     if not noticeable(unseen, residual):
         return ""
-    places = ", ".join(dict.fromkeys(place.equation for place in locate(unseen, residual, ())))
+    places = ", ".join(dict.fromkeys(place.equation for place in locate(unseen, residual, {})))
     return (
         f"the held-out recordings hold more than noise ({places}), which those that were fitted do not show: the "
         "model that is handed back does not foretell them; fit recordings of all that the bench does"

@@ -16,18 +16,10 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import Fit, fit
-from hydro_diagnosis.estimation.free_form import FreeForm, free_forms, variable_of, variables
+from hydro_diagnosis.estimation.fit import Fit, bounds, fit, mean_squares, noticeable, remaining
+from hydro_diagnosis.estimation.free_form import FreeForm, free_forms, gains_by_equation, variables
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.selection.localisation import (
-    Place,
-    bounds,
-    locate,
-    locate_claims,
-    mean_squares,
-    noticeable,
-    remaining,
-)
+from hydro_diagnosis.selection.localisation import Place, locate, locate_claims
 
 MOST = 0.5
 """Share of what remains that a claimed number may remove by varying."""
@@ -77,7 +69,7 @@ def _along(problem: Problem, name: str) -> FloatArray:
     values = np.zeros(len(layout.time))
     for k, model in enumerate(problem.models):
         at = layout.segment == k
-        values[at] = np.interp(layout.time[at], model.time, variable_of(model, name))
+        values[at] = np.interp(layout.time[at], model.time, model.variable(name))
     centred: FloatArray = values - values.mean()
     return centred / max(float(values.std()), 1e-300)
 
@@ -119,7 +111,9 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     kept = nothing if alike else _named(problem, _trusted(problem, found, nothing))
     forms = free_forms(problem, kept)
     found_at = tuple(locate_claims(problem, found, nothing.residual))
-    remainder = tuple(locate(problem, kept.residual, forms)) or found_at  # an unnamed cause may be small
+    remainder = (
+        tuple(locate(problem, kept.residual, gains_by_equation(forms))) or found_at
+    )  # an unnamed cause may be small
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
@@ -132,7 +126,7 @@ def refuted(problem: Problem, assessment: Assessment, nothing: Fit) -> Assessmen
     """The judgement without its names: they fit, but held-out recordings are predicted worse than by the bench file."""
     forms = free_forms(problem, nothing)
     dropped = (*assessment.dropped, *assessment.fit.judged)
-    remainder = tuple(locate(problem, nothing.residual, forms)) or assessment.places
+    remainder = tuple(locate(problem, nothing.residual, gains_by_equation(forms))) or assessment.places
     return Assessment("unknown", nothing, remainder, remainder, tuple(forms[:6]), dropped)
 
 

@@ -19,14 +19,13 @@ from threadpoolctl import threadpool_limits
 
 from hydro_diagnosis.bench_numbers import knows
 from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.estimation.fit import noticeable
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import NAMES
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.stages.naming import Standing
-from hydro_diagnosis.stages.reading import Case, Progress, Question, read
+from hydro_diagnosis.stages.reading import Case, Progress, Question, Standing, read
 from hydro_diagnosis.wiring import Advance, Doubt, Exchange, Rename, Repair, Scale, in_unit, reversed_sign
 
 CLEAR = float(np.log(10.0))

@@ -7,7 +7,7 @@ Names and laws are tried on the held-out recordings, and withdrawn where they pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from hydro_diagnosis import stage_bar
@@ -15,49 +15,20 @@ from hydro_diagnosis.bench_numbers import rehearsable
 from hydro_diagnosis.closure.admission import Admitted, admitted, foretold, reports
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.base import Effect
-from hydro_diagnosis.estimation.free_form import free_forms
+from hydro_diagnosis.estimation.fit import noticeable
+from hydro_diagnosis.estimation.free_form import free_forms, gains_by_equation
 from hydro_diagnosis.estimation.intervals import Interval, all_hold, intervals, surely
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
-from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.effect_summary import made_worse, made_worse_in_all, withheld
-from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
+from hydro_diagnosis.selection.localisation import locate, locate_claims
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
-from hydro_diagnosis.stages.reading import Progress
+from hydro_diagnosis.stages.reading import Progress, Standing
 from hydro_diagnosis.validation import Known, equations_told, held_out
-
-
-@dataclass(frozen=True, kw_only=True)
-class Standing:
-    """What is claimed at the end of a stage, and how it holds."""
-
-    problem: Problem
-    outcome: Outcome
-    assessment: Assessment
-    bounds: list[Interval]
-    """Of the claims' parameters."""
-    models: list[SegmentModel]
-    """Held-out recordings."""
-    unseen: Problem
-    """The same, weighed for the claims."""
-    simulated: Known
-    """Of the held-out recordings."""
-    proof: dict[str, Any]
-    """`fit` of report.json."""
-    taken_back: str = ""
-    """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
-    closures: list[ClosureReport] = field(default_factory=list)
-    next_recording: dict[str, Any] | None = None
-    """The recording that separates the closest rivals among the claims."""
-
-    @property
-    def names(self) -> set[str]:
-        """Labels of the named claims."""
-        return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}
 
 
 def named(search: Search, held: Sequence[Segment]) -> Standing:
@@ -163,5 +134,5 @@ def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assess
     named = any(claim.effect.named and not claim.effect.estimated for claim in claims)
     verdict = "partly_explained" if named else assessment.verdict
     forms = tuple(free_forms(problem, found.closed.fit)[:6])
-    remainder = tuple(locate(problem, found.closed.fit.residual, forms)) or assessment.remainder
+    remainder = tuple(locate(problem, found.closed.fit.residual, gains_by_equation(forms))) or assessment.remainder
     return replace(assessment, verdict=verdict, remainder=remainder, forms=forms)

@@ -9,7 +9,7 @@ constants that were learned are the bench's numbers, and spool, leak, friction, 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from importlib import metadata
 from math import pi, sqrt
@@ -23,13 +23,19 @@ from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import acts, completed, hiding, lacks, left_out, read_bench, refuse_missing
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
+from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_numbers import refuse_others, standing, starting_bench
+from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import is_bag
+from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of
+from hydro_diagnosis.selection.outcome import Outcome
+from hydro_diagnosis.selection.verdict import Assessment
+from hydro_diagnosis.validation import Known
 from hydro_diagnosis.wiring import Doubt
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.model import Learned
@@ -273,3 +279,32 @@ def _version() -> str:
         return metadata.version("hydro_diagnosis")
     except metadata.PackageNotFoundError:
         return "0.1.0"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """What is claimed at the end of a stage, and how it holds."""
+
+    problem: Problem
+    outcome: Outcome
+    assessment: Assessment
+    bounds: list[Interval]
+    """Of the claims' parameters."""
+    models: list[SegmentModel]
+    """Held-out recordings."""
+    unseen: Problem
+    """The same, weighed for the claims."""
+    simulated: Known
+    """Of the held-out recordings."""
+    proof: dict[str, Any]
+    """`fit` of report.json."""
+    taken_back: str = ""
+    """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
+    closures: list[ClosureReport] = field(default_factory=list)
+    next_recording: dict[str, Any] | None = None
+    """The recording that separates the closest rivals among the claims."""
+
+    @property
+    def names(self) -> set[str]:
+        """Labels of the named claims."""
+        return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}
