@@ -118,8 +118,8 @@ def _upper(hits: int, count: int) -> float:
     return float(beta.ppf(0.95, hits + 1, count - hits)) if hits < count else 1.0
 
 
-def kept(path: Path, bench: Bench) -> dict[int, Trial]:
-    """Load the trials by seed that `keep` has written; none if there is no such file.
+def load(path: Path, bench: Bench) -> dict[int, Trial]:
+    """Load the trials by seed that `save` has written; none if there is no such file.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def _of(content: Mapping[str, Any], path: Path, bench: Bench) -> dict[int, Trial
     }
 
 
-def keep(path: Path, bench: Bench, trials: Mapping[int, Trial], threshold: float) -> None:
+def save(path: Path, bench: Bench, trials: Mapping[int, Trial], threshold: float) -> None:
     """Write trials by seed and the threshold's statistics; the file is complete at any time."""
     entries: list[dict[str, Any]] = [{"seed": seed, **asdict(one)} for seed, one in sorted(trials.items())]
     for entry in entries:
@@ -211,13 +211,13 @@ def run(arguments: Sequence[str]) -> int:
     threshold = SearchSettings().threshold
     wanted = range(chosen.seed, chosen.seed + chosen.runs)
     file = Path(chosen.write) if chosen.write else None
-    before = kept(file, bench) if file else {}
+    before = load(file, bench) if file else {}
     trials = {seed: before[seed] for seed in wanted if seed in before}
     try:
         for seed, one in _searched(bench, [seed for seed in wanted if seed not in trials], chosen.jobs):
             trials[seed] = one
             if file:
-                keep(file, bench, {**before, **trials}, threshold)
+                save(file, bench, {**before, **trials}, threshold)
     except KeyboardInterrupt:
         print("interrupted: what follows rests on the trials that were finished", file=sys.stderr)
     if not trials:

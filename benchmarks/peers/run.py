@@ -111,9 +111,9 @@ class Corrected(Plant):
             change[row] += added.get(name, 0.0)
         return change
 
-    def readings(self, states: FloatArray, begins: np.ndarray) -> dict[str, FloatArray]:
+    def measurements(self, states: FloatArray, begins: np.ndarray) -> dict[str, FloatArray]:
         """The nominal readings and the correction."""
-        shown = super().readings(states, begins)
+        shown = super().measurements(states, begins)
         at = np.tile(begins, states.shape[2] // len(begins))[None, :] + np.arange(states.shape[0])[:, None]
         return {
             name: value + (self.shown[name][at] if name in READ and name in self.shown else 0.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.null_simulations import Trial, calibrated, keep, kept, needed, run, trial
+from benchmarks.null_simulations import Trial, calibrated, load, needed, run, save, trial
 from hydro_bridge.cli.console import UserError
 from hydro_sim.model.bench import Bench
 
@@ -18,25 +18,25 @@ TRIALS = {3: Trial(0.5, -inf, "none"), 7: Trial(2.0, 8.25, "valve_gain"), 8: Tri
 
 def test_trials_are_kept_whole(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
-    assert kept(path, BENCH) == {}
-    keep(path, BENCH, TRIALS, 20.0)
-    assert kept(path, BENCH) == TRIALS
+    assert load(path, BENCH) == {}
+    save(path, BENCH, TRIALS, 20.0)
+    assert load(path, BENCH) == TRIALS
     assert json.loads(path.read_text())["outcome"]["false"] == 0
 
 
 def test_trials_of_another_bench_do_not_add_up(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
-    keep(path, BENCH, TRIALS, 20.0)
+    save(path, BENCH, TRIALS, 20.0)
     with pytest.raises(UserError, match="another bench"):
-        kept(path, replace(BENCH, moving_mass=2.0))
+        load(path, replace(BENCH, moving_mass=2.0))
 
 
 def test_trials_of_another_version_do_not_add_up(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
-    keep(path, BENCH, TRIALS, 20.0)
+    save(path, BENCH, TRIALS, 20.0)
     path.write_text(path.read_text().replace('"engine": "', '"engine": "x'))
     with pytest.raises(UserError, match="another version"):
-        kept(path, BENCH)
+        load(path, BENCH)
 
 
 @pytest.mark.parametrize("content", ["{}", "[1]", "no JSON", '{"bench": 1, "engine": 2}'])
@@ -44,7 +44,7 @@ def test_another_file_is_not_taken_for_trials(tmp_path: Path, content: str) -> N
     path = tmp_path / "other.json"
     path.write_text(content)
     with pytest.raises(UserError, match=r"no null simulations|another bench"):
-        kept(path, BENCH)
+        load(path, BENCH)
     assert path.read_text() == content
 
 
@@ -56,7 +56,7 @@ def test_no_runs_and_no_processes_are_refused(words: list[str]) -> None:
 
 def test_finished_trials_are_not_searched_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "calibration.json"
-    keep(path, BENCH, {0: Trial(1.0, 8.25, "valve_gain"), 1: Trial(1.0, -inf, "none")}, 20.0)
+    save(path, BENCH, {0: Trial(1.0, 8.25, "valve_gain"), 1: Trial(1.0, -inf, "none")}, 20.0)
     assert run(["--runs", "2", "--jobs", "1", "--write", str(path)]) == 0
     assert "2 pairs of recordings: the threshold in use, 20, was passed 0 times" in capsys.readouterr().out
 

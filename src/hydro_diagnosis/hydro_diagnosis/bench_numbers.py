@@ -240,7 +240,7 @@ def left_out(channels: Collection[str], bench: Bench) -> list[str]:
     return notes
 
 
-def acts(effect: Effect, bench: Bench) -> bool:
+def applies(effect: Effect, bench: Bench) -> bool:
     """Return whether an effect can act on a bench: not one of a spring that it has not, or of a number not known."""
     if not isinstance(bench, PartialBench):
         return True

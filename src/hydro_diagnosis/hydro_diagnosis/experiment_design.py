@@ -19,7 +19,7 @@ import numpy as np
 
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.evidence import definite
+from hydro_diagnosis.closure.evidence import has_identified_shapes
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
@@ -178,7 +178,7 @@ def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Sc
     for prospect in prospects:
         starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)
         fitted = min(starts, key=lambda one: one.deviance)
-        if without.deviance - fitted.deviance >= enough and definite(problem, fitted, fitted.claims[-1]):
+        if without.deviance - fitted.deviance >= enough and has_identified_shapes(problem, fitted, fitted.claims[-1]):
             return fitted
     return None
 

@@ -27,7 +27,7 @@ def _memory() -> None:
     record.play("p", path, 0.1)
     record.lag("w", path, 0.1)
     record.lag("w", path, 0.1, falling=0.2)
-    record.turning(path, 0.1, 0.2)
+    record.asymmetric_lag(path, 0.1, 0.2)
     limited(path, 1e-3, 1.0, 0.1, 0.1)
     fading_sums(path[None], 0.9)
     kernels.substep_mean(np.zeros((10, 4)))

@@ -64,7 +64,7 @@ def _scatter(plant: Plant, state: FloatArray, begins: Indices, length: int, nois
     """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
     moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * _doubt(plant, noise)[:, None]
     starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
-    shown = plant.readings(plant.run(starts, begins, length), begins)
+    shown = plant.measurements(plant.run(starts, begins, length), begins)
     each = {name: one.reshape(length, DRAWS + 1, len(begins)) for name, one in shown.items()}
     return _size({name: (one[:, 1:] - one[:, :1]).reshape(-1, len(begins)) for name, one in each.items()}, noise)
 
@@ -137,7 +137,7 @@ def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *
 def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
     lanes = np.tile(begins, states.shape[2] // len(begins))
     at = lanes[None, :] + np.arange(states.shape[0])[:, None]
-    apart = {name: shown - plant.channels[name][at] for name, shown in plant.readings(states, begins).items()}
+    apart = {name: shown - plant.channels[name][at] for name, shown in plant.measurements(states, begins).items()}
     return {name: one[:: plant.model.spacing] for name, one in apart.items()}
 
 

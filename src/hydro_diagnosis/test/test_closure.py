@@ -15,7 +15,7 @@ from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure.admission import admitted, harmless, reports, share_closed
-from hydro_diagnosis.closure.growth import Closed
+from hydro_diagnosis.closure.growth import ClosureFit
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import fit, noticeable
@@ -69,7 +69,7 @@ def test_quadratic_drag_is_a_law_with_its_interval_and_closes_the_gap(dragged: l
     assert "square of speed" in report.sentence
 
     pushed = Claim(law.fit.claims[0].effect, {"coefficient": -DRAG})
-    worse = Closed(fit(problem, (pushed,), iterations=0), "law", 1.0, problem)
+    worse = ClosureFit(fit(problem, (pushed,), iterations=0), "law", 1.0, problem)
     assert admitted(problem, held, [worse], models, named) is None
 
 

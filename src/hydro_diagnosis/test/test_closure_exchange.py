@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.growth import Rounds, _exchanged
+from hydro_diagnosis.closure.growth import ForwardSelection, _exchanged
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
@@ -33,7 +33,7 @@ def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers(proble
     ]
     found = fit(problem, claims, iterations=24)
     screen = Screen(problem, fit(problem, ()), laws(problem))
-    better = _exchanged(problem, found, Rounds(screen), names)
+    better = _exchanged(problem, found, ForwardSelection(screen), names)
     values = {claim.effect.label: claim.values for claim in better.claims}
     assert not noticeable(problem, found.residual) and score(problem, better) < score(problem, found)
     assert set(values) == {"valve_gain", "closure:actuation:rounded gain"}

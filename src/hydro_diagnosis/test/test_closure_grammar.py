@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
-from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred, definite, in_disguise
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, equals_ruled_out, has_identified_shapes
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
@@ -301,7 +301,7 @@ def test_a_number_that_no_sample_shows_is_not_known(record: Callable[..., StateA
     place = [one.name for one in slow.parameters].index("rate")
     for size in (0.0, 1e-170):
         found.jacobian[:, place] = size * np.sign(found.jacobian[:, 0])
-        assert not definite(problem, found, found.claims[0])
+        assert not has_identified_shapes(problem, found, found.claims[0])
         assert np.isfinite(HeldOutBlocks(problem, found, ()).deviance(()))
 
 
@@ -311,10 +311,10 @@ def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., 
     problem = problem_of(record(replace(BENCH, effects=(dry,)), 3))
     warming = closure(law("motion", "warming friction"), BENCH)
     disguised = fit(problem, [Claim(warming, {"coefficient": 8.0, "path": 10.0, "time": 3.0})])
-    assert not definite(problem, disguised, disguised.claims[0])
+    assert not has_identified_shapes(problem, disguised, disguised.claims[0])
     coulomb = next(effect for effect in LIBRARY if effect.label == "friction_coulomb").adapted(BENCH)
     named = fit(problem, [Claim(coulomb, {"force": 8.0})])
-    assert definite(problem, named, named.claims[0])
+    assert has_identified_shapes(problem, named, named.claims[0])
 
 
 def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: Callable[..., StateArray]) -> None:
@@ -324,7 +324,7 @@ def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: C
     for ruled_out, refused in ((), False), (("friction_viscous:directional",), True), (("leakage_internal",), False):
         problem = problem_of(states, *ruled_out)
         found = fit(problem, [Claim(closure(law("motion", "drag, outwards"), BENCH), {"coefficient": 150.0})])
-        assert in_disguise(problem, found, found.claims[0]) == refused
+        assert equals_ruled_out(problem, found, found.claims[0]) == refused
 
 
 @pytest.mark.parametrize(
@@ -338,5 +338,5 @@ def test_no_law_is_looked_for_where_a_ruled_out_cause_would_take_what_remains(
     problem = problem_of(states)
     viscous = next(effect for effect in LIBRARY if effect.label == "friction_viscous").adapted(BENCH)
     found = fit(problem, [Claim(viscous, {"coefficient": 50.0})])
-    assert barred(problem, found) == frozenset()
-    assert barred(problem_of(states, "friction_viscous:directional", "leakage_internal"), found) == wanted
+    assert barred_equations(problem, found) == frozenset()
+    assert barred_equations(problem_of(states, "friction_viscous:directional", "leakage_internal"), found) == wanted

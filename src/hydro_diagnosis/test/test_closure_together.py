@@ -14,7 +14,7 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.closure.evidence import mimics, paying
+from hydro_diagnosis.closure.evidence import within_form_error, without_idle_terms
 from hydro_diagnosis.closure.selection import closures, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
@@ -116,10 +116,10 @@ def test_names_that_do_nothing_beside_a_law_are_dropped(dragged: Problem) -> Non
     truth = (Claim(drag, {"coefficient": 600.0}), Claim(NAMES["friction_coulomb"], {"force": 8.0}))
     idle = Claim(NAMES["friction_viscous"], {"coefficient": 1.0})
     dragged = dragged.weighed(truth)
-    found = paying(dragged, fit(dragged, (*truth, idle)))
+    found = without_idle_terms(dragged, fit(dragged, (*truth, idle)))
     assert {claim.effect.label for claim in found.claims} == {DRAG, "friction_coulomb"}
-    assert mimics(dragged, found, found)  # nothing is no more than the law's form may be off by
-    assert not mimics(dragged, fit(dragged, truth[:1]), found)
+    assert within_form_error(dragged, found, found)  # nothing is no more than the law's form may be off by
+    assert not within_form_error(dragged, fit(dragged, truth[:1]), found)
 
 
 def test_laws_are_kin_where_they_show_in_the_same_balances() -> None:

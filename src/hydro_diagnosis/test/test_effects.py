@@ -55,7 +55,7 @@ def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(problem: Probl
         change = problem.residual([Claim(effect, values_at(effect, "probe"))]) - nothing
         power = np.bincount(problem.layout.channel, np.square(change), len(CHANNELS))
         shown = {CHANNELS[k] for k in np.flatnonzero(power > 1e-9 * power.max())}
-        may = {name for block in effect.touches for name in BLOCKS[block]} | {"motion"}  # forces reach the motion
+        may = {name for block in effect.blocks for name in BLOCKS[block]} | {"motion"}  # forces reach the motion
         assert shown
         assert shown <= may
 

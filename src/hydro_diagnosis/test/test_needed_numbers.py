@@ -18,7 +18,7 @@ from hydro_diagnosis.bench_numbers import (
     NONE,
     Guarded,
     PartialBench,
-    acts,
+    applies,
     completed,
     knows,
     left_out,
@@ -147,7 +147,7 @@ def test_wrong_content_is_refused_with_the_file(content: str, why: str, tmp_path
 
 def test_causes_that_need_what_is_not_known_are_not_tried() -> None:
     bench = completed({"moving_mass": 1.0})
-    acting = {effect.id for effect in LIBRARY if acts(effect, bench)}
+    acting = {effect.id for effect in LIBRARY if applies(effect, bench)}
     assert {"friction_coulomb", "friction_viscous", "moving_mass", "force_offset"} <= acting
     assert not acting & {"end_cushion", "spring_rest", "spring_stiffness", "backlash"}
 

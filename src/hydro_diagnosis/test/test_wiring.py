@@ -20,7 +20,7 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable
-from hydro_diagnosis.stages.hypotheses import suspected, understood
+from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
 from hydro_diagnosis.wiring import doubts, reversed_sign
 from hydro_sim.emulator.offline import record_offline
@@ -97,7 +97,7 @@ def asked(recordings: list[Path], **options: Any) -> Question:
 
 
 def read(recordings: list[Path], **options: Any) -> Case:
-    return understood(asked(recordings, **options), lambda text: None)
+    return read_repaired(asked(recordings, **options), lambda text: None)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.closure.growth import Closed
+from hydro_diagnosis.closure.growth import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable
@@ -28,13 +28,13 @@ WORSE_WITH = 0.01
 """Share of what all claims explain of the held-out residual's square, by which it is smaller without a name."""
 
 
-def foretold(closed: Closed, unseen: Problem) -> Closed:
+def without_harmful_names(closed: ClosureFit, holdout: Problem) -> ClosureFit:
     """The model without names that make the held-out residual larger, the worst first; as it is if nothing remains."""
     problem = closed.problem
     while noticeable(problem, closed.fit.residual):
         names = [claim for claim in closed.fit.removable if not isinstance(claim.effect, Closure)]
         fewer = [_without(problem, closed.fit, claim.effect.label) for claim in names]
-        gains = [holdout_gain(unseen, one, closed.fit) for one in fewer]
+        gains = [holdout_gain(holdout, one, closed.fit) for one in fewer]
         if not gains or min(gains) >= -WORSE_WITH:
             break
         closed = replace(closed, fit=fewer[int(np.argmin(gains))])
@@ -55,7 +55,7 @@ WORTH = 0.05
 class Admitted:
     """An admitted closure."""
 
-    closed: Closed
+    closed: ClosureFit
     held: dict[str, Any]
     """`fit` of report.json, with the closure."""
     share: float
@@ -66,20 +66,20 @@ class Admitted:
 
 def admitted(
     problem: Problem,
-    unseen: Problem,
-    candidates: Iterable[Closed],
+    holdout: Problem,
+    candidates: Iterable[ClosureFit],
     models: Sequence[SegmentModel],
     named: Mapping[str, Any],
     known: Known | None = None,
 ) -> Admitted | None:
     """Return the first candidate that makes no held-out channel worse than the names alone do, or None.
 
-    `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
+    `holdout`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
     what has been simulated already.
     """
     errors: dict[str, float | None] = {}
     for closed in candidates:
-        held = held_out(problem, unseen, closed.fit.claims, models, known)
+        held = held_out(problem, holdout, closed.fit.claims, models, known)
         share = share_closed(named, held) if harmless(named, held) else None
         errors[closed.form] = share
         if share is not None and share > WORTH:

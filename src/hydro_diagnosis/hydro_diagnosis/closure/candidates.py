@@ -98,13 +98,13 @@ _CHANNELS = {
 def _visible(effect: Closure, problem: Problem) -> bool:
     have = set.intersection(*(set(model.channels) for model in problem.models))
     law, elsewhere = effect.law, {"", "edges", "across"}
-    if (effect.places or effect.shaken) and len(effect.touches & set(problem.blocks)) < 2:
+    if (effect.places or effect.uses_acceleration) and len(effect.blocks & set(problem.blocks)) < 2:
         return False  # in one equation alone it cannot be told from a force
     if isinstance(law, Table) or law.uses:
         needed = {_CHANNELS.get(one, one) for one in law.uses} - {"time"}
-        return bool(effect.touches & set(problem.blocks)) and needed | ({law.where} - elsewhere) <= have
+        return bool(effect.blocks & set(problem.blocks)) and needed | ({law.where} - elsewhere) <= have
     pressures = {"pressure_a", "pressure_b"} if "p_" in law.text and law.where != "load_force" else set()
-    return bool(effect.touches & set(problem.blocks)) and pressures | ({law.where} - elsewhere) <= have
+    return bool(effect.blocks & set(problem.blocks)) and pressures | ({law.where} - elsewhere) <= have
 
 
 def _nothing(effect: Closure) -> list[Claim]:

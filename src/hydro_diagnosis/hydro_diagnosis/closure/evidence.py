@@ -21,7 +21,16 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import FORM_ERROR, QUANTILE, SHORTEST, Fit, fit, noticeable, score, spreads
+from hydro_diagnosis.estimation.fit import (
+    FORM_ERROR,
+    QUANTILE,
+    SHORTEST,
+    Fit,
+    fit,
+    noticeable,
+    residual_variances,
+    score,
+)
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 
@@ -88,7 +97,7 @@ class HeldOutBlocks:
         squares = np.einsum("fcii->i", self._products)
         self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), SHORTEST)
         self._products /= self._scale[:, None] * self._scale
-        weight = 1.0 / spreads(problem, found.residual)
+        weight = 1.0 / residual_variances(problem, found.residual)
         self._weighted = np.einsum("fcij,c->fij", self._products, weight)
         self._count = problem.layout.count()
 
@@ -107,12 +116,12 @@ class HeldOutBlocks:
         return float(np.sum(self._count * np.log(variance) + squares / variance))
 
 
-def definite(problem: Problem, found: Fit, claim: Claim) -> bool:
+def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
     """Return whether each further number of a law is known, and off its bounds.
 
     Where one is not, the law is another in disguise: friction that warms over an endless path is dry friction.
     """
-    weight = 1.0 / spreads(problem, found.residual)[problem.layout.channel]
+    weight = 1.0 / residual_variances(problem, found.residual)[problem.layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0.0))
     deviations[np.diag(normal) <= UNSEEN * np.max(np.diag(normal), initial=0.0)] = np.inf  # the pseudo-inverse has 0
@@ -134,13 +143,13 @@ GOOD_PART = 0.25
 """Share of what remains in its equations, noise taken off, from which a ruled-out cause bars laws from them."""
 
 
-def barred(problem: Problem, found: Fit) -> frozenset[str]:
+def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
     """Blocks in which what remains beside a fit is to a good part what a ruled-out cause would do."""
     blocks: set[str] = set()
     remaining = problem.layout.squares(found.residual) - problem.layout.count()
     left = _beside(found.jacobian, found.residual)
     for effect in problem.ruled_out:
-        own = effect.touches & set(problem.blocks)
+        own = effect.blocks & set(problem.blocks)
         channels = [CHANNELS.index(name) for block in own for name in BLOCKS[block]]
         excess = float(sum(remaining[channels]))
         for _, columns in _columns(problem, found.claims, found.residual, effect):
@@ -151,12 +160,12 @@ def barred(problem: Problem, found: Fit) -> frozenset[str]:
     return frozenset(blocks)
 
 
-def in_disguise(problem: Problem, found: Fit, claim: Claim) -> bool:
+def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
     """Whether one of the causes that are ruled out (`Problem.ruled_out`) does what this claim of a fit does."""
-    return any(True for _ in doing_the_same(problem, found, claim, problem.ruled_out))
+    return any(True for _ in equivalent_causes(problem, found, claim, problem.ruled_out))
 
 
-def doing_the_same(
+def equivalent_causes(
     problem: Problem, found: Fit, claim: Claim, causes: Sequence[Effect], alike: float = ALIKE
 ) -> Iterator[Claim]:
     """Those of the causes, at the start of a fit, that do what this claim of a fit does, but for a share."""
@@ -182,7 +191,7 @@ def _columns(
     problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect
 ) -> Iterator[tuple[Claim, FloatArray]]:
     """What each number of a cause does to the residual, for each choice of start values of its shape: a start first."""
-    if not effect.touches & set(problem.blocks):
+    if not effect.blocks & set(problem.blocks):
         return
     amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
     shapes = [one for one in effect.parameters if one.smallest == 0.0]
@@ -206,7 +215,7 @@ THRESHOLD = 30.0
 """Deviance that a term must gain on held-out blocks, and any claim in evidence."""
 
 
-def paying(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
+def without_idle_terms(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
     """The fit without claims that do not pay beside the others, the idlest dropped first; names, unless they stay."""
     while True:
         open_ = [one for one in found.removable if not (names_stay and one.effect.named)]
@@ -222,11 +231,11 @@ def _others(found: Fit, claim: Claim) -> tuple[Claim, ...]:
 
 
 def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
-    if score(problem, without) - score(problem, found) < THRESHOLD or mimics(problem, without, found):
+    if score(problem, without) - score(problem, found) < THRESHOLD or within_form_error(problem, without, found):
         return False
     if not isinstance(claim.effect, Closure):
         return True
-    if not definite(problem, found, claim) or in_disguise(problem, found, claim):
+    if not has_identified_shapes(problem, found, claim) or equals_ruled_out(problem, found, claim):
         return False
     return held_out_gain(problem, without, found) >= THRESHOLD
 
@@ -236,7 +245,7 @@ def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
     return HeldOutBlocks(problem, before, ()).deviance(()) - HeldOutBlocks(problem, after, ()).deviance(())
 
 
-def mimics(problem: Problem, before: Fit, after: Fit) -> bool:
+def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
     """Return whether the later fit explains no more, in any channel, than a form error of the earlier terms may.
 
     Never so where something remains before and nothing after: a wrong form leaves a remainder under any name.

@@ -12,11 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hydro_diagnosis.closure.evidence import definite, held_out_gain, in_disguise, mimics, paying
+from hydro_diagnosis.closure.evidence import (
+    equals_ruled_out,
+    has_identified_shapes,
+    held_out_gain,
+    within_form_error,
+    without_idle_terms,
+)
 from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.estimation.equation_residuals import written
+from hydro_diagnosis.estimation.equation_residuals import values_key
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import screen as screen_names
@@ -29,17 +35,17 @@ START = 2.0 * SIGN_VELOCITY
 ITERATIONS = 12
 
 
-def turned(problem: Problem, found: Fit) -> Fit:
+def with_reversal_velocity(problem: Problem, found: Fit) -> Fit:
     """The fit with its laws reversing over a velocity of their own, where it pays.
 
     Also where nothing else remains: at each reversal there is little of it, and yet it moves a simulated piston.
     """
     for place in range(len(found.claims)):
-        found = newest_turned(problem, found, place)
+        found = with_newest_reversal_velocity(problem, found, place)
     return found
 
 
-def newest_turned(problem: Problem, found: Fit, place: int = -1) -> Fit:
+def with_newest_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit:
     """The same of one claim alone, the newest."""
     claim = found.claims[place]
     effect = claim.effect
@@ -52,7 +58,7 @@ def newest_turned(problem: Problem, found: Fit, place: int = -1) -> Fit:
     claims[place] = Claim(wider, {**claim.values, TURN.name: START})
     better = fit(problem, claims, iterations=ITERATIONS)
     pays = score(problem, found) - score(problem, better) >= CHANCE
-    return better if pays and definite(problem, better, better.claims[place]) else found
+    return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
 
 
 def plain(label: str) -> str:
@@ -72,7 +78,7 @@ PATIENCE = 24
 """Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 
 
-class Rounds:
+class ForwardSelection:
     """Rounds over a screen. Each is gone through once: growth with names and growth without them begin alike."""
 
     def __init__(self, screen: Screen) -> None:
@@ -81,7 +87,7 @@ class Rounds:
 
     def fits(self, problem: Problem, current: Fit, tried: set[str]) -> list[Fit]:
         """Fits with one law more that pays, of the best that are not `tried`; they are `tried` then."""
-        key = id(problem.weights), written(current.claims), frozenset(tried)
+        key = id(problem.weights), values_key(current.claims), frozenset(tried)
         if key not in self._known:
             now = set(tried)
             self._known[key] = problem.weights, self._fitted(problem, current, now), now
@@ -100,13 +106,13 @@ class Rounds:
                 break
             better = from_starts(problem, current, one.starts)
             if noticeable(problem, better.residual):
-                better = newest_turned(problem, better)
+                better = with_newest_reversal_velocity(problem, better)
             tried.add(one.effect.label)
-            if score(problem, current) - score(problem, better) < toll or mimics(problem, current, better):
+            if score(problem, current) - score(problem, better) < toll or within_form_error(problem, current, better):
                 continue
-            if not definite(problem, better, better.claims[-1]):
+            if not has_identified_shapes(problem, better, better.claims[-1]):
                 disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
-            elif in_disguise(problem, better, better.claims[-1]):
+            elif equals_ruled_out(problem, better, better.claims[-1]):
                 continue
             elif held_out_gain(problem, current, better) >= toll:
                 fits.append(better)
@@ -119,7 +125,7 @@ def from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
     fits = []
     for start in starts:
         fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
-        if definite(problem, fits[-1], fits[-1].claims[-1]):
+        if has_identified_shapes(problem, fits[-1], fits[-1].claims[-1]):
             return fits[-1]
     return fits[0]
 
@@ -131,7 +137,7 @@ NAMES = 3
 
 
 @dataclass(frozen=True)
-class Closed:
+class ClosureFit:
     """Names and closure estimated together."""
 
     fit: Fit
@@ -150,7 +156,7 @@ def count_terms(found: Fit) -> int:
     return sum(isinstance(claim.effect, Closure) for claim in found.claims)
 
 
-def grown_by_law(problem: Problem, base: Fit, rounds: Rounds, names: Sequence[Effect] = ()) -> Closed:
+def select_laws(problem: Problem, base: Fit, forward: ForwardSelection, names: Sequence[Effect] = ()) -> ClosureFit:
     """The fit with the laws that pay, and with `names` that do as well; what does not pay beside the others goes.
 
     In each round the law with most evidence is taken, or a simpler one that has nearly as much.
@@ -161,7 +167,7 @@ def grown_by_law(problem: Problem, base: Fit, rounds: Rounds, names: Sequence[Ef
     for _ in range(room + (NAMES if names else 0)):
         if not noticeable(weighed, current.residual):
             break
-        fits = rounds.fits(weighed, current, tried) if count_terms(current) - count_terms(base) < room else []
+        fits = forward.fits(weighed, current, tried) if count_terms(current) - count_terms(base) < room else []
         fits += _names_fitted(weighed, current, names) if count_terms(current) > count_terms(base) else []
         if not fits:
             break
@@ -172,12 +178,16 @@ def grown_by_law(problem: Problem, base: Fit, rounds: Rounds, names: Sequence[Ef
             weighed = weighed.weighed(taken.claims)
             current = fit(weighed, taken.claims)
     if count_terms(current) == count_terms(base):
-        return Closed(base, "law", 0.0, problem, rounds.screen)
-    current = paying(weighed, _exchanged(weighed, current, rounds, names))  # what stood for another's numbers goes
-    return Closed(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed, rounds.screen)
+        return ClosureFit(base, "law", 0.0, problem, forward.screen)
+    current = without_idle_terms(
+        weighed, _exchanged(weighed, current, forward, names)
+    )  # what stood for another's numbers goes
+    return ClosureFit(
+        current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed, forward.screen
+    )
 
 
-def _exchanged(problem: Problem, found: Fit, rounds: Rounds, names: Sequence[Effect]) -> Fit:
+def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: Sequence[Effect]) -> Fit:
     """The fit with another in place of a law that does better beside all that came after, or as well and is simpler.
 
     A name gives way to another that does better, or as well with fewer numbers.
@@ -188,9 +198,9 @@ def _exchanged(problem: Problem, found: Fit, rounds: Rounds, names: Sequence[Eff
             rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)
             others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their numbers
             tried = {plain(one.effect.label) for one in found.claims}
-            instead = rounds.fits(problem, others, tried) if law else _names_fitted(problem, others, names)
+            instead = forward.fits(problem, others, tried) if law else _names_fitted(problem, others, names)
             found = _simplest(problem, [found, *instead], claim) if law else _fewest(problem, [found, *instead])
-    return turned(problem, found)
+    return with_reversal_velocity(problem, found)
 
 
 def _fewest(problem: Problem, fits: Sequence[Fit]) -> Fit:
@@ -205,7 +215,7 @@ def _names_fitted(problem: Problem, current: Fit, names: Sequence[Effect]) -> li
     """Fits with one name more that pays."""
     fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:NAMES]]
     enough = score(problem, current) - CHANCE
-    return [one for one in fits if score(problem, one) < enough and not mimics(problem, current, one)]
+    return [one for one in fits if score(problem, one) < enough and not within_form_error(problem, current, one)]
 
 
 def _simplest(problem: Problem, fits: Sequence[Fit], last: Claim | None = None) -> Fit:

@@ -70,7 +70,7 @@ class GaugeWays:
             error = self.model.reading(channel, signal, [one]) - signal
             for name, built, by in zip(_CHANNELS, self._built, self._by_pressure[channel], strict=True):
                 more, off = -by * chambers.middle(error), np.zeros_like(error)
-                if name == channel and one.effect.curves == channel:
+                if name == channel and one.effect.nonlinear_channel == channel:
                     more = more + built * self._slope(channel, signal, one)
                 elif name == channel:
                     off = -error

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.fit import SHORTEST, Fit, spreads
+from hydro_diagnosis.estimation.fit import SHORTEST, Fit, residual_variances
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Layout, Problem
 
 
@@ -206,7 +206,7 @@ class Screen:
         lengths = np.maximum(np.linalg.norm(base, axis=0), SHORTEST)
         base = base / lengths
         responses = self._responses
-        weight = 1.0 / spreads(self.problem, found.residual)
+        weight = 1.0 / residual_variances(self.problem, found.residual)
         size = float(lengths[0]) ** 2
         products = responses.products(base)
         gains, before = column_gains(*products, responses.square, weight, responses.count, size)

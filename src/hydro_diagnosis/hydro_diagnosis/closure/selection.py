@@ -17,24 +17,24 @@ import numpy as np
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
 from hydro_diagnosis.closure.evidence import (
     THRESHOLD,
-    barred,
-    definite,
-    doing_the_same,
+    barred_equations,
+    equals_ruled_out,
+    equivalent_causes,
+    has_identified_shapes,
     held_out_gain,
-    in_disguise,
-    mimics,
-    paying,
+    within_form_error,
+    without_idle_terms,
 )
 from hydro_diagnosis.closure.growth import (
     CONDENSED,
     LEAST,
     TERMS,
-    Closed,
-    Rounds,
+    ClosureFit,
+    ForwardSelection,
     count_terms,
     from_starts,
-    grown_by_law,
-    newest_turned,
+    select_laws,
+    with_newest_reversal_velocity,
 )
 from hydro_diagnosis.closure.screen import CHANCE, Prospect, Screen
 from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect
@@ -52,7 +52,7 @@ SETTINGS = SearchSettings(restarts=1, effort=1500)
 """Less effort than for names alone: a missing law is found first."""
 
 
-def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[Closed]:
+def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
     """Models of the remainder, the preferred first; none where no term holds on held-out blocks.
 
     `names`: causes that may stand beside a law though the judgement does not claim them. A smooth function is looked
@@ -60,33 +60,33 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     """
     if not assessment.remainder:
         return
-    closed = barred(problem, assessment.fit)
+    closed = barred_equations(problem, assessment.fit)
     by_law = _by_law(problem, assessment.fit, names, closed)
     left = noticeable(by_law.problem, by_law.fit.residual)
     if not left and by_law.gain > 0.0:
         by_law = renamed(merged(by_law), names)
         yield by_law
-    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem, by_law.screen), closed)
+    by_table = _by_table(by_law if left else ClosureFit(assessment.fit, "smooth", 0.0, problem, by_law.screen), closed)
     both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
     yield from (renamed(one, names) for one in (both if left else (by_table,)) if one.gain > 0.0)
 
 
 def _open(terms: Sequence[Claim], closed: frozenset[str]) -> list[Claim]:
     """Terms of equations other than these."""
-    return [one for one in terms if not one.effect.touches & closed]
+    return [one for one in terms if not one.effect.blocks & closed]
 
 
-def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> Closed:
+def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> ClosureFit:
     """Laws and names that together leave nothing; else laws alone beside the names that stand."""
     screen = Screen(problem, base, _open(laws(problem), closed))
-    rounds = Rounds(screen)
-    upon = _upon_others(problem, base, screen, rounds, names)
+    forward = ForwardSelection(screen)
+    upon = _upon_others(problem, base, screen, forward, names)
     if upon is not None:
         return upon
-    beside = grown_by_law(problem, base, rounds, names)
+    beside = select_laws(problem, base, forward, names)
     if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
         return beside
-    alone = grown_by_law(problem, base, rounds) if _names(beside.fit) != _names(base) else beside
+    alone = select_laws(problem, base, forward) if _names(beside.fit) != _names(base) else beside
     if not names or alone.gain >= MOST_OF_THE_GAP * screen.gains(base)[1]:
         return alone  # a small remainder of the right law's form is no reason to look for names
     likely: dict[str, Effect] = {}
@@ -95,7 +95,7 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
         likely |= {one.effect.label: one.effect for one in screen.prospects(fitted, PROMISING)[0]}
     weighed, found = together(problem, names, list(likely.values()))
     gain = held_out_gain(weighed, fit(weighed, base.claims), found)
-    both = Closed(found, "law", gain, weighed, screen)
+    both = ClosureFit(found, "law", gain, weighed, screen)
     return both if not noticeable(weighed, found.residual) and _sound(both) else alone
 
 
@@ -104,30 +104,32 @@ def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) 
     outcome = Search(problem, (*names, *laws), SETTINGS).run()
     problem, found = outcome.problem, outcome.fit
     while True:
-        kept = paying(problem, found)
+        kept = without_idle_terms(problem, found)
         if len(kept.claims) == len(found.claims):
             return problem, kept
         problem = problem.weighed(kept.claims)
         found = fit(problem, kept.claims)
 
 
-def _upon_others(problem: Problem, base: Fit, screen: Screen, rounds: Rounds, names: Sequence[Effect]) -> Closed | None:
+def _upon_others(
+    problem: Problem, base: Fit, screen: Screen, forward: ForwardSelection, names: Sequence[Effect]
+) -> ClosureFit | None:
     """A law upon other names than those that stand, if it leaves nothing and no single law beside these does."""
-    first = [base, *rounds.fits(problem, base, set())]
+    first = [base, *forward.fits(problem, base, set())]
     if not all(noticeable(problem, one.residual) for one in first):
         return None
     left = min(screen.gains(one)[1] for one in first)
-    for weighed, opening in openings(problem, base, screen, names, left):
-        if all(noticeable(weighed, one.residual) for one in rounds.fits(weighed, opening, set())):
+    for weighed, opening in starting_points(problem, base, screen, names, left):
+        if all(noticeable(weighed, one.residual) for one in forward.fits(weighed, opening, set())):
             continue
-        grown = grown_by_law(weighed, opening, rounds, names)
+        grown = select_laws(weighed, opening, forward, names)
         if grown.gain > 0.0 and not noticeable(grown.problem, grown.fit.residual) and _sound(grown):
             gain = held_out_gain(grown.problem, fit(grown.problem, base.claims), grown.fit)
             return replace(grown, gain=gain)
     return None
 
 
-def _sound(closed: Closed) -> bool:
+def _sound(closed: ClosureFit) -> bool:
     """Return whether there are as many laws as may be, and no coincidence of names."""
     room = min(TERMS, CLOSURES - len(closed.problem.bench.closures))
     return 0 < count_terms(closed.fit) <= room and not coincidence(closed.fit.claims)
@@ -137,20 +139,20 @@ def _names(found: Fit) -> set[str]:
     return {claim.effect.label for claim in found.claims if not isinstance(claim.effect, Closure)}
 
 
-def _by_table(below: Closed, closed: frozenset[str]) -> Closed:
+def _by_table(below: ClosureFit, closed: frozenset[str]) -> ClosureFit:
     """Tables upon names, and upon laws that leave something; laws that do not pay beside them go.
 
     Names stay: a table takes the form of any of them.
     """
     problem, before = below.problem, below.fit
-    fitted = paying(
+    fitted = without_idle_terms(
         problem,
         _grown_by_table(problem, before, Candidates(problem, before, _open(tables(problem), closed))),
         names_stay=True,
     )
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
-        return Closed(before, "smooth", 0.0, problem, below.screen)  # no table, or none that pays
-    return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem, below.screen)
+        return ClosureFit(before, "smooth", 0.0, problem, below.screen)  # no table, or none that pays
+    return ClosureFit(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem, below.screen)
 
 
 def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
@@ -166,9 +168,9 @@ def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
         start = tried.terms[best]
         tried = tried.without(start.effect.label)
         better = fit(problem, (*current.claims, start))
-        if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
+        if score(problem, current) - score(problem, better) < THRESHOLD or within_form_error(problem, current, better):
             continue
-        if in_disguise(problem, better, better.claims[-1]):
+        if equals_ruled_out(problem, better, better.claims[-1]):
             continue
         taken += 1
         current = better
@@ -186,7 +188,7 @@ TRIED = 9
 """Laws that are fitted, those beside the fewest claims first, of them those that would leave least."""
 
 
-def merged(closed: Closed) -> Closed:
+def merged(closed: ClosureFit) -> ClosureFit:
     """The model with fewer claims, where one law does as well as several; only where nothing remains."""
     problem, screen = closed.problem, closed.screen
     while screen is not None and not noticeable(problem, closed.fit.residual):
@@ -200,11 +202,11 @@ def merged(closed: Closed) -> Closed:
 def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
     """Fits with fewer claims and no less evidence that leave nothing."""
     terms = [claim for claim in found.judged if isinstance(claim.effect, Closure)]
-    everything = frozenset(block for claim in found.judged for block in claim.effect.touches)
-    groups = [frozenset(term.effect.touches) for term in terms]
+    everything = frozenset(block for claim in found.judged for block in claim.effect.blocks)
+    groups = [frozenset(term.effect.blocks) for term in terms]
     groups += [_MECHANICAL for group in groups if group & _MECHANICAL]
     for blocks in dict.fromkeys([*groups, everything] if terms else []):
-        shared = [claim for claim in found.judged if claim.effect.touches & blocks]
+        shared = [claim for claim in found.judged if claim.effect.blocks & blocks]
         names = [claim for claim in shared if not isinstance(claim.effect, Closure)]
         if len(shared) < 2 or len(names) > NAMES:
             continue
@@ -214,11 +216,11 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
         for base, prospect in _beside_subsets(problem, screen, bases):
             made = from_starts(problem, base, prospect.starts)
             if noticeable(problem, made.residual):
-                made = newest_turned(problem, made)
+                made = with_newest_reversal_velocity(problem, made)
             new = made.claims[-1]
             if noticeable(problem, made.residual) or score(problem, made) > score(problem, found):
                 continue
-            if definite(problem, made, new) and not in_disguise(problem, made, new):
+            if has_identified_shapes(problem, made, new) and not equals_ruled_out(problem, made, new):
                 yield made
 
 
@@ -248,7 +250,7 @@ ALIKE = 0.95
 """Share of a term's square, beside all that stands, that a name must account for to be fitted in its place."""
 
 
-def renamed(closed: Closed, names: Sequence[Effect]) -> Closed:
+def renamed(closed: ClosureFit, names: Sequence[Effect]) -> ClosureFit:
     """The model with a name for each law or smooth function, of several, that a name explains as well.
 
     Only where nothing remains: else no name is forced.
@@ -266,7 +268,7 @@ def renamed(closed: Closed, names: Sequence[Effect]) -> Closed:
         worst = score(problem, found) + CHANCE
         others = [(term, tuple(one for one in found.claims if one is not term)) for term in terms]
         tried = (fit(problem, (*rest, name)) for term, rest in others
-                 for name in doing_the_same(problem, found, term, free, ALIKE))  # fmt: skip
+                 for name in equivalent_causes(problem, found, term, free, ALIKE))  # fmt: skip
         better = next((one for one in tried if score(problem, one) <= worst and not noticeable(problem, one.residual)),
                       None)  # fmt: skip
         if better is None:
@@ -286,7 +288,7 @@ START_FITS = 2
 """Openings that are grown upon at most, the best first."""
 
 
-def openings(
+def starting_points(
     problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect], left: float
 ) -> Iterator[tuple[Problem, Fit]]:
     """Fits with a name more than a base, or a name alone, and the problem under their weights, the best first.

@@ -20,7 +20,7 @@ class SupplyPressure(Effect):
 
     id = "supply_pressure"
     equations = ("actuation",)
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
@@ -35,7 +35,7 @@ class PistonArea(Effect):
 
     id = "piston_area"
     equations = ("pressure_a", "pressure_b")
-    touches = frozenset({PRESSURE, MOTION, HYDRAULIC})
+    blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
@@ -50,7 +50,7 @@ class AreaRatio(Effect):
 
     id = "area_ratio"
     equations = ("pressure_b",)
-    touches = frozenset({PRESSURE, MOTION, HYDRAULIC})
+    blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
@@ -64,7 +64,7 @@ class DeadVolume(Effect):
     """V_dead of one chamber times a ratio."""
 
     id = "dead_volume"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (replace(_RATIO, low=0.1, high=10.0, smallest=0.004),)
 
     @property
@@ -85,7 +85,7 @@ class TankPressure(Effect):
 
     id = "tank_pressure"
     equations = ("actuation",)
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -131,7 +131,7 @@ class WideningHoses(Effect):
     named = False
     equations = ("pressure_a", "pressure_b")
     family = "oil"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (
         FitParameter(
             name="compliance", unit="m3/Pa", low=0.0, high=1e-12, neutral=0.0, probes=(1e-14,), smallest=6e-16

@@ -59,7 +59,7 @@ class Closure(Effect):
     named = False
 
     @property
-    def touches(self) -> frozenset[str]:  # type: ignore[override]
+    def blocks(self) -> frozenset[str]:  # type: ignore[override]
         if self.law.equation == "sensor":
             return TOUCHES[self.law.where]
         return _TOUCHES.get(self.law.equation, frozenset({PRESSURE}))
@@ -77,11 +77,11 @@ class Closure(Effect):
         return "closure of flows" if flows else "closure of forces"
 
     @property
-    def instant(self) -> bool:
+    def memoryless(self) -> bool:
         return self.element is None or self.element.kind in ("path", "slow")
 
     @property
-    def shaken(self) -> bool:
+    def uses_acceleration(self) -> bool:
         return "acceleration" in self.law.uses
 
     @property
@@ -174,7 +174,7 @@ class Closure(Effect):
 class MotionClosure(Closure):
     """A force against the motion."""
 
-    adds = True
+    additive = True
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -186,7 +186,7 @@ class MotionClosure(Closure):
 class FlowClosure(Closure):
     """A flow out of the chambers beside the valve."""
 
-    adds = True
+    additive = True
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
         """Flows are computed in the middle of each sample."""
@@ -204,7 +204,7 @@ class FlowClosure(Closure):
 class EdgeClosure(Closure):
     """A share of the flow through the valve's edges that does not pass."""
 
-    adds = True
+    additive = True
 
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
@@ -231,7 +231,7 @@ class AcrossClosure(Closure):
 class LoadClosure(Closure):
     """A force of the load."""
 
-    adds = True
+    additive = True
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         at = Signals(motion.position, motion.velocity)
@@ -283,7 +283,7 @@ class SensorClosure(Closure):
     """What a sensor shows more than its signal."""
 
     @property
-    def bends(self) -> bool:
+    def breaks_superposition(self) -> bool:
         return self.law.where in (self.law.uses or self.law.where)
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -297,12 +297,12 @@ class GaugeClosure(SensorClosure):
     """What a pressure sensor shows more than the pressure, which the flows follow."""
 
     @property
-    def bends(self) -> bool:
+    def breaks_superposition(self) -> bool:
         """A curve is taken by its slope where the reading says that it is."""
         return False
 
     @property
-    def curves(self) -> str:
+    def nonlinear_channel(self) -> str:
         along = self.element is not None and self.element.kind in ("path", "lag")
         return self.law.where if self.law.where in (self.law.uses or self.law.where) and not along else ""
 
@@ -312,13 +312,13 @@ class GaugeClosure(SensorClosure):
         return self.element is not None and self.element.signal == self.law.where
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel == self.law.where and self.element is None and self.curves and self.law.uses <= {channel}:
+        if channel == self.law.where and self.element is None and self.nonlinear_channel and self.law.uses <= {channel}:
             return self._straightened(reading, values)
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
             at, before = sensed(channel, signal, memory.beside), signal
             signal = reading - self.given(self._remembering(at, memory, values), values)
-            if not (self.curves or self._recalls) or float(np.max(np.abs(signal - before))) < _FOUND:
+            if not (self.nonlinear_channel or self._recalls) or float(np.max(np.abs(signal - before))) < _FOUND:
                 break
         return signal
 
@@ -337,7 +337,7 @@ class PlaceClosure(SensorClosure):
     """What the position sensor shows more than the position, on which all equations depend."""
 
     @property
-    def bends(self) -> bool:
+    def breaks_superposition(self) -> bool:
         return True
 
     @property
@@ -358,21 +358,21 @@ class SnubberClosure(SensorClosure):
     """A pressure sensor that follows rises and falls at different rates."""
 
     @property
-    def rounds(self) -> str:
+    def lagged(self) -> str:
         return self.law.where
 
     @property
-    def turns(self) -> bool:
+    def asymmetric(self) -> bool:
         return True
 
     @property
-    def bends(self) -> bool:
+    def breaks_superposition(self) -> bool:
         return True
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:
             return signal
-        late = memory.turning(signal, values["rising"], values["falling"])
+        late = memory.asymmetric_lag(signal, values["rising"], values["falling"])
         return signal + values["coefficient"] * (late - signal)
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:

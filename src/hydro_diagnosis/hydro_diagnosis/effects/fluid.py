@@ -23,7 +23,7 @@ class LeakageInternal(Effect):
     id = "leakage_internal"
     family = "leak"
     equations = ("pressure_a", "pressure_b")
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (_COEFFICIENT,)
 
     def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
@@ -56,7 +56,7 @@ class LeakageExternal(Effect):
 
     id = "leakage_external"
     family = "leak"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (_COEFFICIENT,)
 
     @property
@@ -89,7 +89,7 @@ class SupplyDroop(Effect):
 
     id = "supply_droop"
     equations = ("actuation",)
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (
         FitParameter(name="resistance", unit="Pa s/m3", low=0.0, high=1e12, neutral=0.0, probes=(3e10,), smallest=1e9),
         FitParameter(name="time_constant", unit="s", low=1e-3, high=3.0, neutral=0.05, probes=(0.01, 0.05, 0.3)),
@@ -115,7 +115,7 @@ class BulkModulus(Effect):
     id = "bulk_modulus"
     equations = ("pressure_a", "pressure_b")
     family = "oil"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
 
     def stiffness(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
@@ -138,7 +138,7 @@ class EntrainedAir(Effect):
     id = "entrained_air"
     equations = ("pressure_a", "pressure_b")
     family = "oil"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (
         FitParameter(
             name="volume_fraction", unit="-", low=0.0, high=0.3, neutral=0.0, probes=(0.003, 0.02), smallest=1e-4

@@ -35,7 +35,7 @@ class FrictionCoulomb(Effect):
     id = "friction_coulomb"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (_force("force"),)
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -51,7 +51,7 @@ class FrictionCoulombDirectional(Effect):
     id = "friction_coulomb"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (_force("force_positive"), _force("force_negative", probes=(6.0,)))
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -70,7 +70,7 @@ class FrictionViscous(Effect):
     id = "friction_viscous"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -98,7 +98,7 @@ class FrictionStribeck(Effect):
     id = "friction_stribeck"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (
         _force("breakaway_force", smallest=0.5),
         FitParameter(name="velocity", unit="m/s", low=2e-3, high=0.06, neutral=0.01, probes=(0.006, 0.02)),
@@ -120,7 +120,7 @@ class FrictionPresliding(Effect):
     id = "friction_presliding"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     needs = ("friction_coulomb",)
     bristles = True
     parameters = (FitParameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
@@ -139,7 +139,7 @@ class ForceOffset(Effect):
     id = "force_offset"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (_force("force", low=-500.0, smallest=0.5),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
@@ -158,7 +158,7 @@ class EndCushion(Effect):
     id = "end_cushion"
     family = "spring"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -196,7 +196,7 @@ class MovingMass(Effect):
     id = "moving_mass"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -225,7 +225,7 @@ class FrictionViscousDirectional(Effect):
     id = "friction_viscous"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]

@@ -52,7 +52,7 @@ def limited(signal, step, rate, rising, falling):
 
 
 @njit
-def turning(signal, step, rising, falling):
+def asymmetric_lag(signal, step, rising, falling):
     """Lag w' = (s - w) / T of a signal that is straight between samples, shape (n,).
 
     It begins at the signal. T is `rising` [s] while s is above w, `falling` while it is below: that of its middle is
@@ -87,7 +87,7 @@ def held_lag(
     if falling is None:
         begins, means = _lagged(np.ascontiguousarray(signal), decay, share, start)
     else:
-        begins, means = _turned(np.ascontiguousarray(signal), decay, share, *_held(step, falling), start)
+        begins, means = _asymmetric_lag(np.ascontiguousarray(signal), decay, share, *_held(step, falling), start)
     return begins, means
 
 
@@ -108,7 +108,7 @@ def _lagged(signal, decay, share, now):
 
 
 @njit
-def _turned(signal, up, share_up, down, share_down, now):
+def _asymmetric_lag(signal, up, share_up, down, share_down, now):
     begins, means = np.empty(len(signal)), np.empty(len(signal))
     for k in range(len(signal)):
         rises = signal[k] > now

@@ -18,7 +18,7 @@ from hydro_sim.model.bench import Bench
 class _Valve(Effect):
     equations = ("actuation",)
     family = "valve"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     stage = 2
 
 
@@ -191,7 +191,7 @@ class TransportDelay(Effect):
     stage = 0
     equations = ("actuation",)
     family = "valve"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (
         FitParameter(name="time", unit="s", low=0.0, high=0.03, neutral=0.0, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),
     )
@@ -218,7 +218,7 @@ class ValveLag(Effect):
     id = "valve_lag"
     equations = ("actuation",)
     family = "valve"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (
         FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
         FitParameter(name="damping", unit="-", low=0.2, high=3.0, neutral=0.8, probes=(0.8,)),
@@ -244,7 +244,7 @@ class ValveLagFirstOrder(Effect):
     id = "valve_lag"
     equations = ("actuation",)
     family = "valve"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
 
     parameters = (
         FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),

@@ -25,7 +25,7 @@ ROOM = 96e6
 """Bytes."""
 
 
-class Columns:
+class BoundedCache:
     """Arrays, or sets of them, by key."""
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Columns:
         self._bytes = 0
 
 
-Parts = dict[tuple[str, int], FloatArray]
+ResidualParts = dict[tuple[str, int], FloatArray]
 """Residuals by channel and segment, physical unit; of responses each of shape (amplitudes, n)."""
 Key = tuple[object, ...]
 _BETWEEN = {
@@ -64,26 +64,26 @@ _BETWEEN = {
 """By block: hooks of effects that change what a term of its equation does to the residual."""
 
 
-def apart(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
+def split_additive(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
     """Claims that add, and the others; terms without amplitude are left out."""
-    acting = [claim for claim in claims if acts(claim)]
-    bent: set[str] = set().union(*(one.effect.touches for one in acting if one.effect.bends))
-    adding = [one for one in acting if one.effect.adds and not one.effect.touches & bent]
+    acting = [claim for claim in claims if is_active(claim)]
+    bent: set[str] = set().union(*(one.effect.blocks for one in acting if one.effect.breaks_superposition))
+    adding = [one for one in acting if one.effect.additive and not one.effect.blocks & bent]
     return adding, tuple(one for one in acting if not any(one is other for other in adding))
 
 
-def summed(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
+def split_cached(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
     """Claims whose responses are worth keeping, and all others that act.
 
     Behind a claim that is being fitted, whatever is not `known`, responses would change with each of its values.
     """
-    adding, others = apart(claims)
+    adding, others = split_additive(claims)
     fitted = [one for one in others if not any(one is other for other in known)]
-    kept = [one for one in adding if not between(one, fitted)]
-    return kept, tuple(one for one in claims if acts(one) and not any(one is other for other in kept))
+    kept = [one for one in adding if not intervening(one, fitted)]
+    return kept, tuple(one for one in claims if is_active(one) and not any(one is other for other in kept))
 
 
-def acts(claim: Claim) -> bool:
+def is_active(claim: Claim) -> bool:
     """Whether a claim does anything: a term without a name and without amplitude does not."""
     return claim.effect.named or any(amplitudes(claim)) or not any(one.smallest for one in claim.effect.parameters)
 
@@ -98,21 +98,21 @@ def shapes(claim: Claim) -> list[float]:
     return [claim.values[one.name] for one in claim.effect.parameters if one.smallest == 0.0]
 
 
-def between(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
+def intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
     """Those of the other claims that change what a term does to the residual."""
-    hooks = {block: _BETWEEN[block] for block in claim.effect.touches}
+    hooks = {block: _BETWEEN[block] for block in claim.effect.blocks}
     return tuple(
         one for one in others
-        if any(block in one.effect.touches and any(changes(one, hook) for hook in own) for block, own in hooks.items())
+        if any(block in one.effect.blocks and any(changes(one, hook) for hook in own) for block, own in hooks.items())
     )  # fmt: skip
 
 
-def written(claims: Sequence[Claim]) -> Key:
+def values_key(claims: Sequence[Claim]) -> Key:
     """Key of claims with their values."""
     return tuple((one.effect.label, *one.values.values()) for one in claims)
 
 
-def responses(claim: Claim, compute: Callable[[Claim], Parts]) -> Parts:
+def responses(claim: Claim, compute: Callable[[Claim], ResidualParts]) -> ResidualParts:
     """What each amplitude of a term does to the residual, per unit; `compute`: what the term does."""
     neutral = {**claim.values, **{one.name: 0.0 for one in claim.effect.parameters if one.smallest > 0.0}}
     rows = []
@@ -188,46 +188,46 @@ class EquationResiduals:
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self.evaluations = 0
         """Evaluations of all residuals so far (`Problem.evaluations`)."""
-        self.columns = Columns()
+        self.columns = BoundedCache()
         """Responses to terms that add, and derivatives of the residual (`fit.jacobian`), as computed."""
 
-    def parts(self, claims: Sequence[Claim]) -> Parts:
+    def parts(self, claims: Sequence[Claim]) -> ResidualParts:
         """Residuals of the baseline and these claims by channel and segment in the order of `Layout`."""
-        adding, rest = summed((*self._baseline, *claims), self._baseline)
-        parts = self.as_written(rest)
+        adding, rest = split_cached((*self._baseline, *claims), self._baseline)
+        parts = self.evaluated(rest)
         for claim in adding:
             for key, response in self._responses(claim).items():
                 parts[key] = parts[key] + np.array(amplitudes(claim)) @ response
         return parts
 
-    def _responses(self, claim: Claim) -> Parts:
+    def _responses(self, claim: Claim) -> ResidualParts:
         """What each amplitude of a term that adds does to the residual, shape (amplitudes, n)."""
-        beside = between(claim, self._baseline)
+        beside = intervening(claim, self._baseline)
         limits = getattr(claim.effect, "limits", ())
-        key = ("response", claim.effect.label, limits, *shapes(claim), written(beside))
-        found: Parts | None = self.columns.get(key)
+        key = ("response", claim.effect.label, limits, *shapes(claim), values_key(beside))
+        found: ResidualParts | None = self.columns.get(key)
         if found is None:
             found = responses(claim, lambda one: self._response(one, beside))
             self.columns.put(key, found, sum(one.nbytes for one in found.values()))
         return found
 
-    def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> Parts:
+    def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> ResidualParts:
         """What a term that adds does to the residual beside others that stand between it and the sensors."""
-        touched = claim.effect.touches & set(self._blocks)
-        shown: Parts = {}
+        touched = claim.effect.blocks & set(self._blocks)
+        shown: ResidualParts = {}
         channels = {name for block in touched for name in BLOCKS[block]}
         for k, model in enumerate(self._models):
             direct = direct_response(model, claim, beside)
             if direct is None:
-                with_it, without = self.as_written((*beside, claim), touched), self.as_written(beside, touched)
+                with_it, without = self.evaluated((*beside, claim), touched), self.evaluated(beside, touched)
                 return {key: with_it[key] - part for key, part in without.items()}
             shown |= {(name, k): part for name, part in direct.items() if name in channels}
         return shown
 
-    def as_written(self, everything: Sequence[Claim], only: Collection[str] = ()) -> Parts:
+    def evaluated(self, everything: Sequence[Claim], only: Collection[str] = ()) -> ResidualParts:
         """Residuals of claims each as it stands; `only`: in these blocks, the arcs left out."""
         blocks = only or self._blocks
-        parts: Parts = {}
+        parts: ResidualParts = {}
         arcs: list[FloatArray] | None = None
         if PRESSURE in blocks:
             chambers = self._block(PRESSURE, everything, _pressure)
@@ -236,7 +236,7 @@ class EquationResiduals:
             arcs = None if only else [arc for arc, _, _ in chambers]
         if MOTION in blocks:
             motions = self._block(MOTION, everything, SegmentModel.motion_residual)
-            rounded = any(claim.effect.rounds == "hydraulic_force" for claim in everything)
+            rounded = any(claim.effect.lagged == "hydraulic_force" for claim in everything)
             for k, part in enumerate(motions):
                 parts["motion", k] = part if arcs is None or rounded else part + arcs[k]
         if LOAD in blocks:
@@ -248,7 +248,7 @@ class EquationResiduals:
         return parts
 
     def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
-        acting = tuple(claim for claim in claims if block in claim.effect.touches)
+        acting = tuple(claim for claim in claims if block in claim.effect.blocks)
         key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
         found = self._cache.pop(key, None) or [compute(model.placed(acting), acting) for model in self._models]
         if len(self._cache) > _CACHE:

@@ -17,7 +17,14 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.equation_residuals import Key, acts, apart, between, shapes, written
+from hydro_diagnosis.estimation.equation_residuals import (
+    Key,
+    intervening,
+    is_active,
+    shapes,
+    split_additive,
+    values_key,
+)
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_sim.model.tables import Table
 
@@ -76,15 +83,15 @@ def _key(problem: Problem, claims: Sequence[Claim], claim: Claim, parameter: Fit
 
     Of terms that add, their own amplitudes and other such terms do not count; nor do terms without amplitude.
     """
-    adding, others = apart((*problem.baseline, *claims, _present(claim)))
+    adding, others = split_additive((*problem.baseline, *claims, _present(claim)))
     adds = any(one.effect is claim.effect for one in adding)
-    beside = between(claim, others) if adds else [
-        one for one in claims if one is not claim and acts(one) and one.effect.touches & claim.effect.touches
+    beside = intervening(claim, others) if adds else [
+        one for one in claims if one is not claim and is_active(one) and one.effect.blocks & claim.effect.blocks
     ]  # fmt: skip
     own = shapes(claim) if adds and parameter.smallest > 0.0 else [*claim.values.values()]
-    rounded = tuple(one.effect.label for one in claims if one.effect.rounds)
+    rounded = tuple(one.effect.label for one in claims if one.effect.lagged)
     limits = getattr(claim.effect, "limits", ())
-    return problem.doubted, claim.effect.label, parameter.name, limits, *own, rounded, written(beside)
+    return problem.doubted, claim.effect.label, parameter.name, limits, *own, rounded, values_key(beside)
 
 
 def _present(claim: Claim) -> Claim:
@@ -134,7 +141,7 @@ class Fit:
         return self.jacobian.shape[1]
 
 
-def spreads(problem: Problem, residual: FloatArray) -> FloatArray:
+def residual_variances(problem: Problem, residual: FloatArray) -> FloatArray:
     """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
     layout = problem.layout
     count = np.maximum(layout.count(), 1.0)
@@ -177,7 +184,7 @@ def fit(
     lasting = not secant and any(_many(effect) for effect in effects)
     old = False
     for _ in range(iterations if len(values) else 0):
-        weight = 1.0 / spreads(problem, residual)[problem.layout.channel]
+        weight = 1.0 / residual_variances(problem, residual)[problem.layout.channel]
         found = _stepped(problem, effects, values, residual, best, slopes, weight, damping, fixed)
         if found is None and not old:
             break
@@ -186,15 +193,15 @@ def fit(
             trial, outcome, reached, damping = found
             gained, best = best - reached, reached
             step, damping = (trial - values) / span, damping * 0.1
-            foretold = slopes @ step
-            missed = outcome - residual - foretold
+            predicted = slopes @ step
+            missed = outcome - residual - predicted
             if secant:
                 slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
             values, residual = trial, outcome
         ends = gained < tolerance and not old
         if not secant and not (ends and lasting):
             # a step that gained next to nothing tells nothing about the slopes
-            old = lasting and gained >= tolerance and _share(missed, foretold, weight) < STRAIGHT
+            old = lasting and gained >= tolerance and _share(missed, predicted, weight) < STRAIGHT
             slopes = slopes if old else jacobian(problem, unpack(effects, values), residual)
             problem.count(len(values) if old else 0)
         if ends:
@@ -227,12 +234,12 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
 
 
 def _many(effect: Effect) -> bool:
-    return isinstance(effect, Closure) and isinstance(effect.law, Table) and not effect.adds
+    return isinstance(effect, Closure) and isinstance(effect.law, Table) and not effect.additive
 
 
-def _share(missed: FloatArray, foretold: FloatArray, weight: FloatArray) -> float:
+def _share(missed: FloatArray, predicted: FloatArray, weight: FloatArray) -> float:
     """Weighted size of what slopes missed of a step's effect, over what they foretold."""
-    return float(np.sqrt(missed**2 @ weight / max(float(foretold**2 @ weight), 1e-300)))
+    return float(np.sqrt(missed**2 @ weight / max(float(predicted**2 @ weight), 1e-300)))
 
 
 def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
@@ -265,7 +272,7 @@ def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
     return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
 
 
-def bounds(problem: Problem) -> dict[str, float]:
+def noise_thresholds(problem: Problem) -> dict[str, float]:
     """Each channel's mean square over the noise's above which it holds more than noise.
 
     The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
@@ -280,7 +287,7 @@ def bounds(problem: Problem) -> dict[str, float]:
 
 def remaining(problem: Problem, residual: FloatArray) -> dict[str, float]:
     """Mean square over the noise's of those channels that hold more than noise."""
-    limit = bounds(problem)
+    limit = noise_thresholds(problem)
     return {name: square for name, square in mean_squares(problem, residual).items() if square > limit[name]}
 
 

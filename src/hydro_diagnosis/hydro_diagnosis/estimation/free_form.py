@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from hydro_diagnosis.effects import kernels
 from hydro_diagnosis.effects.base import Claim, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, deviance, spreads
+from hydro_diagnosis.estimation.fit import Fit, deviance, residual_variances
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import fading_sums
@@ -113,14 +113,14 @@ class Responses:
             shown["motion"] = model.kept_smooth(hidden)
             shown["hydraulic"] = means
         else:
-            shown[self.sensor] = model.kept_smooth(forget(hidden, model.step)) * 1e4
+            shown[self.sensor] = model.kept_smooth(clear_caches(hidden, model.step)) * 1e4
             share = 1.0 if self.sensor == "pressure_a" else -self._benches[k].area_ratio
             shown["hydraulic"] = -area * share * means * 1e4
         present = {CHANNELS[index] for index in np.unique(self.problem.layout.channel)}
         return {name: signal for name, signal in shown.items() if name in present}
 
 
-def forget(signal: FloatArray, step: float) -> FloatArray:
+def clear_caches(signal: FloatArray, step: float) -> FloatArray:
     """High-pass effect of a slow observer on a signal."""
     gain = step / OBSERVER_MEMORY
     followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], signal, zi=[signal[0]])
@@ -166,7 +166,7 @@ _INPUTS = (
 
 def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     """Every free-form input beside the named causes, the most informative first."""
-    weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
     named = found.jacobian * weight[:, None]
     left = found.residual * weight
     base = deviance(problem, left / weight)

@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.bench_numbers import connected
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.equation_residuals import EquationResiduals, Parts
+from hydro_diagnosis.estimation.equation_residuals import EquationResiduals, ResidualParts
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.model.segment_record import BLOCK
 from hydro_diagnosis.preprocessing.smoothing import (
@@ -193,7 +193,7 @@ class Weights:
     _known: dict[tuple[str, int], FloatArray | float] = field(default_factory=dict)
 
     @classmethod
-    def under(cls, claims: Sequence[Claim], noise: Noise, changes: Parts) -> Weights:
+    def under(cls, claims: Sequence[Claim], noise: Noise, changes: ResidualParts) -> Weights:
         """Weights under all these claims; `changes`: of the residuals if half of the rows are left out."""
         doubt: list[FloatArray] = []
         if MOTION in noise.blocks:
@@ -333,7 +333,7 @@ class Problem:
         """Count evaluations that a cache has spared: a search's effort is the same."""
         self.equations.evaluations += evaluations
 
-    def _changes(self, claims: Sequence[Claim]) -> Parts:
+    def _changes(self, claims: Sequence[Claim]) -> ResidualParts:
         """Change of each residual if half of the rows are left out, physical unit."""
         whole = self.parts(claims)
         fewer = self.thinner.parts(claims) if self.thinner is not None else whole
@@ -362,10 +362,10 @@ class Problem:
         self.count(1)
         return np.concatenate([part / self.deviation(*key) for key, part in self.parts(claims).items()])
 
-    def parts(self, claims: Sequence[Claim]) -> Parts:
+    def parts(self, claims: Sequence[Claim]) -> ResidualParts:
         """Residuals by channel and segment in the order of `layout`, physical unit."""
         return self.equations.parts(claims)
 
-    def forget(self) -> None:
+    def clear_caches(self) -> None:
         """Drop cached responses and derivatives."""
         self.columns.clear()

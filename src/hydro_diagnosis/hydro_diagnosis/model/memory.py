@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.effects.kernels import along, held_lag, turning
+from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag
 from hydro_sim.jit import njit
 
 
@@ -52,9 +52,9 @@ class RecordMemory:
         bend = np.gradient(slope, self.step)
         return np.asarray(signal + first * slope + second * bend)
 
-    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
-        """See `Memory.turning`; the signal is a straight line between samples."""
-        return np.asarray(turning(np.ascontiguousarray(signal), self.step, rising, falling))
+    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+        """See `Memory.asymmetric_lag`; the signal is a straight line between samples."""
+        return np.asarray(asymmetric_lag(np.ascontiguousarray(signal), self.step, rising, falling))
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """See `Memory.play`; it starts in the middle of the gap."""
@@ -103,7 +103,7 @@ class StepMemory:
         """Not needed while stepping, as above."""
         raise NotImplementedError
 
-    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
         """Not needed while stepping, as above."""
         raise NotImplementedError
 
@@ -182,9 +182,11 @@ class ColumnMemory(RecordMemory):
         single = super().lag
         return np.apply_along_axis(lambda column: single(key, column, time_constant, start, falling), 0, signal)
 
-    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
         """See `RecordMemory`."""
-        return np.apply_along_axis(lambda column: super(ColumnMemory, self).turning(column, rising, falling), 0, signal)
+        return np.apply_along_axis(
+            lambda column: super(ColumnMemory, self).asymmetric_lag(column, rising, falling), 0, signal
+        )
 
 
 class WindowMemory(ColumnMemory):

@@ -109,7 +109,7 @@ class SegmentModel(SegmentRecord):
         beyond = self.dry_friction_level(claims, np.full_like(self.v, _FAST))
         if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self.velocity_kink(claims), beyond))
-        late = [claim for claim in claims if claim.effect.rounds == "hydraulic_force"]
+        late = [claim for claim in claims if claim.effect.lagged == "hydraulic_force"]
         return self.smooth(np.abs(self.reading("hydraulic_force", doubt, late)))
 
     def velocity_kink(self, claims: Sequence[Claim]) -> FloatArray:
@@ -235,13 +235,13 @@ class SegmentModel(SegmentRecord):
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
         bench = self.bench(claims)
-        late = [one for one in claims if one.effect.rounds.startswith("pressure") and not one.effect.turns]
+        late = [one for one in claims if one.effect.lagged.startswith("pressure") and not one.effect.asymmetric]
         others = [claim for claim in claims if claim not in late]
 
         def delayed(signal: FloatArray, but: str) -> FloatArray:
             for claim in late:
-                if claim.effect.rounds != but:
-                    signal = claim.effect.measure(claim.effect.rounds, signal, self.memory, claim.values)
+                if claim.effect.lagged != but:
+                    signal = claim.effect.measure(claim.effect.lagged, signal, self.memory, claim.values)
             return signal
 
         channels = ("pressure_a", "pressure_b")

@@ -37,9 +37,9 @@ MARGIN = 6
 SETTLE = 0.3
 """Time [s] at the start of a segment that is not judged: filters and observer settle."""
 Kept = TypeVar("Kept")
-SHELF = 10
+CACHE_SIZE = 10
 """Largest number of intermediate results that a segment keeps."""
-HASTENED = 3
+LAG_ITERATIONS = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
 OBSERVER_MEMORY = 0.12
 """Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
@@ -161,16 +161,16 @@ class ChamberObserver:
 
     def __init__(self, record: SegmentRecord) -> None:
         self._record = record
-        self._shelf: dict[tuple[Any, ...], Any] = {}
+        self._cache: dict[tuple[Any, ...], Any] = {}
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
         moving = sorted(filter(chambers.moves_spool, claims), key=lambda claim: claim.effect.stage)
         sensing = [claim for claim in claims if changes(claim, "unmeasure")]
-        spool = self._kept_back("spool", moving, self._spool)
-        p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
-        position = self._kept_back("position", (), self._middle_position)
-        velocity = self._kept_back("velocity", (), lambda claims: chambers.middle(self._record.v))
+        spool = self._cached("spool", moving, self._spool)
+        p_a, p_b = self._cached("pressures", sensing, self._middle_pressures)
+        position = self._cached("position", (), self._middle_position)
+        velocity = self._cached("velocity", (), lambda claims: chambers.middle(self._record.v))
         return Oil(self._record.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
@@ -180,7 +180,7 @@ class ChamberObserver:
                 self._record.channels["valve_current"], self._record.step / chambers.SUBSTEPS, ()
             )
         *before, last = claims
-        spool = self._kept_back("spool", before, self._spool) if before else self._held_current
+        spool = self._cached("spool", before, self._spool) if before else self._held_current
         return last.effect.command(spool, self._record.step / chambers.SUBSTEPS, last.values)
 
     @cached_property
@@ -195,13 +195,13 @@ class ChamberObserver:
     def _middle_position(self, claims: Sequence[Claim]) -> FloatArray:
         return chambers.middle(self._record.channels["piston_position"])
 
-    def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
+    def _cached(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
         """Return the result for these claims, computed once as long as only others change."""
         key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
-        found: Kept = self._shelf.pop(key) if key in self._shelf else compute(claims)
-        if len(self._shelf) >= SHELF:
-            self._shelf.pop(next(iter(self._shelf)))
-        self._shelf[key] = found  # the one that was asked for longest ago goes first
+        found: Kept = self._cache.pop(key) if key in self._cache else compute(claims)
+        if len(self._cache) >= CACHE_SIZE:
+            self._cache.pop(next(iter(self._cache)))
+        self._cache[key] = found  # the one that was asked for longest ago goes first
         return found
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
@@ -209,9 +209,9 @@ class ChamberObserver:
         bench = self._record.bench(claims)
         oil = self.oil(claims)
         stiff, (built_a, built_b) = self.built(bench, oil, claims)
-        lagging = any(claim.effect.rounds.startswith("pressure") for claim in claims)
-        for _ in range(HASTENED if lagging else 0):
-            oil = self._hastened(oil, (built_a, built_b), claims)
+        lagging = any(claim.effect.lagged.startswith("pressure") for claim in claims)
+        for _ in range(LAG_ITERATIONS if lagging else 0):
+            oil = self._ahead_of_lag(oil, (built_a, built_b), claims)
             stiff, (built_a, built_b) = self.built(bench, oil, claims)
         innovations = tuple(
             self._innovation(channel, built, claims)
@@ -237,12 +237,12 @@ class ChamberObserver:
         position = self._record.channels["piston_position"]
         return np.diff(position, append=position[-1])
 
-    def _hastened(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
+    def _ahead_of_lag(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
         """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
-        others = [claim for claim in claims if not claim.effect.rounds.startswith("pressure")]
+        others = [claim for claim in claims if not claim.effect.lagged.startswith("pressure")]
         pressures = list(oil.pressures)
         for index, channel in enumerate(("pressure_a", "pressure_b")):
-            late = [claim for claim in claims if claim.effect.rounds == channel]
+            late = [claim for claim in claims if claim.effect.lagged == channel]
             if late:
                 integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
                 swallowed = integral - self._record.reading(channel, integral, late)
@@ -250,10 +250,10 @@ class ChamberObserver:
         return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
 
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
-        curved = [claim for claim in claims if claim.effect.curves == channel]
+        curved = [claim for claim in claims if claim.effect.nonlinear_channel == channel]
         if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
             built = built * self._slope(channel, claims, curved)
-            claims = [claim for claim in claims if claim.effect.curves != channel]
+            claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
         gain = self._record.step / OBSERVER_MEMORY
         if not any(changes(claim, "measure") for claim in claims):
             return np.asarray(chambers.innovations(self._record.channels[channel], built, gain))

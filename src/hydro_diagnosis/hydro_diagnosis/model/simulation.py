@@ -24,7 +24,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 
-def readings(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
+def measurements(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
     """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
     length, _, lanes = states.shape
     samples = np.tile(begins, lanes // len(begins))
@@ -51,7 +51,7 @@ def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatA
     found = np.zeros_like(states[:, 1])
     memory = StepMemory(plant.model.step)
     memory.begin({key: trace[samples] for key, trace in plant.traces.items()})
-    for k in range(len(states) if any(claim.effect.shaken for claim in plant.claims) else 0):
+    for k in range(len(states) if any(claim.effect.uses_acceleration for claim in plant.claims) else 0):
         time = np.asarray(plant.model.segment.start + (samples + k) * plant.model.step)
         spool = plant.spool[np.minimum(samples + k, len(plant.spool) - 1), 0][:, None]
         motion = Kinematics(time, states[k, 0], states[k, 1])
@@ -95,7 +95,7 @@ def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, aside: dict
         shown = claim.effect.measure(name, proxy, record, claim.values)
         if shown is proxy:
             continue
-        if claim.effect.instant:
+        if claim.effect.memoryless:
             both = {key: plant.model.beside[key][at] + aside.get(key, 0.0) for key in plant.model.beside}
             there = WindowMemory(plant.model.step, both, record.traces, at)
             apart = claim.effect.measure(name, proxy[at] + apart, there, claim.values) - shown[at]
@@ -316,9 +316,9 @@ class Plant:
         level = self.level(grip.toward(Kinematics(time, state[0], state[1])))
         return Grip(holding, grip.direction, np.abs(holding) <= level)
 
-    def readings(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
+    def measurements(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
         """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
-        return readings(self, states, begins)
+        return measurements(self, states, begins)
 
 
 def _sticks(claims: Sequence[Claim]) -> bool:

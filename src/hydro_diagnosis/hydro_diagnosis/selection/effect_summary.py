@@ -148,16 +148,16 @@ def distrusted(worse: str) -> str:
     )
 
 
-def not_foretold(unseen: Problem, claims: Sequence[Claim]) -> str:
+def not_predicted(holdout: Problem, claims: Sequence[Claim]) -> str:
     """Note on held-out recordings that hold more than noise, weighed for these claims; empty where they do not.
 
     Names fit what they can take the form of: viscous friction with a Stribeck rise takes that of drag with the square
     of speed, as far as the piston was moved.
     """
-    residual = unseen.residual(claims)
-    if not noticeable(unseen, residual):
+    residual = holdout.residual(claims)
+    if not noticeable(holdout, residual):
         return ""
-    places = ", ".join(dict.fromkeys(place.equation for place in locate(unseen, residual, {})))
+    places = ", ".join(dict.fromkeys(place.equation for place in locate(holdout, residual, {})))
     return (
         f"the held-out recordings hold more than noise ({places}), which those that were fitted do not show: the "
         "model that is handed back does not foretell them; fit recordings of all that the bench does"

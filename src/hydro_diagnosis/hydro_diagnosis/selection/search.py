@@ -37,7 +37,7 @@ SAME_DOUBT = 1e-3
 
 
 @dataclass
-class _Looked:
+class _Screened:
     """Candidates beside a base that was looked at."""
 
     doubt: tuple[float, ...]
@@ -59,7 +59,7 @@ class Shortlists:
 
     def __init__(self, library: Sequence[Effect], settings: SearchSettings) -> None:
         self._library, self._settings = library, settings
-        self._looked: dict[frozenset[str], _Looked] = {}
+        self._screened: dict[frozenset[str], _Screened] = {}
         """By the labels of a base."""
         self._signatures = Signatures()
 
@@ -72,29 +72,29 @@ class Shortlists:
 
         `promised`: gain to first order from which on candidates are fitted, all `but` one; the others wait.
         """
-        looked = self._looked.get(_labels(base))
-        if looked is None:
+        screened = self._screened.get(_labels(base))
+        if screened is None:
             prospects = screen(problem, base, self._library, self._signatures)[: self._settings.shortlist]
             hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self._settings.threshold]
-            looked = self._looked[_labels(base)] = _Looked(problem.doubted, hopeful)
-        elif not np.allclose(looked.doubt, problem.doubted, rtol=SAME_DOUBT, atol=0.0):
-            again = [Prospect(one.claims[-1], np.inf) for one in looked.fits]
-            looked = self._looked[_labels(base)] = _Looked(problem.doubted, [*again, *looked.waiting])
-        now = [one for one in looked.waiting if one.gain >= promised and one.claim.effect.label != but]
-        looked.waiting = [one for one in looked.waiting if one not in now]
-        looked.fits += [with_one_more(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
-        looked.fits.sort(key=lambda one: score(problem, one))
-        return [one for one in looked.fits if one.claims[-1].effect.label != but]
+            screened = self._screened[_labels(base)] = _Screened(problem.doubted, hopeful)
+        elif not np.allclose(screened.doubt, problem.doubted, rtol=SAME_DOUBT, atol=0.0):
+            again = [Prospect(one.claims[-1], np.inf) for one in screened.fits]
+            screened = self._screened[_labels(base)] = _Screened(problem.doubted, [*again, *screened.waiting])
+        now = [one for one in screened.waiting if one.gain >= promised and one.claim.effect.label != but]
+        screened.waiting = [one for one in screened.waiting if one not in now]
+        screened.fits += [with_one_more(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
+        screened.fits.sort(key=lambda one: score(problem, one))
+        return [one for one in screened.fits if one.claims[-1].effect.label != but]
 
     def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000) -> None:
         """Fit in full those that score `enough` with one claim more than a base, the best and `most` of them."""
-        looked = self._looked[_labels(base)]
-        for k, one in enumerate(looked.fits[:most]):
+        screened = self._screened[_labels(base)]
+        for k, one in enumerate(screened.fits[:most]):
             label = one.claims[-1].effect.label
-            if label not in looked.polished and score(problem, one) <= enough:
-                looked.fits[k] = fit(problem, one.claims, tolerance=SCREEN_TOLERANCE)
-                looked.polished.add(label)
-        looked.fits.sort(key=lambda one: score(problem, one))
+            if label not in screened.polished and score(problem, one) <= enough:
+                screened.fits[k] = fit(problem, one.claims, tolerance=SCREEN_TOLERANCE)
+                screened.polished.add(label)
+        screened.fits.sort(key=lambda one: score(problem, one))
 
 
 POLISHED = 3
@@ -153,19 +153,19 @@ class Search:
         ranked, idle = list(opening), 0
         for _ in range(2 * self.settings.most):
             if ranked:
-                idle = idle + 1 if nibbles(outcome.problem, outcome.fit, ranked[0]) else 0
+                idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
-            elif not self._backward(outcome) and (self._tired or not self._swap(outcome, 0.0)):
+            elif not self._backward(outcome) and (self._exhausted or not self._swap(outcome, 0.0)):
                 break
             for _ in range(SWAPS):
-                if self._tired or not self._swap(outcome, PROMISING):
+                if self._exhausted or not self._swap(outcome, PROMISING):
                     break
             ranked = [] if idle >= self.settings.patience else self._further(outcome)
         return outcome
 
     def _further(self, outcome: Outcome) -> list[Fit]:
         """What may join the outcome; nothing if the search must end, and the outcome says why."""
-        if self._tired:
+        if self._exhausted:
             outcome.cut_short = f"its effort of {self.settings.effort} evaluations was spent"
             return []
         ranked = self._ranked(outcome.problem, outcome.fit)
@@ -180,7 +180,7 @@ class Search:
         return self.problem.evaluations - self._begun
 
     @property
-    def _tired(self) -> bool:
+    def _exhausted(self) -> bool:
         return self._spent > self.settings.effort
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
@@ -354,7 +354,7 @@ def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
     return False
 
 
-def nibbles(problem: Problem, base: Fit, found: Fit) -> bool:
+def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
     """Return whether the newest claim removes little of what remains in the channel in which it removes most."""
     before, after = (mean_squares(problem, one.residual) for one in (base, found))
     counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))

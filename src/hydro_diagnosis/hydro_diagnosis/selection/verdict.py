@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import Fit, bounds, fit, mean_squares, noticeable, remaining
+from hydro_diagnosis.estimation.fit import Fit, fit, mean_squares, noise_thresholds, noticeable, remaining
 from hydro_diagnosis.estimation.free_form import FreeForm, free_forms, gains_by_equation, variables
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.selection.localisation import Place, locate, locate_claims
@@ -165,7 +165,7 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
     counts = problem.layout.count()
     before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
-    limit = bounds(problem)
+    limit = noise_thresholds(problem)
     gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
     shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and after[name] > limit[name]]

@@ -25,7 +25,7 @@ from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.outcome import NAMES
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.stages.reading import Case, Progress, Question, Standing, read
+from hydro_diagnosis.stages.reading import Case, Progress, Question, StageResult, read
 from hydro_diagnosis.wiring import Advance, Doubt, Exchange, Rename, Repair, Scale, in_unit, reversed_sign
 
 CLEAR = float(np.log(10.0))
@@ -230,7 +230,7 @@ class Explained:
         return sum(len(claim.effect.parameters) for claim in self.claims)
 
 
-def understood(question: Question, progress: Progress) -> Case:
+def read_repaired(question: Question, progress: Progress) -> Case:
     """The recordings as they are, or repaired where that explains them better; `Case.wiring` tells which and why.
 
     Raises
@@ -263,10 +263,10 @@ def understood(question: Question, progress: Progress) -> Case:
     return _decided(case, _tried(case, progress), repairs, other, progress)
 
 
-def reconsidered(case: Case, found: Standing, progress: Progress) -> Case:
+def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Case:
     """The same case, or it repaired, where causes leave something: what they leave may be a mistake of wiring."""
     claims = found.outcome.fit.claims
-    left_over = found.assessment.remainder or noticeable(found.unseen, found.unseen.residual(claims))
+    left_over = found.assessment.remainder or noticeable(found.holdout, found.holdout.residual(claims))
     if case.question.as_wired or not left_over:
         return case
     repairs = suspected(found.problem, claims, case.held)
@@ -276,7 +276,7 @@ def reconsidered(case: Case, found: Standing, progress: Progress) -> Case:
         other = read(_repaired(case.question, repairs), progress)
     except InputError:
         return case
-    return _decided(case, _left(found.problem, found.unseen, claims), repairs, other, progress)
+    return _decided(case, _left(found.problem, found.holdout, claims), repairs, other, progress)
 
 
 def _mismatch(problem: Problem) -> bool:
@@ -353,12 +353,12 @@ def _tried(case: Case, progress: Progress) -> Explained:
     with threadpool_limits(1, "blas"):
         found = Search(case.problem, case.candidates, TRIAL, progress).run()
     problem = found.problem
-    unseen = Problem(case.held, problem.bench, problem.baseline, noise=problem.sensor_noise)
-    return _left(problem, unseen.weighed(found.fit.claims), found.fit.claims)
+    holdout = Problem(case.held, problem.bench, problem.baseline, noise=problem.sensor_noise)
+    return _left(problem, holdout.weighed(found.fit.claims), found.fit.claims)
 
 
-def _left(problem: Problem, unseen: Problem, claims: Sequence[Claim]) -> Explained:
-    return Explained(left(problem, claims), left(unseen, claims), tuple(claims))
+def _left(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> Explained:
+    return Explained(left(problem, claims), left(holdout, claims), tuple(claims))
 
 
 def _decided(case: Case, here: Explained, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.bench_numbers import acts, completed, hiding, lacks, left_out, read_bench, refuse_missing
+from hydro_diagnosis.bench_numbers import applies, completed, hiding, lacks, left_out, read_bench, refuse_missing
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.estimation.intervals import Interval
@@ -43,7 +43,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.structured.model import StructuredModel
 
 
-def identified(path: str | Path) -> dict[str, Any]:
+def recording_entry(path: str | Path) -> dict[str, Any]:
     """`name`, and `begin` [s since 1970] of a bag with /hydro/state; None for files of other loggers."""
     path = Path(path)
     if not is_bag(path):
@@ -244,7 +244,7 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
     facts = {
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
-        "recordings": [identified(path) for path in (*question.recordings, *question.holdout)],
+        "recordings": [recording_entry(path) for path in (*question.recordings, *question.holdout)],
         "data_quality": [*base.notes, *left_out(channels, believed), *quality],
         "baseline": {"bench": given.to_mapping(), "model": base.model},
         "versions": {"hydro_diagnosis": _version()},
@@ -261,7 +261,7 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
 
 
 def _acting(effects: Sequence[Effect], bench: Bench) -> list[Effect]:
-    return [effect.adapted(bench) for effect in effects if acts(effect, bench)]
+    return [effect.adapted(bench) for effect in effects if applies(effect, bench)]
 
 
 def _candidates(without: Sequence[str]) -> list[Effect]:
@@ -282,7 +282,7 @@ def _version() -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class StageResult:
     """What is claimed at the end of a stage, and how it holds."""
 
     problem: Problem
@@ -292,13 +292,13 @@ class Standing:
     """Of the claims' parameters."""
     models: list[SegmentModel]
     """Held-out recordings."""
-    unseen: Problem
+    holdout: Problem
     """The same, weighed for the claims."""
     simulated: Known
     """Of the held-out recordings."""
     proof: dict[str, Any]
     """`fit` of report.json."""
-    taken_back: str = ""
+    withdrawn: str = ""
     """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
     closures: list[ClosureReport] = field(default_factory=list)
     next_recording: dict[str, Any] | None = None

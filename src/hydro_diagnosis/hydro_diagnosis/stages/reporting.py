@@ -12,15 +12,15 @@ import numpy as np
 import scipy.signal
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, pack, spreads
+from hydro_diagnosis.estimation.fit import Fit, pack, residual_variances
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
 from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_foretold
+from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.stages.reading import Case, Standing
+from hydro_diagnosis.stages.reading import Case, StageResult
 from hydro_sim.model.bench import Bench
 
 SLOWEST = 5.0
@@ -123,7 +123,7 @@ def number_estimates(
 
     `bounds`: of the parameters of all claims; `numbers`: by name, the bench file's value if it holds one.
     """
-    weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
     columns = found.jacobian * weight[:, None]
     owners = [claim for claim in found.claims for _ in claim.effect.parameters]
     names = dict(zip((claim.effect.label for claim in problem.estimated), numbers, strict=True))
@@ -212,12 +212,12 @@ def _sentence(name: str, value: str, interval: str, others: Sequence[str]) -> st
     return f"These recordings hold too little of {name} to tell it: it is left open."
 
 
-def reported(case: Case, search: Search, found: Standing, begun: float) -> Diagnosis:
+def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
     """The report and the data behind it; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
-    problem.forget()
-    hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
-    effects = describe(problem, found.unseen, found.outcome, assessment, found.bounds)
+    problem.clear_caches()
+    hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold)
+    effects = describe(problem, found.holdout, found.outcome, assessment, found.bounds)
     notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden))
     report = Report(
         verdict=assessment.verdict,
@@ -235,7 +235,7 @@ def reported(case: Case, search: Search, found: Standing, begun: float) -> Diagn
     return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.models, notes)
 
 
-def unfinished(case: Case, search: Search, begun: float) -> Report:
+def interrupted_report(case: Case, search: Search, begun: float) -> Report:
     """Return the report after Ctrl-C: the equations that can be checked, and the steps so far, which prove nothing."""
     return Report(
         verdict=INTERRUPTED,
@@ -250,27 +250,27 @@ def unfinished(case: Case, search: Search, begun: float) -> Report:
     )
 
 
-def _notes(found: Standing, effects: Sequence[EffectReport], hidden: str | None) -> tuple[str, ...]:
+def _notes(found: StageResult, effects: Sequence[EffectReport], hidden: str | None) -> tuple[str, ...]:
     """What the verdict does not say."""
     assessment, cut_short = found.assessment, ""
     if found.outcome.cut_short and assessment.remainder:
         cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
     early = current_is_early(found.problem, effects)
-    beyond = "" if assessment.remainder else not_foretold(found.unseen, assessment.fit.claims)
+    beyond = "" if assessment.remainder else not_predicted(found.holdout, assessment.fit.claims)
     distrust = distrusted(made_worse(found.proof))
-    return tuple(note for note in (early, hidden, cut_short, beyond, found.taken_back, distrust) if note)
+    return tuple(note for note in (early, hidden, cut_short, beyond, found.withdrawn, distrust) if note)
 
 
 def _steps(search: Search) -> list[dict[str, Any]]:
     return [{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps]
 
 
-def _remainder(found: Standing) -> dict[str, Any] | None:
-    problem, unseen, assessment = found.problem, found.unseen, found.assessment
+def _remainder(found: StageResult) -> dict[str, Any] | None:
+    problem, holdout, assessment = found.problem, found.holdout, found.assessment
     if not assessment.remainder:
         return None
     equation = assessment.remainder[0].equation
-    left = ((problem.layout, assessment.fit.residual), (unseen.layout, unseen.residual(assessment.fit.claims)))
+    left = ((problem.layout, assessment.fit.residual), (holdout.layout, holdout.residual(assessment.fit.claims)))
     line = line_of(left, assessment.remainder[0].channel)
     like = [claim.effect.sentence(claim.values) for claim in assessment.dropped if not claim.effect.named]
     telling = [form for form in assessment.forms if form.gain > 0.0 and form.equation == equation]
@@ -288,14 +288,14 @@ _PROBES = 3
 """Values at which each cause is tried."""
 
 
-def untold(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
+def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
     """Causes that could hide in missing rows, with the size from which they would show; None if none are missing.
 
     `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
     """
     if problem.thinner is None:
         return None
-    weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
     change = problem.change(found.claims) * weight
     limits: dict[str, tuple[float, str]] = {}
     for effect in allowed(library, found.claims, problem.blocks):
