@@ -25,6 +25,7 @@ STUDIES = frozenset(
         "effect_table",
         "foreign_truth",
         "model_mismatch",
+        "null_simulations",
         "pairings",
         "paper",
         "relearned_filter",

@@ -27,9 +27,8 @@ from benchmarks import _report
 from hydro_bridge.cli.console import Table, UserError, command, progress
 from hydro_diagnosis.blind_benchmark.blind import ANSWER
 from hydro_diagnosis.blind_benchmark.cases import Case
-from hydro_diagnosis.blind_benchmark.facts import Result
-from hydro_diagnosis.blind_benchmark.prove import BLIND, SEALED
-from hydro_diagnosis.blind_benchmark.seal import DIGEST, opened
+from hydro_diagnosis.blind_benchmark.prove import BLIND, DIGEST, SEALED, unseal
+from hydro_diagnosis.blind_benchmark.scores import Result
 
 PEERS = "peers"
 """Folder of what they say, within that of the proof."""
@@ -81,7 +80,7 @@ def _show(folder: Path, names: Sequence[str], methods: Sequence[str], file: Path
         print("the peers are done; the table comes once `prove` has opened the seal: then run this again")
         raise SystemExit(3)
     digest = (folder / SEALED / DIGEST).read_text().split()[0]
-    cases = [case for case in opened(folder / SEALED, digest) if case.name in names]
+    cases = [case for case in unseal(folder / SEALED, digest) if case.name in names]
     rows = [_row(folder, case, method) for method in methods for case in cases]
     table = _table(rows)
     print(table.text())

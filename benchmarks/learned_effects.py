@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does `learn` find what a bench file names? Learnt values against the truth's, and what is left.
 
-Truths of the emulator: the default one, the same with one thing more, and one of five effects. The bench file names what the
-truth has, each at a value far from it.
+Truths of the emulator: the default one, the same with one thing more, and one of five effects. The bench file
+names what the truth has, each at a value far from it.
 
 Two runs to learn from, one that chooses how far the filter trusts the model, one to be judged by: 70-sample predictions
 against the recording, over the recording's own noise (RMS of recording minus noise-free log).

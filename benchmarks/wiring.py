@@ -26,15 +26,15 @@ import pandas as pd
 from benchmarks import _report
 from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.signals import STATE_FIELDS
-from hydro_diagnosis.blind_benchmark.magnitudes import FORMS, SINGLES, VALUES, Pick, Shape, Size
+from hydro_diagnosis.blind_benchmark.cases import FORMS, SINGLES, VALUES, Pick, Shape, Size
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import read_table
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.selection.outcome import NAMES
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stage_bar import silent
-from hydro_diagnosis.stages.hypotheses import reconsidered, understood
-from hydro_diagnosis.stages.naming import named
+from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
+from hydro_diagnosis.stages.naming import search_causes
 from hydro_diagnosis.stages.reading import Question
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
@@ -134,10 +134,10 @@ def judged(paths: tuple[Path, Path], columns: str, about: Mapping[str, Any]) -> 
                         columns=ColumnMap.load(columns or None), without=(), estimate=(), as_wired=False)  # fmt: skip
     begun = time.process_time()
     try:
-        case = understood(question, silent)
+        case = read_repaired(question, silent)
         if about.get("mistake") and not case.wiring:  # what causes leave is judged after them
-            found = named(Search(case.problem, case.candidates, NAMES), case.held)
-            case = reconsidered(case, found, silent)
+            found = search_causes(Search(case.problem, case.candidates, NAMES), case.held)
+            case = reconsider_wiring(case, found, silent)
     except InputError as error:
         return Outcome(**about, cpu=time.process_time() - begun, note=f"refused: {error}")
     cpu, chosen = time.process_time() - begun, case.question.columns

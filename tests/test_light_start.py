@@ -16,7 +16,7 @@ COMMANDS = [
     for setup in sorted(ROOT.glob("src/hydro_*/setup.py"))
     for _, module in ENTRY.findall(setup.read_text(encoding="utf-8"))
 ]
-WITHOUT_NUMBA = ("hydro_policy.nodes.evaluate", "hydro_policy.nodes.trainer", "hydro_diagnosis.calibration.calibrate")
+WITHOUT_NUMBA = ("hydro_policy.nodes.evaluate", "hydro_policy.nodes.trainer")
 PROBE = """
 import sys
 from hydro_bridge.process.start import MainOf

@@ -22,10 +22,10 @@ from benchmarks.beyond_the_table.plant import FloatArray
 from benchmarks.beyond_the_table.recordings import simulated
 from benchmarks.foreign_truth.recordings import RUNS, write_bag
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress
-from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.validation.heldout import HORIZON, WINDOWS, compare
+from hydro_diagnosis.preprocessing.loading import load_dataset
+from hydro_diagnosis.validation import HORIZON, WINDOWS, compare
 from hydro_sim.model.bench import Bench
 
 COLUMNS = {

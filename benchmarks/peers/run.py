@@ -11,12 +11,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
-from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model.noise_floor import sensor_noise
+from hydro_diagnosis.estimation.problem import sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
-from hydro_diagnosis.validation.heldout import HORIZON, WINDOWS, errors
+from hydro_diagnosis.preprocessing.loading import load_dataset
+from hydro_diagnosis.validation import HORIZON, WINDOWS, errors
 from hydro_sim.model.bench import Bench
 
 DYNAMIC = ("velocity", "pressure_a", "pressure_b")
@@ -111,9 +111,9 @@ class Corrected(Plant):
             change[row] += added.get(name, 0.0)
         return change
 
-    def readings(self, states: FloatArray, begins: np.ndarray) -> dict[str, FloatArray]:
+    def measurements(self, states: FloatArray, begins: np.ndarray) -> dict[str, FloatArray]:
         """The nominal readings and the correction."""
-        shown = super().readings(states, begins)
+        shown = super().measurements(states, begins)
         at = np.tile(begins, states.shape[2] // len(begins))[None, :] + np.arange(states.shape[0])[:, None]
         return {
             name: value + (self.shown[name][at] if name in READ and name in self.shown else 0.0)

@@ -15,8 +15,8 @@ from benchmarks.peers import terms
 from benchmarks.peers.neural import _windows
 from benchmarks.peers.run import Corrected, held_out, signals
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
+from hydro_diagnosis.estimation.problem import sensor_noise
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.model.noise_floor import sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.quality import checked

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnosis: find, name, size and model physics that the simulation lacks. `pipeline.diagnose` runs the `stages`.
 
-Its parts: `formats`, `io`, `preprocessing`, `wiring`, `dataset` (recordings); `effects` (the physics library), `model`
-(residuals), `estimation` (fits), `selection` (names, places, verdict), `validation` (held-out recordings),
-`closure` (what has no name), `experiment_design` (what to record next), `report`; `calibration` and `blind_benchmark`
-measure the diagnosis itself.
+`io`, `preprocessing`, `wiring` (recordings); `effects` (the physics library), `model` (residuals), `estimation` (fits),
+`selection` (names, places, verdict), `validation` (held-out recordings), `closure` (what has no name),
+`experiment_design` (what to record next), `report`; `blind_benchmark` measures the diagnosis itself.
 """
 
 from __future__ import annotations

@@ -14,9 +14,8 @@ from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_diagnosis.findings import DiagnosisInterrupted
-from hydro_diagnosis.formats.suffixes import SUFFIXES
 from hydro_diagnosis.growing import command as growing
-from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.stage_bar import StageBar, silent
 
 if TYPE_CHECKING:
@@ -79,7 +78,7 @@ def run(arguments: Sequence[str]) -> int:
     chosen = options.parse_args(arguments)
     if chosen.id or chosen.law or chosen.json:
         options.error("--id, --law and --json go with --grow")
-    from hydro_diagnosis.pipeline import diagnose  # late, as the next two: not for --help or a slip
+    from hydro_diagnosis.pipeline import diagnose
     from hydro_diagnosis.report.corrected_bench import write_corrected
     from hydro_diagnosis.report.page import write_page
 

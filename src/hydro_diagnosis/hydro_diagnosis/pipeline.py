@@ -16,11 +16,10 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.stages.hypotheses import reconsidered, understood
-from hydro_diagnosis.stages.modelling import modelled
-from hydro_diagnosis.stages.naming import named, trusted
+from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
+from hydro_diagnosis.stages.naming import model_remainder, search_causes, withdraw_if_worse
 from hydro_diagnosis.stages.reading import Progress, Question
-from hydro_diagnosis.stages.reporting import reported, unfinished
+from hydro_diagnosis.stages.reporting import build_report, interrupted_report
 from hydro_sim.model.bench import Bench
 
 
@@ -48,9 +47,9 @@ def diagnose(
         number of jobs); without, the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
-        A file or content needs only the numbers that the recorded channels connect (`needed_numbers`).
+        A file or content needs only the numbers that the recorded channels connect (`bench_numbers.needed`).
     model
-        Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
+        Learned weights as the baseline, in place of `bench` (structured ones).
     columns
         Column map of a file, or of a bag's fields or topics: see `column_map`.
     without
@@ -77,16 +76,16 @@ def diagnose(
         estimate=estimate, as_wired=as_wired,
     )  # fmt: skip
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
-        case = understood(question, progress)
+        case = read_repaired(question, progress)
     search = Search(case.problem, case.candidates, settings or NAMES, progress)
     try:
         with threadpool_limits(1, "blas"):
-            names = named(search, case.held)
-            before, case = case, reconsidered(case, names, progress)
+            names = search_causes(search, case.held)
+            before, case = case, reconsider_wiring(case, names, progress)
             if case.problem is not before.problem:
                 search = Search(case.problem, case.candidates, settings or NAMES, progress)
-                names = named(search, case.held)
-            found = trusted(modelled(names, search.library, progress), names)
-            return reported(case, search, found, begun)
+                names = search_causes(search, case.held)
+            found = withdraw_if_worse(model_remainder(names, search.library, progress), names)
+            return build_report(case, search, found, begun)
     except KeyboardInterrupt as interruption:
-        raise DiagnosisInterrupted(unfinished(case, search, begun), endings.status(interruption)) from None
+        raise DiagnosisInterrupted(interrupted_report(case, search, begun), endings.status(interruption)) from None

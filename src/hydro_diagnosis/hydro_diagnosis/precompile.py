@@ -7,14 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hydro_diagnosis.effects import substeps
+from hydro_diagnosis.effects import kernels
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.effects.leakage import LeakageInternal
-from hydro_diagnosis.effects.path_memory import limited
-from hydro_diagnosis.effects.soft_edges import opened
-from hydro_diagnosis.effects.splines import splined
+from hydro_diagnosis.effects.fluid import LeakageInternal
+from hydro_diagnosis.effects.kernels import limited, opened, splined
 from hydro_diagnosis.effects.valve import ValveGain
-from hydro_diagnosis.model.kernels import fading_sums
+from hydro_diagnosis.model.chambers import fading_sums
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
@@ -29,11 +27,11 @@ def _memory() -> None:
     record.play("p", path, 0.1)
     record.lag("w", path, 0.1)
     record.lag("w", path, 0.1, falling=0.2)
-    record.turning(path, 0.1, 0.2)
+    record.asymmetric_lag(path, 0.1, 0.2)
     limited(path, 1e-3, 1.0, 0.1, 0.1)
     fading_sums(path[None], 0.9)
-    substeps.mean(np.zeros((10, 4)))
-    substeps.mean_beyond(np.zeros((10, 4)), 1.0)
+    kernels.substep_mean(np.zeros((10, 4)))
+    kernels.substep_mean_beyond(np.zeros((10, 4)), 1.0)
     opened(np.zeros((10, 4)), 1e-3, 1e-4)
     splined(path, 0.0, 1.0, np.zeros(KNOTS))
 
@@ -44,7 +42,7 @@ def _equations() -> None:
     model = SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), Bench.nominal())
     begins = np.arange(20, 40, 10)
     for claims in ((), (Claim(LeakageInternal(), {"coefficient": 0.0}),), (Claim(ValveGain(), {"ratio": 1.0}),)):
-        run = model.chamber_run(claims)
+        run = model.observer.chamber_run(claims)
         model.arc_residual(run), model.pressure_residuals(run), model.motion_residual(claims)
         plant = Plant.of(model, claims)
         plant.run(plant.start(begins), begins, 3)

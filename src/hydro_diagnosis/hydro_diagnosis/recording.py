@@ -11,6 +11,9 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 
+SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
+
+
 MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """Channels of the sensors; the rates are computed by the box and not used."""
 UNITS = {
@@ -61,6 +64,25 @@ class Segment:
     def phase(self) -> int:
         """First sample that lies at one of the logger's rows."""
         return 0 if self.measured is None else int(np.argmax(self.measured)) % self.spacing
+
+    def judged(self, begin: int, end: int, stride: int, margin: int) -> npt.NDArray[np.int64] | slice:
+        """Samples that are judged: recorded ones, `stride` recorded rows apart; a slice where every row was recorded.
+
+        None is missing within `margin` rows of them.
+        """
+        if self.measured is None:
+            return slice(begin, end, stride)
+        spacing = self.spacing
+        phase = self.phase
+        recorded = self.measured[phase::spacing]
+        lost = np.convolve(~recorded, np.ones(2 * margin + 1), mode="same") > 0.5
+        open_ = phase + spacing * np.flatnonzero(~lost)
+        open_ = open_[(open_ >= begin) & (open_ < end)]
+        chosen, at = [], 0
+        while at < len(open_):
+            chosen.append(open_[at])
+            at = int(np.searchsorted(open_, open_[at] + stride * spacing))
+        return np.array(chosen, dtype=np.int64)
 
     def cut(self, begin: int, end: int) -> Segment:
         """The samples from `begin` up to `end`."""

@@ -13,11 +13,10 @@ from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.closure.candidates import laws, tables
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.effects.splines import splined
-from hydro_diagnosis.estimation.addition import apart, summed
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.effects.kernels import splined
+from hydro_diagnosis.estimation.equation_residuals import split_additive, split_cached
+from hydro_diagnosis.estimation.fit import fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.slopes import jacobian
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_sim.model import grammar
@@ -53,7 +52,7 @@ def test_residuals_of_terms_that_add_are_those_of_each_as_it_stands(problem: Pro
     nothing = problem.equations.as_written(())
     for _ in range(250):
         claims = some(terms, random)
-        spared += len(summed(claims, ())[0])
+        spared += len(split_cached(claims, ())[0])
         by_sum, as_it_stands = problem.parts(claims), problem.equations.as_written(claims)
         for key, part in as_it_stands.items():
             np.testing.assert_allclose(by_sum[key] - part, 0.0, atol=1e-8 * np.abs(part - nothing[key]).max() + 1e-9)
@@ -65,8 +64,8 @@ def test_behind_a_reading_that_is_no_straight_line_nothing_adds(problem: Problem
     drag = next(one for one in terms if one.effect.label == "closure:motion:quadratic drag")
     curve = next(one for one in terms if one.effect.options["form"] == "quadratic reading of hydraulic_force")
     beside = next(one for one in terms if one.effect.options["form"] == "pick-up of current of hydraulic_force")
-    assert [one.effect for one in apart([sized(drag, random), sized(beside, random)])[0]] == [drag.effect]
-    assert apart([sized(drag, random), sized(curve, random)])[0] == []
+    assert [one.effect for one in split_additive([sized(drag, random), sized(beside, random)])[0]] == [drag.effect]
+    assert split_additive([sized(drag, random), sized(curve, random)])[0] == []
 
 
 def test_slopes_that_were_kept_are_those_computed_anew(problem: Problem, terms: list[Claim]) -> None:

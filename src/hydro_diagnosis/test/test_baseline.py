@@ -14,8 +14,8 @@ import yaml
 
 from hydro_diagnosis import InputError, Report, diagnose
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.model.baseline import baseline
 from hydro_diagnosis.report.corrected_bench import claims_of
+from hydro_diagnosis.stages.reading import baseline
 from hydro_sim.files.weights import shipped
 from hydro_sim.model.bench import Bench
 

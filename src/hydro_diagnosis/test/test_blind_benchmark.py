@@ -14,13 +14,11 @@ import yaml
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli.console import UserError
-from hydro_diagnosis.blind_benchmark import seal
+from hydro_diagnosis.blind_benchmark import prove
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD, PARTS, Case, draw, shares
-from hydro_diagnosis.blind_benchmark.facts import Result
 from hydro_diagnosis.blind_benchmark.prove import run
-from hydro_diagnosis.blind_benchmark.recording import record, run_emulator
-from hydro_diagnosis.blind_benchmark.retake import ATTEMPTS, usable
-from hydro_diagnosis.blind_benchmark.standards import failures, standards, wilson
+from hydro_diagnosis.blind_benchmark.recording import ATTEMPTS, record, run_emulator, usable
+from hydro_diagnosis.blind_benchmark.scores import Result, failures, standards, wilson
 from hydro_sim.model.bench import Bench
 
 SEED = 4  # of development; no figure is reported from it
@@ -101,16 +99,16 @@ def test_bench_that_trips_is_recorded_again_until_it_runs(effects: dict[str, Any
 
 def test_seal_opens_to_the_same_answers_and_not_after_a_change(tmp_path: Path) -> None:
     cases = draw(8, SEED)
-    digest = seal.close(cases, tmp_path / "sealed")
-    assert seal.close(draw(8, SEED), tmp_path / "sealed") == digest
-    assert seal.opened(tmp_path / "sealed", digest) == cases
+    digest = prove.seal(cases, tmp_path / "sealed")
+    assert prove.seal(draw(8, SEED), tmp_path / "sealed") == digest
+    assert prove.unseal(tmp_path / "sealed", digest) == cases
     with pytest.raises(UserError, match="other cases"):
-        seal.close(draw(8, SEED + 1), tmp_path / "sealed")
-    answers = tmp_path / "sealed" / seal.ANSWERS
+        prove.seal(draw(8, SEED + 1), tmp_path / "sealed")
+    answers = tmp_path / "sealed" / prove.ANSWERS
     answers.chmod(0o600)
     answers.write_text(answers.read_text().replace("case-003", "case-004"))
     with pytest.raises(UserError, match="changed after it was sealed"):
-        seal.opened(tmp_path / "sealed", digest)
+        prove.unseal(tmp_path / "sealed", digest)
 
 
 PEEKS = {
@@ -131,22 +129,22 @@ PEEKS = {
 
 PEEKING = """
 import importlib, json, os, pathlib, subprocess, sys
-from hydro_diagnosis.blind_benchmark import access_guard
+from hydro_diagnosis.blind_benchmark import blind
 hidden = pathlib.Path(sys.argv[1])
-access_guard.put_on(hidden, hidden / "blind")
+blind.guard(hidden, hidden / "blind")
 seen = {}
 for peek in json.loads(sys.argv[2]):
     try:
         eval(peek)
         seen[peek] = True
-    except access_guard.SealedError:
+    except blind.SealedError:
         seen[peek] = False
 print(json.dumps(seen))
 """
 
 
 def test_blindfolded_process_sees_recordings_and_nothing_else(tmp_path: Path) -> None:
-    seal.close(draw(2, SEED), tmp_path / "sealed")
+    prove.seal(draw(2, SEED), tmp_path / "sealed")
     (tmp_path / "blind").mkdir()
     (tmp_path / "blind" / "bench.yaml").write_text("{}")
     (tmp_path / "blind" / "link").symlink_to(tmp_path / "sealed" / "answers.json")
@@ -296,7 +294,7 @@ def test_proof_goes_on_after_time_was_up_and_opens_its_own_seal(
             assert yaml.safe_load(bag.attachments["bench.yaml"]) == Bench.nominal().to_mapping()
             assert len(bag.state) == 20_000
     content = json.loads((folder / "proof.json").read_text())
-    assert content["about"]["SHA-256"] == (folder / "sealed" / seal.DIGEST).read_text().split()[0]
+    assert content["about"]["SHA-256"] == (folder / "sealed" / prove.DIGEST).read_text().split()[0]
     assert len(content["cases"]) == 2
     assert {case["case"]: case["passed"] for case in content["cases"]} == {"case-000": True, "case-001": True}
     assert "data:image/png" in (folder / "proof.html").read_text()

@@ -15,19 +15,18 @@ from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure.admission import admitted, harmless, reports, share_closed
-from hydro_diagnosis.closure.growth import Closed
+from hydro_diagnosis.closure.growth import ClosureFit
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
-from hydro_diagnosis.validation.equations import held_out
+from hydro_diagnosis.validation import held_out
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -70,7 +69,7 @@ def test_quadratic_drag_is_a_law_with_its_interval_and_closes_the_gap(dragged: l
     assert "square of speed" in report.sentence
 
     pushed = Claim(law.fit.claims[0].effect, {"coefficient": -DRAG})
-    worse = Closed(fit(problem, (pushed,), iterations=0), "law", 1.0, problem)
+    worse = ClosureFit(fit(problem, (pushed,), iterations=0), "law", 1.0, problem)
     assert admitted(problem, held, [worse], models, named) is None
 
 

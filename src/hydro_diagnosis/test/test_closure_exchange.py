@@ -8,15 +8,12 @@ from collections.abc import Callable
 import pytest
 
 from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.growth import _exchanged
-from hydro_diagnosis.closure.rounds import Rounds
+from hydro_diagnosis.closure.growth import ForwardSelection, _exchanged
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import score
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 
@@ -35,8 +32,8 @@ def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers(proble
         Claim(law, {"coefficient": -0.9, "level": 0.013}),
     ]
     found = fit(problem, claims, iterations=24)
-    screen = Screen.beside(problem, fit(problem, ()), laws(problem))
-    better = _exchanged(problem, found, Rounds(screen), names)
+    screen = Screen(problem, fit(problem, ()), laws(problem))
+    better = _exchanged(problem, found, ForwardSelection(screen), names)
     values = {claim.effect.label: claim.values for claim in better.claims}
     assert not noticeable(problem, found.residual) and score(problem, better) < score(problem, found)
     assert set(values) == {"valve_gain", "closure:actuation:rounded gain"}

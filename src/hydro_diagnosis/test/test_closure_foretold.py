@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hydro_diagnosis.closure.foretold import foretold
-from hydro_diagnosis.closure.growth import Closed
+from hydro_diagnosis.closure.admission import without_harmful_names
+from hydro_diagnosis.closure.growth import ClosureFit
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 
@@ -20,15 +19,15 @@ DRAG = {"equation": "motion", "form": "quadratic drag", "parameters": {"coeffici
 RING = {"equation": "pressure", "form": "leak, since a reversal", "parameters": {"coefficient": 3e-13, "path": 5e-4}}
 
 
-def closed_by(problem: Problem) -> Closed:
+def closed_by(problem: Problem) -> ClosureFit:
     """A weaker valve and drag fitted to a recording."""
     weaker = next(one for one in LIBRARY if one.label == "valve_gain").adapted(Bench.nominal())
     drag = closure(grammar.ALL["motion", "quadratic drag"], problem.bench)
     claims = [Claim(weaker, {"ratio": 0.95}), Claim(drag, drag.nothing()[0])]
-    return Closed(fit(problem, claims), "law", 1.0, problem)
+    return ClosureFit(fit(problem, claims), "law", 1.0, problem)
 
 
-def labels(closed: Closed) -> set[str]:
+def labels(closed: ClosureFit) -> set[str]:
     return {claim.effect.label for claim in closed.fit.claims}
 
 
@@ -36,11 +35,11 @@ def test_a_name_that_the_held_out_recordings_do_not_have_goes(problem_of: Callab
     closed = closed_by(problem_of(effects=(WEAKER,), closures=(DRAG, RING)))
     assert noticeable(closed.problem, closed.fit.residual)
     same, without = problem_of(effects=(WEAKER,), closures=(DRAG, RING)), problem_of(closures=(DRAG, RING))
-    assert foretold(closed, same) is closed
-    assert labels(foretold(closed, without)) == {"closure:motion:quadratic drag"}
+    assert without_harmful_names(closed, same) is closed
+    assert labels(without_harmful_names(closed, without)) == {"closure:motion:quadratic drag"}
 
 
 def test_where_nothing_remains_all_names_stay(problem_of: Callable[..., Problem]) -> None:
     closed = closed_by(problem_of(effects=(WEAKER,), closures=(DRAG,)))
     assert not noticeable(closed.problem, closed.fit.residual)
-    assert foretold(closed, problem_of(closures=(DRAG,))) is closed
+    assert without_harmful_names(closed, problem_of(closures=(DRAG,))) is closed

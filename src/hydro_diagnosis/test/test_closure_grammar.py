@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
-from hydro_diagnosis.closure.disguise import barred, in_disguise
-from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, equals_ruled_out, has_identified_shapes
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.path_memory import held_lag, limited, turning
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.effects.kernels import held_lag, limited, turning
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
@@ -39,9 +37,10 @@ def law(equation: str, form: str) -> Law:
     return found
 
 
-def problem_of(states: StateArray) -> Problem:
+def problem_of(states: StateArray, *ruled_out: str) -> Problem:
     table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
-    return Problem([checked(table, BENCH).segments[0]], BENCH)
+    causes = [effect.adapted(BENCH) for effect in CANDIDATES if effect.label in ruled_out]
+    return Problem([checked(table, BENCH).segments[0]], BENCH, ruled_out=causes)
 
 
 def test_a_lag_of_limited_rate_is_that_of_its_differential_equation() -> None:
@@ -302,7 +301,7 @@ def test_a_number_that_no_sample_shows_is_not_known(record: Callable[..., StateA
     place = [one.name for one in slow.parameters].index("rate")
     for size in (0.0, 1e-170):
         found.jacobian[:, place] = size * np.sign(found.jacobian[:, 0])
-        assert not definite(problem, found, found.claims[0])
+        assert not has_identified_shapes(problem, found, found.claims[0])
         assert np.isfinite(HeldOutBlocks(problem, found, ()).deviance(()))
 
 
@@ -312,21 +311,20 @@ def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., 
     problem = problem_of(record(replace(BENCH, effects=(dry,)), 3))
     warming = closure(law("motion", "warming friction"), BENCH)
     disguised = fit(problem, [Claim(warming, {"coefficient": 8.0, "path": 10.0, "time": 3.0})])
-    assert not definite(problem, disguised, disguised.claims[0])
+    assert not has_identified_shapes(problem, disguised, disguised.claims[0])
     coulomb = next(effect for effect in LIBRARY if effect.label == "friction_coulomb").adapted(BENCH)
     named = fit(problem, [Claim(coulomb, {"force": 8.0})])
-    assert definite(problem, named, named.claims[0])
+    assert has_identified_shapes(problem, named, named.claims[0])
 
 
 def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: Callable[..., StateArray]) -> None:
     """Drag in one direction alone is friction that depends on the direction; a leak is another thing."""
     entry = {"equation": "motion", "form": "drag, outwards", "parameters": {"coefficient": 150.0}}
-    problem = problem_of(record(replace(BENCH, closures=(entry,)), 3))
-    found = fit(problem, [Claim(closure(law("motion", "drag, outwards"), BENCH), {"coefficient": 150.0})])
-    causes = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}
+    states = record(replace(BENCH, closures=(entry,)), 3)
     for ruled_out, refused in ((), False), (("friction_viscous:directional",), True), (("leakage_internal",), False):
-        problem.ruled_out = tuple(causes[label] for label in ruled_out)
-        assert in_disguise(problem, found, found.claims[0]) == refused
+        problem = problem_of(states, *ruled_out)
+        found = fit(problem, [Claim(closure(law("motion", "drag, outwards"), BENCH), {"coefficient": 150.0})])
+        assert equals_ruled_out(problem, found, found.claims[0]) == refused
 
 
 @pytest.mark.parametrize(
@@ -336,10 +334,9 @@ def test_no_law_is_looked_for_where_a_ruled_out_cause_would_take_what_remains(
     record: Callable[..., StateArray], form: str, coefficient: float, wanted: set[str]
 ) -> None:
     entry = {"equation": "motion", "form": form, "parameters": {"coefficient": coefficient}}
-    problem = problem_of(record(replace(BENCH, closures=(entry,)), 3))
+    states = record(replace(BENCH, closures=(entry,)), 3)
+    problem = problem_of(states)
     viscous = next(effect for effect in LIBRARY if effect.label == "friction_viscous").adapted(BENCH)
     found = fit(problem, [Claim(viscous, {"coefficient": 50.0})])
-    assert barred(problem, found) == frozenset()
-    causes = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}
-    problem.ruled_out = causes["friction_viscous:directional"], causes["leakage_internal"]
-    assert barred(problem, found) == wanted
+    assert barred_equations(problem, found) == frozenset()
+    assert barred_equations(problem_of(states, "friction_viscous:directional", "leakage_internal"), found) == wanted

@@ -11,13 +11,12 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.effects.path_memory import along
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.effects.kernels import along
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model.bench import Bench
 

@@ -8,14 +8,13 @@ from collections.abc import Callable
 import pytest
 
 from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.growth import Closed
-from hydro_diagnosis.closure.merging import merged
+from hydro_diagnosis.closure.growth import ClosureFit
 from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.closure.selection import merged
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 
@@ -25,14 +24,14 @@ DRY = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
 DRAG = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 900.0}}
 
 
-def closed_by(problem: Problem, names: list[str], *forms: str, equation: str = "motion") -> Closed:
+def closed_by(problem: Problem, names: list[str], *forms: str, equation: str = "motion") -> ClosureFit:
     """Names and laws of an equation fitted to a recording; the laws are screened as a search does it."""
     found = [effect.adapted(Bench.nominal()) for effect in LIBRARY if effect.label in names]
     terms: list[Closure] = [closure(grammar.ALL[equation, form], problem.bench) for form in forms]
     claims = [Claim(name, {one.name: one.probes[0] for one in name.parameters}) for name in found]
-    Screen.beside(problem, fit(problem, claims), laws(problem))
+    screen = Screen(problem, fit(problem, claims), laws(problem))
     claims += [Claim(term, term.nothing()[0]) for term in terms]
-    return Closed(fit(problem, claims, iterations=40), "law", 1.0, problem)
+    return ClosureFit(fit(problem, claims, iterations=40), "law", 1.0, problem, screen)
 
 
 def test_friction_and_a_stiffness_that_creeps_are_drag_that_fades(problem_of: Callable[..., Problem]) -> None:

@@ -8,13 +8,11 @@ from collections.abc import Callable
 import pytest
 
 from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.openings import openings
 from hydro_diagnosis.closure.screen import Screen
-from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.closure.selection import closures, starting_points
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model.bench import Bench
 
@@ -34,11 +32,15 @@ def test_the_name_beside_which_a_law_leaves_nothing_opens(problem_of: Callable[.
     nothing = fit(problem, ())
     screen = Screen(problem, nothing, laws(problem))
     alone = screen.gains(nothing)[1]
-    weighed, first = next(openings(problem, nothing, screen, NAMES, alone))
+    weighed, first = next(starting_points(problem, nothing, screen, NAMES, alone))
     assert [claim.effect.label for claim in first.claims] == ["valve_offset"]
     assert noticeable(weighed, first.residual)
-    assert list(openings(problem, nothing, screen, NAMES, 1.0)) == []  # where next to nothing is left there is no need
-    assert list(openings(problem, nothing, Screen(problem, nothing, []), NAMES, alone)) == []  # no law can be shown
+    assert (
+        list(starting_points(problem, nothing, screen, NAMES, 1.0)) == []
+    )  # where next to nothing is left there is no need
+    assert (
+        list(starting_points(problem, nothing, Screen(problem, nothing, []), NAMES, alone)) == []
+    )  # no law can be shown
 
 
 def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(problem_of: Callable[..., Problem]) -> None:

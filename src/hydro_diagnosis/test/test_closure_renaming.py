@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.closure.growth import Closed
-from hydro_diagnosis.closure.renaming import renamed
+from hydro_diagnosis.closure.growth import ClosureFit
+from hydro_diagnosis.closure.selection import renamed
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import fit
@@ -22,10 +22,10 @@ RING = {"equation": "pressure", "form": "leak, since a reversal", "parameters": 
 WEAKER = {"id": "valve_gain", "parameters": {"ratio": 0.94}}
 
 
-def closed_by(problem: Problem, *forms: tuple[str, str]) -> Closed:
+def closed_by(problem: Problem, *forms: tuple[str, str]) -> ClosureFit:
     """Laws fitted to a recording."""
     laws = [closure(grammar.ALL[form], problem.bench) for form in forms]
-    return Closed(fit(problem, [Claim(law, law.nothing()[0]) for law in laws]), "law", 1.0, problem)
+    return ClosureFit(fit(problem, [Claim(law, law.nothing()[0]) for law in laws]), "law", 1.0, problem)
 
 
 def test_edges_that_pass_less_are_a_weaker_valve(problem_of: Callable[..., Problem]) -> None:

@@ -127,7 +127,7 @@ def same_in_simulation_and_diagnosis(law: Law | Table) -> None:
     def apart(claims: list[Claim]) -> dict[str, float]:
         model = Plant.of(SegmentModel(segment, BENCH), claims)
         start = np.array(states)[BEGINS][:, [2, 3, 0, 1]].T.copy()
-        readings = model.readings(model.run(start, BEGINS, LENGTH), BEGINS)
+        readings = model.measurements(model.run(start, BEGINS, LENGTH), BEGINS)
         at = BEGINS[None, :] + np.arange(LENGTH)[:, None]
         return {
             name: float(np.sqrt(np.mean((readings[name] - channels[name][at]) ** 2)) / np.ptp(channels[name]))

@@ -14,16 +14,15 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.closure.together import mimics, paying, together
+from hydro_diagnosis.closure.evidence import within_form_error, without_idle_terms
+from hydro_diagnosis.closure.selection import closures, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
@@ -56,7 +55,7 @@ def test_a_large_law_of_the_forces_hides_none_of_the_flows(record: Callable[...,
     table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
     problem = Problem([checked(table, BENCH).segments[0]], BENCH)
     names = [NAMES[label] for label in ("friction_viscous", "load_cell_gain:load_force")]
-    found = together(problem, names, [closure(law, BENCH) for law in grammar.LAWS])
+    _, found = together(problem, names, [closure(law, BENCH) for law in grammar.LAWS])
     values = {claim.effect.label: claim.values for claim in found.claims}
     assert set(values) == {DRAG, LEAK, "load_cell_gain:load_force"}
     assert values[DRAG]["coefficient"] == pytest.approx(5000.0, rel=0.002)
@@ -116,12 +115,11 @@ def test_names_that_do_nothing_beside_a_law_are_dropped(dragged: Problem) -> Non
     drag = closure(grammar.ALL["motion", "quadratic drag"], BENCH)
     truth = (Claim(drag, {"coefficient": 600.0}), Claim(NAMES["friction_coulomb"], {"force": 8.0}))
     idle = Claim(NAMES["friction_viscous"], {"coefficient": 1.0})
-    dragged.update_weights(truth)
-    found = paying(dragged, fit(dragged, (*truth, idle)))
+    dragged = dragged.weighed(truth)
+    found = without_idle_terms(dragged, fit(dragged, (*truth, idle)))
     assert {claim.effect.label for claim in found.claims} == {DRAG, "friction_coulomb"}
-    assert mimics(dragged, found, found)  # nothing is no more than the law's form may be off by
-    assert not mimics(dragged, fit(dragged, truth[:1]), found)
-    dragged.update_weights(())
+    assert within_form_error(dragged, found, found)  # nothing is no more than the law's form may be off by
+    assert not within_form_error(dragged, fit(dragged, truth[:1]), found)
 
 
 def test_laws_are_kin_where_they_show_in_the_same_balances() -> None:

@@ -12,8 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.column_source import UNITS, source_of
+from hydro_diagnosis.io.column_map import UNITS, ColumnMap, source_of
 from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError

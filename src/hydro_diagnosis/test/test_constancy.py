@@ -11,15 +11,14 @@ import pytest
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import CANDIDATES, Claim, Effect
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, score
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.constancy import without_varying
 from hydro_diagnosis.selection.effect_summary import describe
-from hydro_diagnosis.selection.outcome import Outcome, score
+from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.selection.verdict import assess
+from hydro_diagnosis.selection.verdict import assess, without_varying
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

@@ -72,7 +72,10 @@ def test_wrong_modulus_and_valve_gain_become_numbers_of_the_bench(problem: Probl
     assert corrected.effects == ()
     assert corrected.valve_gain == pytest.approx(1.05 * problem.bench.valve_gain)
     model = problem.models[0]
-    as_effects, as_numbers = model.chamber_run(claims), SegmentModel(model.segment, corrected).chamber_run(())
+    as_effects, as_numbers = (
+        model.observer.chamber_run(claims),
+        SegmentModel(model.segment, corrected).observer.chamber_run(()),
+    )
     np.testing.assert_allclose(as_numbers.innovations, as_effects.innovations, rtol=1e-9, atol=1e-3)
 
 

@@ -9,9 +9,8 @@ import pytest
 
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.fluid import EntrainedAir
-from hydro_diagnosis.effects.valve_dynamics import TransportDelay, ValveLag, ValveLagFirstOrder
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.effects.valve import TransportDelay, ValveLag, ValveLagFirstOrder
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
@@ -56,7 +55,7 @@ def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(problem: Probl
         change = problem.residual([Claim(effect, values_at(effect, "probe"))]) - nothing
         power = np.bincount(problem.layout.channel, np.square(change), len(CHANNELS))
         shown = {CHANNELS[k] for k in np.flatnonzero(power > 1e-9 * power.max())}
-        may = {name for block in effect.touches for name in BLOCKS[block]} | {"motion"}  # forces reach the motion
+        may = {name for block in effect.blocks for name in BLOCKS[block]} | {"motion"}  # forces reach the motion
         assert shown
         assert shown <= may
 

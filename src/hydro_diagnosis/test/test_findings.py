@@ -18,7 +18,7 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.io.identity import identified
+from hydro_diagnosis.stages.reading import recording_entry
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 
@@ -51,7 +51,7 @@ def test_a_bag_is_known_by_the_stamp_of_its_first_sample(tmp_path: Path) -> None
     states["time"], states["sequence"] = 1.7e9 + 0.25 + 1e-3 * np.arange(50), np.arange(50)
     with BagWriter(tmp_path / "bag") as writer:
         writer.write_states(states)
-    assert identified(tmp_path / "bag") == {"name": "bag", "begin": pytest.approx(1.7e9 + 0.25, abs=1e-6)}
+    assert recording_entry(tmp_path / "bag") == {"name": "bag", "begin": pytest.approx(1.7e9 + 0.25, abs=1e-6)}
 
 
 def test_something_left_that_nobody_knows(

@@ -20,7 +20,7 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.foretelling import distrusted, made_worse, made_worse_in_all, not_foretold
+from hydro_diagnosis.selection.effect_summary import distrusted, made_worse, made_worse_in_all, not_predicted
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -48,15 +48,15 @@ def claims(*names: str) -> list[Claim]:
     ],
 )  # fmt: skip
 def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_foretell(
-    record: Callable[..., StateArray], truth: dict[str, Sequence[object]], named: list[str], foretold: bool
+    record: Callable[..., StateArray], truth: dict[str, Sequence[object]], named: list[str], predicted: bool
 ) -> None:
     bench = replace(BENCH, **truth)
     fitted, unseen = (problem_of(record(bench, seed, amplitude=size)) for seed, size in ((1, SLOW), (2, FAST)))
     found = fit(fitted, claims(*named))
-    unseen.update_weights(found.claims)
-    note = not_foretold(unseen, found.claims)
-    assert (note == "") == foretold
-    assert foretold or "(motion)" in note
+    unseen = unseen.weighed(found.claims)
+    note = not_predicted(unseen, found.claims)
+    assert (note == "") == predicted
+    assert predicted or "(motion)" in note
 
 
 def test_a_held_out_channel_that_is_made_worse_is_said() -> None:

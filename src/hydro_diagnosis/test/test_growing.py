@@ -16,9 +16,8 @@ import pytest
 
 from hydro_bridge.errors import UserError
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.growing.agreement import agreements
-from hydro_diagnosis.growing.sightings import sightings
-from hydro_diagnosis.growing.tracing import shape_text
+from hydro_diagnosis.growing.files import shape_text
+from hydro_diagnosis.growing.sightings import agreements, sightings
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.law_signals import Signals

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.intervals import all_hold, intervals
+from hydro_diagnosis.estimation.intervals import all_exclude_neutral, intervals
 from hydro_diagnosis.estimation.problem import Problem
 
 PULLS = {
@@ -24,7 +24,7 @@ def test_an_interval_holds_no_value_that_the_recordings_rule_out(problem_of: Cal
     effects = {one.effect.label: one.effect for one in laws(pulled)}
     found = fit(pulled, [Claim(effects[f"closure:motion:{form}"], dict(values)) for form, values in PULLS.items()])
     bounds = intervals(pulled, found)
-    assert all_hold(found.claims, bounds)
+    assert all_exclude_neutral(found.claims, bounds)
     k = 0
     for claim in found.claims:
         without = fit(pulled, tuple(one for one in found.claims if one is not claim))

@@ -6,11 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydro_diagnosis.effects import LIBRARY, Claim, substeps
-from hydro_diagnosis.effects.path_memory import held_lag
-from hydro_diagnosis.effects.soft_edges import opened
+from hydro_diagnosis.effects import LIBRARY, Claim, kernels
+from hydro_diagnosis.effects.kernels import held_lag, opened
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.model.kernels import fading_sums
+from hydro_diagnosis.model.chambers import fading_sums
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import finish, finish_at, smooth, smooth_at
 
@@ -77,9 +76,11 @@ def test_a_held_lag_runs_as_its_differential_equation() -> None:
 @pytest.mark.parametrize("count", [1, 4])
 def test_means_over_substeps_are_those_of_numpy_to_the_bit(count: int) -> None:
     signal = 1e-2 * np.random.default_rng(3).standard_normal((1000, count))
-    np.testing.assert_array_equal(substeps.mean(signal), signal.mean(axis=-1))
+    np.testing.assert_array_equal(kernels.substep_mean(signal), signal.mean(axis=-1))
     for sign in (1.0, -1.0):
-        np.testing.assert_array_equal(substeps.mean_beyond(signal, sign), np.maximum(sign * signal, 0.0).mean(axis=-1))
+        np.testing.assert_array_equal(
+            kernels.substep_mean_beyond(signal, sign), np.maximum(sign * signal, 0.0).mean(axis=-1)
+        )
 
 
 @pytest.mark.parametrize(("width", "soft"), [(1e-3, 1e-4), (0.0, 1e-4), (5e-4, 5e-6), (2e-2, 5e-3)])

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_diagnosis.dataset.loading import ENOUGH, load_dataset
 from hydro_diagnosis.io.table import InputError
+from hydro_diagnosis.preprocessing.loading import ENOUGH, load_dataset
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

@@ -14,13 +14,24 @@ import yaml
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import InputError
+from hydro_diagnosis.bench_numbers import (
+    NONE,
+    Guarded,
+    PartialBench,
+    applies,
+    completed,
+    knows,
+    left_out,
+    needed,
+    numbers,
+    read_bench,
+    refuse_missing,
+)
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.estimation.needed_numbers import acts, left_out, needed, refuse_missing
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.partial_bench import NONE, Guarded, PartialBench, completed, knows, numbers, read_bench
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.wiring.sizes import doubts
+from hydro_diagnosis.wiring import doubts
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -136,7 +147,7 @@ def test_wrong_content_is_refused_with_the_file(content: str, why: str, tmp_path
 
 def test_causes_that_need_what_is_not_known_are_not_tried() -> None:
     bench = completed({"moving_mass": 1.0})
-    acting = {effect.id for effect in LIBRARY if acts(effect, bench)}
+    acting = {effect.id for effect in LIBRARY if applies(effect, bench)}
     assert {"friction_coulomb", "friction_viscous", "moving_mass", "force_offset"} <= acting
     assert not acting & {"end_cushion", "spring_rest", "spring_stiffness", "backlash"}
 

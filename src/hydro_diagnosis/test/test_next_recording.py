@@ -8,11 +8,9 @@ import pytest
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, score
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design.next_recording import catalog, expected_gain
-from hydro_diagnosis.experiment_design.synthetic_recording import rehearsal
-from hydro_diagnosis.selection.outcome import score
+from hydro_diagnosis.experiment_design import catalog, expected_gain, rehearsal
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

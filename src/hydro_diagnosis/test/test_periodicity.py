@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.estimation.layout import CHANNELS, Layout
-from hydro_diagnosis.selection.periodicity import line_of
+from hydro_diagnosis.estimation.problem import CHANNELS, Layout
+from hydro_diagnosis.stages.reporting import line_of
 
 STEP, COUNT = 5e-3, 5000
 LOAD = CHANNELS.index("load")

@@ -11,13 +11,12 @@ import pytest
 
 from hydro_bridge.signals import StateArray, Waveform
 from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.estimation.problem import sensor_noise
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.model.noise_floor import sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.validation.heldout import HORIZON, Comparison, Known, compare
-from hydro_diagnosis.validation.predictability import MOST
+from hydro_diagnosis.validation import HORIZON, MOST, Comparison, Known, compare
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hydro_bridge.cli.console import Table
-from hydro_diagnosis.blind_benchmark import page
+from hydro_diagnosis.blind_benchmark import pictures
 
 PNG = b"\x89PNG\r\n"
 
@@ -15,7 +15,7 @@ def written(tmp_path: Path, failed: list[dict[str, object]]) -> str:
     table = Table({"standard": "", "held": ""})
     table.add(standard="named rightly, of <all>", held="19 of 20")
     (tmp_path / "errors.png").write_bytes(PNG)
-    page.write(tmp_path / "proof.html", table, {"errors": tmp_path / "errors.png"}, failed, {"seed": "3"})  # type: ignore[arg-type]
+    pictures.write_page(tmp_path / "proof.html", table, {"errors": tmp_path / "errors.png"}, failed, {"seed": "3"})  # type: ignore[arg-type]
     return (tmp_path / "proof.html").read_text(encoding="utf-8")
 
 

@@ -12,8 +12,7 @@ import pytest
 from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.io.table import InputError, read_table
-from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.preprocessing.sensor_faults import FROZEN, frozen_encoder, repeats
+from hydro_diagnosis.preprocessing.quality import FROZEN, checked, frozen_encoder, repeats
 from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_sim.model.bench import Bench

@@ -15,14 +15,12 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.findings import Report
-from hydro_diagnosis.formats.importers import read_columns
-from hydro_diagnosis.formats.mdf import NEEDED
-from hydro_diagnosis.formats.suffixes import SUFFIXES
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.proposal import proposed
-from hydro_diagnosis.io.table import columns_of, read_table
+from hydro_diagnosis.io.listing import proposed
+from hydro_diagnosis.io.measurement_files import NEEDED
+from hydro_diagnosis.io.table import columns_of, read_columns, read_table
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

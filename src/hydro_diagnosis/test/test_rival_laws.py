@@ -10,13 +10,11 @@ import numpy as np
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, score
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design.next_recording import catalog
-from hydro_diagnosis.experiment_design.rival_laws import next_for_law, rival_law
+from hydro_diagnosis.experiment_design import catalog, next_for_law, rival_law
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.outcome import score
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant

@@ -8,14 +8,12 @@ import pytest
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.fit import fit, mean_squares, noticeable, score
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.report.corrected_bench import corrected_bench
-from hydro_diagnosis.selection.localisation import mean_squares, noticeable
-from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, score
+from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_sim.model.bench import Bench
 

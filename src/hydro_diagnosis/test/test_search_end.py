@@ -8,12 +8,10 @@ from collections.abc import Callable
 import pytest
 
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
-from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.selection.significance import nibbles
+from hydro_diagnosis.selection.search import Search, removes_little
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
@@ -55,7 +53,7 @@ def test_a_search_that_ends_early_says_why(worn: Problem, settings: dict[str, in
 def test_a_claim_nibbles_that_removes_little_where_it_acts(worn: Problem, ratio: float, little: bool) -> None:
     effect = next(one for one in ADAPTED if one.id == "spring_stiffness")
     found = fit(worn, (Claim(effect, {"ratio": ratio}),), iterations=0)
-    assert nibbles(worn, fit(worn, ()), found) is little
+    assert removes_little(worn, fit(worn, ()), found) is little
 
 
 def test_patience_ends_a_search(worn: Problem, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.estimation.fit import Fit, fit, with_one_more, without_one
-from hydro_diagnosis.estimation.parameters import pack
+from hydro_diagnosis.estimation.fit import Fit, fit, pack, with_one_more, without_one
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import Signatures, screen
 from hydro_diagnosis.selection.search import Search

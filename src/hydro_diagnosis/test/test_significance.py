@@ -9,13 +9,12 @@ import pytest
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FitParameter
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.significance import form_error, is_significant
+from hydro_diagnosis.selection.search import form_error, is_significant
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -87,7 +86,7 @@ def test_newcomer_that_leaves_nothing_is_no_error_in_the_form_of_its_kin(
     states = record(replace(BENCH, effects=truth), 5)
     table = RawTable("run", states["time"].copy(), None, {name: states[name].copy() for name in states.dtype.names})
     problem = Problem(checked(table, BENCH).segments, BENCH)
-    problem.update_weights([claim(library("friction_coulomb"), force=8.0)])
+    problem = problem.weighed([claim(library("friction_coulomb"), force=8.0)])
     base = fit(problem, [claim(library("friction_coulomb"), force=8.0)])
     assert noticeable(problem, base.residual) == (STRIBECK in truth)
     found = fit(problem, [*base.claims, claim(library(newest))])

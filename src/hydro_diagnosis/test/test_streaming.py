@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_diagnosis.dataset import loading, streaming
-from hydro_diagnosis.dataset.informative_windows import Visits, select_informative_windows
-from hydro_diagnosis.dataset.streaming import read_bag_within
 from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.streaming import Visits, read_bag_within, select_informative_windows
 from hydro_diagnosis.recording import Recording, UnusableRecordingError
 from hydro_sim.model.bench import Bench
 

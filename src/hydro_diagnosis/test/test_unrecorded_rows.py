@@ -11,21 +11,17 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.effects import CANDIDATES, Claim
-from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.intervals import intervals, surely
+from hydro_diagnosis.estimation.fit import fit, mean_squares
+from hydro_diagnosis.estimation.intervals import intervals, shifts, without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.unrecorded_rows import shifts, untold
 from hydro_diagnosis.findings import EffectReport, ParameterEstimate
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.box_clock import judged
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import checked, counted, uneven
 from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, smooth
-from hydro_diagnosis.preprocessing.stamps import counted, uneven
 from hydro_diagnosis.recording import Recording
-from hydro_diagnosis.selection.current_alignment import current_is_early
-from hydro_diagnosis.selection.localisation import mean_squares
 from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.significance import all_significant
+from hydro_diagnosis.selection.search import all_significant
+from hydro_diagnosis.stages.reporting import current_is_early, undetectable_causes
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -71,7 +67,7 @@ def test_slow_clean_recordings_are_noise(nominal: StateArray, spacing: int) -> N
 def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) -> None:
     problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
     found = fit(problem, [Claim(MASS, {"mass": 0.1})])
-    assert not all_significant(problem, found) or not surely(problem, found)[0].claims
+    assert not all_significant(problem, found) or not without_insignificant(problem, found)[0].claims
 
 
 def test_half_of_the_rows_tell_how_far_a_parameter_may_be_off(nominal: StateArray) -> None:
@@ -91,7 +87,7 @@ def test_lost_rows_and_their_neighbours_are_not_judged(nominal: StateArray) -> N
     (segment,) = recording.segments
     assert any("missing samples were bridged" in note for note in recording.quality)
     assert segment.measured is not None and np.array_equal(segment.measured, kept)
-    rows = judged(segment, 300, len(segment) - 20, 5, 6)
+    rows = segment.judged(300, len(segment) - 20, 5, 6)
     lost = np.flatnonzero(~kept)
     assert isinstance(rows, np.ndarray) and len(rows) > 800 and np.min(np.diff(rows)) >= 5
     assert np.min(np.abs(rows[:, None] - lost[None, :])) > 6
@@ -133,15 +129,15 @@ def test_samples_taken_unevenly_are_placed_by_their_stamps(nominal: StateArray) 
 def test_claim_whose_interval_holds_nothing_is_none(problem: Problem) -> None:
     found = fit(problem, [Claim(FRICTION, {"force": 1e-4})], iterations=0)
     assert intervals(problem, found)[0].low == 0.0
-    assert surely(problem, found)[0].claims == ()
+    assert without_insignificant(problem, found)[0].claims == ()
 
 
 def test_what_a_rate_hides_is_said(nominal: StateArray) -> None:
     slow = Problem(logged(nominal, slice(None, None, 20)).segments, BENCH)
-    note = untold(slow, fit(slow, ()), [effect.adapted(BENCH) for effect in CANDIDATES], THRESHOLD)
+    note = undetectable_causes(slow, fit(slow, ()), [effect.adapted(BENCH) for effect in CANDIDATES], THRESHOLD)
     assert note is not None and "entrained_air under" in note
     whole = Problem(logged(nominal).segments, BENCH)
-    assert untold(whole, fit(whole, ()), CANDIDATES, THRESHOLD) is None
+    assert undetectable_causes(whole, fit(whole, ()), CANDIDATES, THRESHOLD) is None
 
 
 def test_recordings_of_two_rates_have_each_its_own_noise(nominal: StateArray) -> None:

@@ -20,11 +20,9 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable
-from hydro_diagnosis.selection.miswiring import suspected
-from hydro_diagnosis.stages.hypotheses import understood
+from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
-from hydro_diagnosis.wiring.repairs import reversed_sign
-from hydro_diagnosis.wiring.sizes import doubts
+from hydro_diagnosis.wiring import doubts, reversed_sign
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.schedules import Segment
@@ -99,7 +97,7 @@ def asked(recordings: list[Path], **options: Any) -> Question:
 
 
 def read(recordings: list[Path], **options: Any) -> Case:
-    return understood(asked(recordings, **options), lambda text: None)
+    return read_repaired(asked(recordings, **options), lambda text: None)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,9 @@
 
 FOLDER holds bench.yaml and a folder per case with its recordings; each gets answer.json and corrected.yaml. Finished
 cases are left alone, so that it goes on where it was stopped; several can run side by side.
+
+An audit hook (PEP 578) refuses the other files of the proof, listings of folders, other processes, and the code of the
+truth plant. It guards against a mistake, not against native code written to get around it.
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ import random
 import signal
 import sys
 import time
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -21,12 +26,66 @@ from typing import Any
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+import hydro_sim.model
 from hydro_bridge.cli.console import command, progress
 from hydro_diagnosis import InputError, diagnose
-from hydro_diagnosis.blind_benchmark import access_guard
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
-from hydro_diagnosis.engine import engine
 from hydro_diagnosis.report.corrected_bench import write_corrected
+
+
+@cache
+def engine() -> str:
+    """Digest of the sources at the first call."""
+    digest = sha256()
+    for package in (Path(__file__).parent, Path(hydro_sim.model.__file__).parent):
+        for path in sorted(package.rglob("*.py")):
+            if "blind_benchmark" not in path.relative_to(package).parts:
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+TRUTH = "hydro_sim.emulator"
+"""Package whose code makes the recordings."""
+_STARTS = ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork")
+
+
+class SealedError(PermissionError):
+    """The diagnosis reached for what it must not see."""
+
+
+_worn: set[tuple[str, str]] = set()
+
+
+def guard(hidden: Path, seen: Path) -> None:
+    """Refuse access below `hidden` except below `seen`; one call per process and pair of folders suffices."""
+    pair = (os.path.realpath(hidden), os.path.realpath(seen))
+    if pair in _worn:
+        return
+    _worn.add(pair)
+    if any(name == TRUTH or name.startswith(TRUTH + ".") for name in sys.modules):
+        raise SealedError(f"{TRUTH} is loaded already")
+
+    def look(event: str, arguments: tuple[Any, ...]) -> None:
+        if event in ("open", "os.listdir", "os.scandir"):
+            path = arguments[0] if arguments else None
+            if isinstance(path, (str, bytes, os.PathLike)) and _below(path, *pair):
+                raise SealedError(f"{os.fsdecode(path)} is sealed")
+        elif event == "import" and str(arguments[0]).startswith(TRUTH):
+            raise SealedError(f"{arguments[0]} holds the truth")
+        elif event in _STARTS:
+            raise SealedError("the diagnosis starts no other process")
+
+    sys.addaudithook(look)
+
+
+def _below(path: str | bytes | os.PathLike[Any], hidden: str, seen: str) -> bool:
+    real = os.path.realpath(os.fsdecode(path))
+    return _within(real, hidden) and not _within(real, seen)
+
+
+def _within(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder + os.sep)
+
 
 ANSWER = "answer.json"
 LIMIT = 300
@@ -37,7 +96,7 @@ def diagnosed(case: Path) -> None:
     """Diagnose one case and write its answer.json: report, refused (a sentence or null), wall and cpu [s], engine."""
     if (case / ANSWER).exists():  # another one was here in the meantime
         return
-    access_guard.put_on(case.parent.parent, case.parent)
+    guard(case.parent.parent, case.parent)
     begun, cpu = time.monotonic(), time.process_time()
     answer: dict[str, Any] = {"report": None, "refused": None, "engine": ENGINE}
     signal.signal(signal.SIGPROF, _too_long)

@@ -1,23 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of a proof: confusion matrix, errors against size, coverage of intervals, held-out fit."""
+"""proof.html: standards, failures, and plots of confusion and of errors against size."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
+from hydro_bridge.cli.console import Table
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import data_uri, environment
 from hydro_diagnosis.blind_benchmark.cases import FITTED, SECONDS
-from hydro_diagnosis.blind_benchmark.facts import Result
-from hydro_diagnosis.blind_benchmark.standards import confusion, wilson
+from hydro_diagnosis.blind_benchmark.scores import Result, confusion
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure
 
-NAMES = {"confusion": "confusion.png", "errors": "errors.png", "coverage": "coverage.png", "held_out": "held_out.png"}
+_CAPTIONS = {
+    "confusion": "What was said about each cause that was concealed alone; numbers are cases, blue is their share.",
+    "errors": "Error of the size of each cause that was concealed alone, against how large it was. The detection floor "
+    "is the size at which evidence would just be enough, or from which on it is worth claiming.",
+}
+
+
+def write_page(path: Path, table: Table, pictures: Mapping[str, Path], failed: Sequence[Mapping[str, Any]],
+          about: Mapping[str, str]) -> None:  # fmt: skip
+    """Write the page; `about`: facts on the run, by name."""
+    made = environment("hydro_diagnosis", "blind_benchmark/templates")
+    made.filters["flat"] = _flat
+    page = made.get_template("proof.html").render(
+        title="Proof on sealed cases",
+        about=about,
+        table=table,
+        pictures=[(_CAPTIONS[what], data_uri(file)) for what, file in pictures.items()],
+        failed=failed,
+    )
+    write_whole(path, page.encode())
+
+
+def _flat(data: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(_rounded(data), default_flow_style=True, width=10**6).strip() if data else ""
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _rounded(one) for key, one in value.items()}
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+NAMES = {"confusion": "confusion.png", "errors": "errors.png"}
 """File names, by what they show."""
 _VERDICTS = ("no_mismatch", "unknown", "partly_explained", "modelled", "explained", "refused")
 
@@ -27,8 +62,6 @@ def draw(results: Sequence[Result], folder: Path) -> dict[str, Path]:
     paths = {what: folder / name for what, name in NAMES.items()}
     draw_confusion(confusion(results), paths["confusion"])
     draw_errors(results, paths["errors"])
-    draw_coverage(results, paths["coverage"])
-    draw_held_out(results, paths["held_out"])
     return paths
 
 
@@ -97,44 +130,6 @@ def draw_errors(results: Sequence[Result], path: Path) -> None:
         axis.set(xscale="log", yscale="log", xlabel="size over the cause's detection floor (dashed: floor)",
                  ylabel="error of the size, over the size (dotted: 0.5 %)")  # fmt: skip
         axis.legend(fontsize=6, ncols=1, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
-def draw_coverage(results: Sequence[Result], path: Path) -> None:
-    """Share of 95 % intervals that hold the truth, by cause, with Wilson's interval."""
-    by_cause: dict[str, list[bool]] = defaultdict(list)
-    for result in results:
-        for one in result.estimates if result.case.kind in ("single", "value", "pair", "triple") else ():
-            by_cause[one.cause].append(one.inside)
-    causes = sorted(by_cause, key=lambda name: (np.mean(by_cause[name]), name), reverse=True)
-    with figure(path, size=(7.0, 0.8 + 0.18 * max(len(causes), 1))) as (_, (axis,)):
-        axis.axvspan(0.92, 0.98, color=GREEN, alpha=0.15, linewidth=0, label="goal")
-        for k, cause in enumerate(causes):
-            held = by_cause[cause]
-            share, (low, high) = float(np.mean(held)), wilson(sum(held), len(held))
-            axis.plot([low, high], [k, k], color=BLUE, linewidth=1.0)
-            axis.plot([share], [k], "o", color=BLUE, markersize=3)
-        axis.set_yticks(range(len(causes)), [f"{_words(name)} ({len(by_cause[name])})" for name in causes], fontsize=7)
-        axis.set(xlabel="share of 95 % intervals that hold the truth", xlim=(0.0, 1.02))
-        axis.invert_yaxis()
-        legend(axis)
-
-
-def draw_held_out(results: Sequence[Result], path: Path) -> None:
-    """Held-out error over the noise floor: of the diagnosis against that of the true structure."""
-    with figure(path, size=(5.5, 4.5)) as (_, (axis,)):
-        for named, color, label in ((True, BLUE, "named exactly"), (False, RED, "not named exactly")):
-            pairs = [
-                (result.held_out_true, result.held_out)
-                for result in results
-                if result.held_out is not None and result.held_out_true is not None and result.exact == named
-            ]
-            if pairs:
-                axis.plot(*zip(*pairs, strict=True), "o", color=color, markersize=3, alpha=0.7, label=label)
-        reach = [0.8, max(axis.get_ylim()[1], 2.0)]
-        axis.plot(reach, reach, color=GRAY, linewidth=0.8)
-        axis.set(xscale="log", yscale="log", xlabel="true structure, fitted: held-out error over noise floor",
-                 ylabel="diagnosis: held-out error over noise floor")  # fmt: skip
-        legend(axis)
 
 
 def _words(name: Any) -> str:

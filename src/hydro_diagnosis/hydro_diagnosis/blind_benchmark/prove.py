@@ -10,6 +10,7 @@ the same command goes on where it was. proof.md.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import subprocess
 import sys
@@ -23,14 +24,52 @@ import yaml
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_diagnosis.blind_benchmark import page, seal
+from hydro_diagnosis.blind_benchmark import pictures
 from hydro_diagnosis.blind_benchmark.cases import PARTS, Case, draw, draw_parts
-from hydro_diagnosis.blind_benchmark.facts import Result
-from hydro_diagnosis.blind_benchmark.standards import confusion, failures, standards
+from hydro_diagnosis.blind_benchmark.scores import Result, confusion, failures, standards
 from hydro_sim.model.bench import Bench
 
-SEALED, BLIND, OPENED = "sealed", "blind", "opened"
-"""Folders of a proof: answers; input and output of the diagnosis; results computed once the seal was opened."""
+ANSWERS, DIGEST = "answers.json", "answers.sha256"
+
+
+def seal(cases: Sequence[Case], folder: Path) -> str:
+    """Write the answers into `folder`, readable by their owner alone; returns their SHA-256.
+
+    Raises
+    ------
+    UserError
+        The folder holds the seal of other cases.
+    """
+    content = json.dumps([case.to_mapping() for case in cases], sort_keys=True, indent=1).encode()
+    digest = hashlib.sha256(content).hexdigest()
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = folder / DIGEST
+    if kept.exists():
+        if kept.read_text().split()[0] != digest:
+            raise UserError(f"{folder.parent} holds other cases: choose another --out, or say the same words again")
+        return digest
+    (folder / ANSWERS).write_bytes(content)
+    (folder / ANSWERS).chmod(0o400)
+    kept.write_text(f"{digest}  {ANSWERS}\n", encoding="utf-8")  # as sha256sum -c reads it
+    return digest
+
+
+def unseal(folder: Path, digest: str) -> list[Case]:
+    """Return the answers, if they match the seal.
+
+    Raises
+    ------
+    UserError
+        They were changed since.
+    """
+    content = (folder / ANSWERS).read_bytes()
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise UserError(f"{folder / ANSWERS} was changed after it was sealed: its digest is not {digest}")
+    return [Case.from_mapping(data) for data in json.loads(content)]
+
+
+SEALED, BLIND = "sealed", "blind"
+"""Folders of a proof: answers; input and output of the diagnosis."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -60,13 +99,13 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str]) -> int:
     """Prove; 0 when cases are scored, 3 when time was up before."""
     chosen = parser().parse_args(arguments)
-    from hydro_diagnosis.blind_benchmark.blind import ANSWER  # late, as others below: not for --help or a slip
+    from hydro_diagnosis.blind_benchmark.blind import ANSWER
 
     cases = _drawn(chosen)
     _check(chosen, len(cases))
     until = time.monotonic() + 60.0 * chosen.minutes
     folder = writable_folder(chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}").absolute()
-    digest = seal.close(cases, folder / SEALED)
+    digest = seal(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
     recorded = _record(cases, folder / BLIND, chosen, until)
     if recorded and chosen.only_record:
@@ -79,9 +118,13 @@ def run(arguments: Sequence[str]) -> int:
         print(f"time is up: {len(done)} of {len(cases)} cases are diagnosed; the same command goes on")
         if not (chosen.partial and done):
             return 3
-    answers = [case for case in seal.opened(folder / SEALED, digest) if case.name in done]
+    answers = [case for case in unseal(folder / SEALED, digest) if case.name in done]
     print("opened: the answers are those that were sealed")
-    results = [result for result in _results(answers, folder, chosen.workers) if _asked(result, chosen.kinds)]
+    results = [
+        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text()))
+        for case in answers
+        if not chosen.kinds or case.kind in chosen.kinds
+    ]
     _show(
         results,
         folder,
@@ -120,8 +163,7 @@ def _check(chosen: argparse.Namespace, count: int) -> None:
 
 def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
     """Record all cases; False if time was up."""
-    from hydro_diagnosis.blind_benchmark.bench_graph import record_by_graph
-    from hydro_diagnosis.blind_benchmark.recording import record
+    from hydro_diagnosis.blind_benchmark.recording import record, record_by_graph
 
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "bench.yaml").exists():
@@ -143,42 +185,25 @@ def _diagnose(folder: Path, workers: int, seconds: float) -> bool:
 
 
 def _forget_other_versions(folder: Path) -> None:
-    """Remove what another version of the diagnosis answered, and what was computed for it."""
-    from hydro_diagnosis.blind_benchmark.blind import ANSWER
-    from hydro_diagnosis.engine import engine
+    """Remove what another version of the diagnosis answered."""
+    from hydro_diagnosis.blind_benchmark.blind import ANSWER, engine
 
     this = engine()
     for answer in (folder / BLIND).glob(f"*/{ANSWER}"):
         if json.loads(answer.read_text())["engine"] != this:
-            (folder / OPENED / f"{answer.parent.name}.json").unlink(missing_ok=True)
             answer.unlink()
-
-
-def _asked(result: Result, kinds: Sequence[str] | None) -> bool:
-    return kinds is None or result.case.kind in kinds
-
-
-def _results(cases: Sequence[Case], folder: Path, workers: int) -> list[Result]:
-    from hydro_diagnosis.blind_benchmark.blind import ANSWER
-    from hydro_diagnosis.blind_benchmark.oracle_fit import rule
-
-    results = [
-        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text())) for case in cases
-    ]
-    return rule(results, folder / BLIND, folder / OPENED, workers)
 
 
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
     """Print the table; write proof.json, the pictures and proof.html."""
-    from hydro_diagnosis.blind_benchmark import pictures
-    from hydro_diagnosis.engine import engine
+    from hydro_diagnosis.blind_benchmark.blind import engine
 
     engines = sorted({str(result.answer["engine"]) for result in results})
     about = {**about, "engine": ", ".join(engines)}
     table, failed = standards(results), failures(results)
     table.show(json_file)
     drawn = pictures.draw(results, folder)
-    page.write(folder / "proof.html", table, drawn, failed, about)
+    pictures.write_page(folder / "proof.html", table, drawn, failed, about)
     refresh_index(folder)
     content = {"about": about, "standards": table.rows, "confusion": confusion(results), "failures": failed,
                "floors": pictures.floors(results), "cases": [_row(result) for result in results]}  # fmt: skip
@@ -197,7 +222,7 @@ def _row(result: Result) -> dict[str, Any]:
         "case": case.name, "kind": case.kind, "label": case.label, "noise": case.noise, "size": case.size,
         "truth": {**case.effects, **case.outside}, "verdict": result.verdict, "claimed": result.claimed,
         "passed": result.passed, "located": result.located, "places": result.places,
-        "held_out": result.held_out, "held_out_true": result.held_out_true, "worst_channel": result.worst_channel(),
+        "held_out": result.held_out, "worst_channel": result.worst_channel(),
         "estimates": [{**vars(one), "error": one.error} for one in result.estimates],
         "wall": result.answer["wall"], "cpu": result.answer["cpu"],
     }  # fmt: skip

@@ -1,22 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Admission of a closure: simulated forward on held-out recordings, it must make no channel worse."""
+"""Admission of a closure: simulated forward on held-out recordings, it must make no channel worse.
+
+Names beside laws that leave something are judged on the held-out recordings, too: where a law of the wrong form leaves
+something, a name may take a part of it in the fitted recordings alone.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from hydro_diagnosis.closure.growth import Closed
+import numpy as np
+
+from hydro_diagnosis.closure.growth import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import ClosureReport, ParameterEstimate
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.validation.equations import held_out
-from hydro_diagnosis.validation.heldout import Known
+from hydro_diagnosis.validation import Known, held_out
 from hydro_sim.model.laws import Law
+
+WORSE_WITH = 0.01
+"""Share of what all claims explain of the held-out residual's square, by which it is smaller without a name."""
+
+
+def without_harmful_names(closed: ClosureFit, holdout: Problem) -> ClosureFit:
+    """The model without names that make the held-out residual larger, the worst first; as it is if nothing remains."""
+    problem = closed.problem
+    while noticeable(problem, closed.fit.residual):
+        names = [claim for claim in closed.fit.removable if not isinstance(claim.effect, Closure)]
+        fewer = [_without(problem, closed.fit, claim.effect.label) for claim in names]
+        gains = [holdout_gain(holdout, one, closed.fit) for one in fewer]
+        if not gains or min(gains) >= -WORSE_WITH:
+            break
+        closed = replace(closed, fit=fewer[int(np.argmin(gains))])
+    return closed
+
+
+def _without(problem: Problem, found: Fit, label: str) -> Fit:
+    return fit(problem, tuple(claim for claim in found.claims if claim.effect.label != label))
+
 
 WORSE = 1.02
 """Ratio to the error of the names alone above which a channel counts as worse: windows are few."""
@@ -28,7 +55,7 @@ WORTH = 0.05
 class Admitted:
     """An admitted closure."""
 
-    closed: Closed
+    closed: ClosureFit
     held: dict[str, Any]
     """`fit` of report.json, with the closure."""
     share: float
@@ -39,20 +66,20 @@ class Admitted:
 
 def admitted(
     problem: Problem,
-    unseen: Problem,
-    candidates: Iterable[Closed],
+    holdout: Problem,
+    candidates: Iterable[ClosureFit],
     models: Sequence[SegmentModel],
     named: Mapping[str, Any],
     known: Known | None = None,
 ) -> Admitted | None:
     """Return the first candidate that makes no held-out channel worse than the names alone do, or None.
 
-    `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
+    `holdout`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
     what has been simulated already.
     """
     errors: dict[str, float | None] = {}
     for closed in candidates:
-        held = held_out(problem, unseen, closed.fit.claims, models, known)
+        held = held_out(problem, holdout, closed.fit.claims, models, known)
         share = share_closed(named, held) if harmless(named, held) else None
         errors[closed.form] = share
         if share is not None and share > WORTH:

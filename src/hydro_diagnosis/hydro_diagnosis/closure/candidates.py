@@ -12,9 +12,8 @@ from hydro_diagnosis.closure.evidence import Blocks, HeldOutBlocks
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.effects.path_memory import held_lag
+from hydro_diagnosis.effects.kernels import held_lag
 from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model import grammar
 from hydro_sim.model.law_signals import SIGN_VELOCITY
@@ -70,7 +69,7 @@ _SIZES = {"speed": "velocity", "opening": "current"}
 
 def _recorded(problem: Problem, name: str) -> FloatArray:
     """Recorded values of a signal that laws and tables run over."""
-    values = np.concatenate([variable_of(model, _SIZES.get(name, name))[model.settle :] for model in problem.models])
+    values = np.concatenate([model.variable(_SIZES.get(name, name))[model.settle :] for model in problem.models])
     return np.abs(values) if name in _SIZES else values
 
 
@@ -82,7 +81,7 @@ def _over(problem: Problem, table: Table) -> FloatArray:
     passed = []
     for model in problem.models:
         ones = np.ones_like(model.time)
-        signal = ones if driver == "time" else np.abs(variable_of(model, _SIZES[driver]))
+        signal = ones if driver == "time" else np.abs(model.variable(_SIZES[driver]))
         passed.append(held_lag(signal, model.step, SETTLING, 0.0)[1][model.settle :])
     return np.concatenate(passed)
 
@@ -99,13 +98,13 @@ _CHANNELS = {
 def _visible(effect: Closure, problem: Problem) -> bool:
     have = set.intersection(*(set(model.channels) for model in problem.models))
     law, elsewhere = effect.law, {"", "edges", "across"}
-    if (effect.places or effect.shaken) and len(effect.touches & set(problem.blocks)) < 2:
+    if (effect.places or effect.uses_acceleration) and len(effect.blocks & set(problem.blocks)) < 2:
         return False  # in one equation alone it cannot be told from a force
     if isinstance(law, Table) or law.uses:
         needed = {_CHANNELS.get(one, one) for one in law.uses} - {"time"}
-        return bool(effect.touches & set(problem.blocks)) and needed | ({law.where} - elsewhere) <= have
+        return bool(effect.blocks & set(problem.blocks)) and needed | ({law.where} - elsewhere) <= have
     pressures = {"pressure_a", "pressure_b"} if "p_" in law.text and law.where != "load_force" else set()
-    return bool(effect.touches & set(problem.blocks)) and pressures | ({law.where} - elsewhere) <= have
+    return bool(effect.blocks & set(problem.blocks)) and pressures | ({law.where} - elsewhere) <= have
 
 
 def _nothing(effect: Closure) -> list[Claim]:
@@ -147,6 +146,6 @@ def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Clai
     probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
               if one.smallest > 0.0]  # fmt: skip
     columns = np.zeros((len(problem.layout.channel), len(probes)))
-    for channel, responses in shown(problem, base, ways, probes).items():
+    for channel, responses in shown(problem, base.claims, base.residual, ways, probes).items():
         columns[problem.layout.channel == channel] = responses.T
     return columns

@@ -1,34 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence of closure terms on held-out blocks of time, by cross-validation.
+"""Evidence that a closure term must show: on held-out blocks, beside the names, and against ruled-out causes.
 
-Residuals are linear in a term's numbers to first order. So four-fold cross-validation of any set of columns needs no
+Residuals are linear in a term's parameters to first order. So four-fold cross-validation of any set of columns needs no
 further residual: each fold's products of all columns are summed once, by channel, and every set is solved from them.
+
+A term that does to the residual what a cause ruled out by `--without` would do is that cause under another form: it is
+refused. Where such a cause would take a good part of what remains, no law is looked for in its equations.
+
+Joint search: where names alone leave a remainder, the first of them may only stand in for a missing law, and a true
+cause may have been dropped with them. So the search of the names is repeated with laws among its candidates; every
+claim that is kept must pay beside all others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, product
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, spreads
-from hydro_diagnosis.estimation.intervals import QUANTILE
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.estimation.fit import (
+    FORM_ERROR,
+    QUANTILE,
+    SHORTEST,
+    Fit,
+    fit,
+    noticeable,
+    residual_variances,
+    score,
+)
+from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
+from hydro_diagnosis.model.segment_model import BLOCKS
 
 EDGE = 1e-3
 """Share of a number's size or range, within which of a bound it stands there."""
-FOLDS = 4
-SHORTEST = 1e-100
-"""Length of a column below which it counts as nothing: its square still is a number."""
 UNSEEN = 1e-14
 """Share of the largest information of any number, below which one is not seen at all."""
 VAGUE = 0.5
 """95 % reach of a law's further number, over its size or its range, from which it says nothing."""
-BLOCK = 1.0
-"""Length of a held-out block [s]: many times the memory of any residual."""
 
 
 class Blocks:
@@ -36,7 +47,7 @@ class Blocks:
 
     def __init__(self, problem: Problem) -> None:
         layout = problem.layout
-        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        fold = layout.folds()
         self._order = np.lexsort((fold, layout.channel))
         group = (layout.channel * FOLDS + fold)[self._order]
         self._edges = np.searchsorted(group, np.arange(len(CHANNELS) * FOLDS + 1))
@@ -86,7 +97,7 @@ class HeldOutBlocks:
         squares = np.einsum("fcii->i", self._products)
         self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), SHORTEST)
         self._products /= self._scale[:, None] * self._scale
-        weight = 1.0 / spreads(problem, found.residual)
+        weight = 1.0 / residual_variances(problem, found.residual)
         self._weighted = np.einsum("fcij,c->fij", self._products, weight)
         self._count = problem.layout.count()
 
@@ -105,12 +116,12 @@ class HeldOutBlocks:
         return float(np.sum(self._count * np.log(variance) + squares / variance))
 
 
-def definite(problem: Problem, found: Fit, claim: Claim) -> bool:
+def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
     """Return whether each further number of a law is known, and off its bounds.
 
     Where one is not, the law is another in disguise: friction that warms over an endless path is dry friction.
     """
-    weight = 1.0 / spreads(problem, found.residual)[problem.layout.channel]
+    weight = 1.0 / residual_variances(problem, found.residual)[problem.layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0.0))
     deviations[np.diag(normal) <= UNSEEN * np.max(np.diag(normal), initial=0.0)] = np.inf  # the pseudo-inverse has 0
@@ -122,3 +133,129 @@ def definite(problem: Problem, found: Fit, claim: Claim) -> bool:
         if one.smallest == 0.0 and not (inside and QUANTILE * deviation * one.span < VAGUE * size):
             return False
     return True
+
+
+ALIKE = 0.8
+"""Share of a term's square, beside all that stands, from which it is the cause that accounts for it."""
+
+
+GOOD_PART = 0.25
+"""Share of what remains in its equations, noise taken off, from which a ruled-out cause bars laws from them."""
+
+
+def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
+    """Blocks in which what remains beside a fit is to a good part what a ruled-out cause would do."""
+    blocks: set[str] = set()
+    remaining = problem.layout.squares(found.residual) - problem.layout.count()
+    left = _beside(found.jacobian, found.residual)
+    for effect in problem.ruled_out:
+        own = effect.blocks & set(problem.blocks)
+        channels = [CHANNELS.index(name) for block in own for name in BLOCKS[block]]
+        excess = float(sum(remaining[channels]))
+        for _, columns in _columns(problem, found.claims, found.residual, effect):
+            rest = _beside(np.column_stack([found.jacobian, columns]), found.residual)
+            if excess > 0.0 and float(left @ left - rest @ rest) > GOOD_PART * excess:
+                blocks |= own
+                break
+    return frozenset(blocks)
+
+
+def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
+    """Whether one of the causes that are ruled out (`Problem.ruled_out`) does what this claim of a fit does."""
+    return any(True for _ in equivalent_causes(problem, found, claim, problem.ruled_out))
+
+
+def equivalent_causes(
+    problem: Problem, found: Fit, claim: Claim, causes: Sequence[Effect], alike: float = ALIKE
+) -> Iterator[Claim]:
+    """Those of the causes, at the start of a fit, that do what this claim of a fit does, but for a share."""
+    if not causes:
+        return
+    others = tuple(one for one in found.claims if one is not claim)
+    before = problem.residual(others)
+    shown = found.residual - before
+    at = sum(len(one.effect.parameters) for one in found.claims[: found.claims.index(claim)])
+    own = range(at, at + len(claim.effect.parameters))
+    standing = np.delete(found.jacobian, own, axis=1)
+    beside = _beside(standing, shown)
+    size = float(beside @ beside)
+    for effect in causes:
+        for start, columns in _columns(problem, others, before, effect):
+            left = _beside(np.column_stack([standing, columns]), shown)
+            if size > 0.0 and float(left @ left) < (1.0 - alike) * size:
+                yield start
+                break
+
+
+def _columns(
+    problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect
+) -> Iterator[tuple[Claim, FloatArray]]:
+    """What each number of a cause does to the residual, for each choice of start values of its shape: a start first."""
+    if not effect.blocks & set(problem.blocks):
+        return
+    amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
+    shapes = [one for one in effect.parameters if one.smallest == 0.0]
+    for chosen in product(*(one.probes for one in shapes)):
+        values = {one.name: one.neutral for one in effect.parameters}
+        values |= dict(zip((one.name for one in shapes), chosen, strict=True))
+        moved = [{**values, one.name: one.probes[0]} for one in amplitudes] or [values]
+        columns = np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
+        yield Claim(effect, values), columns
+
+
+def _beside(columns: FloatArray, shown: FloatArray) -> FloatArray:
+    """What columns do not account for."""
+    if columns.shape[1] == 0:
+        return shown
+    lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.asarray(shown - columns @ (np.linalg.lstsq(columns / lengths, shown, rcond=1e-10)[0] / lengths))
+
+
+THRESHOLD = 30.0
+"""Deviance that a term must gain on held-out blocks, and any claim in evidence."""
+
+
+def without_idle_terms(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
+    """The fit without claims that do not pay beside the others, the idlest dropped first; names, unless they stay."""
+    while True:
+        open_ = [one for one in found.removable if not (names_stay and one.effect.named)]
+        fewer = [(claim, fit(problem, _others(found, claim))) for claim in open_]
+        idle = [one for claim, one in fewer if not _pays(problem, one, found, claim)]
+        if not idle:
+            return found
+        found = min(idle, key=lambda one: score(problem, one))
+
+
+def _others(found: Fit, claim: Claim) -> tuple[Claim, ...]:
+    return tuple(one for one in found.claims if one is not claim)
+
+
+def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
+    if score(problem, without) - score(problem, found) < THRESHOLD or within_form_error(problem, without, found):
+        return False
+    if not isinstance(claim.effect, Closure):
+        return True
+    if not has_identified_shapes(problem, found, claim) or equals_ruled_out(problem, found, claim):
+        return False
+    return held_out_gain(problem, without, found) >= THRESHOLD
+
+
+def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
+    """Deviance of held-out blocks that goes from one fit to another."""
+    return HeldOutBlocks(problem, before, ()).deviance(()) - HeldOutBlocks(problem, after, ()).deviance(())
+
+
+def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
+    """Return whether the later fit explains no more, in any channel, than a form error of the earlier terms may.
+
+    Never so where something remains before and nothing after: a wrong form leaves a remainder under any name.
+    """
+    if noticeable(problem, before.residual) and not noticeable(problem, after.residual):
+        return False
+    named = tuple(claim for claim in before.claims if not isinstance(claim.effect, Closure))
+    if len(named) == len(before.claims):
+        return False
+    channel = problem.layout.channel
+    signature = np.bincount(channel, np.square(problem.residual(named) - before.residual), len(CHANNELS))
+    added = np.bincount(channel, np.square(before.residual) - np.square(after.residual), len(CHANNELS))
+    return bool(np.all(added <= FORM_ERROR**2 * signature + THRESHOLD))

@@ -2,8 +2,9 @@
 """Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
 
 Many terms are carried at a time: the way is linear, so it is one filter for all rows. What a term of one equation does
-by way of another is left out: this ranks terms, it fits none. A gauge's error also goes through the flows, which are
-computed from its readings (`gauge_responses`); only a snubber, which is no small change, is computed as it stands.
+by way of another is left out: this ranks terms, it fits none. The error of a pressure gauge also goes through flows,
+stiffness and hydraulic balance, which are computed from its readings; only a snubber, which is no small change, is
+computed as it stands.
 """
 
 from __future__ import annotations
@@ -13,9 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from hydro_diagnosis.closure.gauge_responses import GaugeWays
-from hydro_diagnosis.effects import substeps
-from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects import kernels
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil
 from hydro_diagnosis.effects.closure import (
     AcrossClosure,
     Closure,
@@ -28,16 +28,62 @@ from hydro_diagnosis.effects.closure import (
     SnubberClosure,
     ValveClosure,
 )
-from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.model import chambers, kernels
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
-from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY, SLOPE_STEP
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
+
+_CHANNELS = ("pressure_a", "pressure_b")
+
+
+class GaugeWays:
+    """Ways of the errors of both gauges of one segment, under the claims that stand."""
+
+    def __init__(self, model: SegmentModel, claims: Sequence[Claim]) -> None:
+        self.model, self.claims, self.bench = model, claims, model.bench(claims)
+        oil = model.observer.oil(claims)
+        self._gain = model.step / OBSERVER_MEMORY
+        self._built = model.observer.built(self.bench, oil, claims)[1]
+        self._by_pressure = {name: self._sensitivity(oil, k) for k, name in enumerate(_CHANNELS)}
+
+    def _sensitivity(self, oil: Oil, index: int) -> tuple[FloatArray, FloatArray]:
+        """Change of what each sample builds in chambers A and B per change of one pressure."""
+        moved = []
+        for sign in (1.0, -1.0):
+            pressures = list(oil.pressures)
+            pressures[index] = pressures[index] + sign * SLOPE_STEP
+            shifted = Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
+            moved.append(self.model.observer.built(self.bench, shifted, self.claims)[1])
+        a, b = ((up - down) / (2.0 * SLOPE_STEP) for up, down in zip(*moved, strict=True))
+        return a, b
+
+    def of(self, terms: Sequence[Claim], channel: str) -> dict[str, FloatArray]:
+        """By channel of the residuals: responses to terms of one law; physical unit, shape (terms, judged rows)."""
+        shown: dict[str, list[FloatArray]] = {"pressure_a": [], "pressure_b": [], "hydraulic": []}
+        area = self.bench.piston_area * (1.0 if channel == "pressure_a" else -self.bench.area_ratio)
+        signal = self.model.true_signal(channel, self.claims)
+        for one in terms:
+            error = self.model.reading(channel, signal, [one]) - signal
+            for name, built, by in zip(_CHANNELS, self._built, self._by_pressure[channel], strict=True):
+                more, off = -by * chambers.middle(error), np.zeros_like(error)
+                if name == channel and one.effect.nonlinear_channel == channel:
+                    more = more + built * self._slope(channel, signal, one)
+                elif name == channel:
+                    off = -error
+                shown[name].append(self.model.kept_smooth(chambers.innovations(off, more, self._gain)))
+            shown["hydraulic"].append(self.model.means(area * error))
+        return {name: np.stack(rows) for name, rows in shown.items()}
+
+    def _slope(self, channel: str, signal: FloatArray, term: Claim) -> FloatArray:
+        """Change of the error [-] per change of the pressure, within each sample."""
+        middle = chambers.middle(signal)
+        above, below = (self.model.reading(channel, middle + sign * SLOPE_STEP, [term]) for sign in (1.0, -1.0))
+        return (above - below) / (2.0 * SLOPE_STEP) - 1.0
+
 
 Shown = dict[str, FloatArray]
 """By channel of the residuals: physical unit, shape (terms, judged rows)."""
@@ -52,10 +98,10 @@ class Responses:
         self.bench = model.bench(claims)
         self.memory = RecordMemory(model.step, model.beside)
         if "pressure" in problem.blocks:
-            self.oil = model.oil(claims)
+            self.oil = model.observer.oil(claims)
             self.stiff = chambers.compliances(self.bench, self.oil, claims)
             p_a, p_b = self.oil.pressures
-            extends = substeps.mean(self.oil.spool) >= 0.0
+            extends = kernels.substep_mean(self.oil.spool) >= 0.0
             drops = zip(*eq.edge_drops(self.bench.supply_pressure, self.bench.tank_pressure, p_a, p_b), strict=True)
             self.roots = [eq.signed_root(np.where(extends, out, back)) for out, back in drops]
         if "motion" in problem.blocks:
@@ -103,7 +149,7 @@ class Responses:
         if spool.shape[-1] == 1:
             spool = np.repeat(spool, chambers.SUBSTEPS, axis=1)
         moved = claim.effect.command(spool, self.model.step / spool.shape[-1], claim.values) - spool
-        return substeps.mean(moved)
+        return kernels.substep_mean(moved)
 
     def _kept(self, signals: FloatArray) -> FloatArray:
         return signals[:, self.model.rows]
@@ -129,7 +175,7 @@ class Responses:
         shown: dict[str, FloatArray | None] = {}
         for name, flow, stiff in (("pressure_a", into_a, self.stiff[0]), ("pressure_b", into_b, self.stiff[1])):
             if flow.any():
-                built = kernels.fading_sums(flow * (stiff * self.model.step), 1.0 - self.model.step / OBSERVER_MEMORY)
+                built = chambers.fading_sums(flow * (stiff * self.model.step), 1.0 - self.model.step / OBSERVER_MEMORY)
                 shown[name] = -self._smooth(built)
         return self._present(shown)
 
@@ -171,12 +217,17 @@ class Responses:
         return np.stack([self.model.means(one) for one in signals])
 
 
-def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequence[Claim]) -> dict[int, FloatArray]:
-    """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals)."""
+def shown(
+    problem: Problem, claims: Sequence[Claim], residual: FloatArray, ways: Sequence[Responses], terms: Sequence[Claim]
+) -> dict[int, FloatArray]:
+    """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals).
+
+    `claims`, `residual`: of the fit beside which the terms stand.
+    """
     effect = terms[0].effect
     assert isinstance(effect, Closure)
     if isinstance(effect, SnubberClosure):
-        changes = np.stack([problem.residual((*base.claims, one)) - base.residual for one in terms])
+        changes = np.stack([problem.residual((*claims, one)) - residual for one in terms])
         channel = problem.layout.channel
         return {int(k): changes[:, channel == k] for k in np.unique(channel)}
     parts = [way.of(terms) for way in ways]

@@ -1,27 +1,132 @@
 # SPDX-License-Identifier: Apache-2.0
 """Screen of all laws: what each gains on held-out blocks beside a fit, to first order, at once.
 
-The responses of all laws, at every start value of their further numbers, are computed once. Beside any fit, products
+The responses of all laws, at every start value of their further parameters, are computed once. Beside any fit, products
 with its residual and its columns give four-fold cross-validation (`evidence`) of each law alone in closed form. Only
 the best few are fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from copy import copy
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
+import numpy.typing as npt
 
-from hydro_diagnosis.closure.column_gains import column_gains
-from hydro_diagnosis.closure.evidence import SHORTEST
-from hydro_diagnosis.closure.folded import FoldedResponses
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, spreads
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.fit import SHORTEST, Fit, residual_variances
+from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Layout, Problem
+
+
+def column_gains(own: FloatArray, cross: FloatArray, square: FloatArray, weight: FloatArray, count: FloatArray,
+                 size: float) -> tuple[FloatArray, float]:  # fmt: skip
+    """Held-out deviance gained by each term, and the deviance before, from products by fold and channel.
+
+    The normal equations of the standing columns and one more are solved by its Schur complement.
+    """
+    many = square.shape[-1]
+    before, after = np.zeros(len(weight)), np.zeros((len(weight), many))
+    weighted = [np.einsum("fc...,c->f...", one, weight) for one in (own, cross, square)]
+    together = [one.sum(axis=0) for one in weighted]
+    for k in range(len(own)):
+        a, b, d = (whole - one[k] for whole, one in zip(together, weighted, strict=True))
+        inverse = np.linalg.pinv(a[1:, 1:], rcond=1e-10, hermitian=True) if len(a) > 1 else np.zeros((0, 0))
+        alone = -inverse @ a[1:, 0]
+        full = np.concatenate([[1.0], alone])
+        before += np.einsum("i,cij,j->c", full, own[k], full)
+        turned = inverse @ b[1:]
+        rest = d - np.sum(b[1:] * turned, axis=0)
+        left = b[0] + alone @ b[1:]
+        amount = np.where(rest > 1e-9 * d, -left / np.maximum(rest, 1e-300), 0.0)
+        theta = np.concatenate([np.ones((1, many)), alone[:, None] - turned * amount])
+        after += np.einsum("im,cij,jm->cm", theta, own[k], theta)
+        after += 2.0 * amount * np.einsum("im,cim->cm", theta, cross[k]) + amount**2 * square[k]
+
+    def deviance(squares: FloatArray) -> FloatArray:
+        places = (..., *(None for _ in range(squares.ndim - 1)))
+        variance = np.maximum(squares / np.maximum(count, 1.0)[places], 1.0)
+        return np.asarray(np.sum(count[places] * np.log(variance) + squares / variance, axis=0))
+
+    reached = float(deviance(before * size))
+    return reached - deviance(after * size), reached
+
+
+ROWS = 40000
+"""Residuals of a channel beyond which only every second, third ... is taken."""
+CHUNK = 64
+"""Terms whose responses are multiplied at a time."""
+Chunk = tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]
+"""Places of terms, and their responses, shape (terms, rows)."""
+
+
+class FoldedResponses:
+    """Responses of `terms` terms, added law by law.
+
+    Attributes
+    ----------
+    every
+        Only every so many residuals are looked at.
+    count
+        Residuals of each channel that are, shape (channels,).
+    square
+        Of each term with itself, shape (folds, channels, terms).
+    """
+
+    def __init__(self, layout: Layout, terms: int) -> None:
+        self.every = max(int(layout.count().max()) // ROWS, 1)
+        fold = layout.folds()
+        kept = [np.flatnonzero(layout.channel == k)[:: self.every] for k in range(len(CHANNELS))]
+        self._order = [np.argsort(fold[rows], kind="stable") for rows in kept]
+        self._rows = [rows[order] for rows, order in zip(kept, self._order, strict=True)]
+        self._folds = [np.searchsorted(fold[rows], np.arange(FOLDS + 1)) for rows in self._rows]
+        self.count = np.array([len(rows) for rows in self._rows], dtype=np.float64)
+        self.square = np.zeros((FOLDS, len(CHANNELS), terms))
+        self._chunks: dict[int, list[Chunk]] = {}
+        self._waiting: dict[int, list[Chunk]] = {}
+
+    def add(self, places: npt.NDArray[np.int64], shown: Mapping[int, FloatArray]) -> None:
+        """Take the responses of a law's terms by channel, shape (terms, residuals of the channel)."""
+        for channel, columns in shown.items():
+            thinned = columns[:, :: self.every].astype(np.float32)[:, self._order[channel]]
+            self._waiting.setdefault(channel, []).append((places, thinned))
+            if sum(len(one) for one, _ in self._waiting[channel]) >= CHUNK:
+                self._keep(channel, self._waiting.pop(channel))
+
+    def finish(self) -> None:
+        """Take what was added last."""
+        for channel in list(self._waiting):
+            self._keep(channel, self._waiting.pop(channel))
+
+    def _keep(self, channel: int, chunks: Sequence[Chunk]) -> None:
+        places, columns = (np.concatenate(one) for one in zip(*chunks, strict=True))
+        self._chunks.setdefault(channel, []).append((places, columns))
+        for k, (begin, end) in enumerate(pairwise(self._folds[channel])):
+            part = columns[:, begin:end]
+            self.square[k, channel, places] = np.einsum("ij,ij->i", part, part)
+
+    def products(self, standing: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Products of standing columns, shape (residuals, columns), with each other and with the terms.
+
+        Returns
+        -------
+        Shapes (folds, channels, columns, columns) and (folds, channels, columns, terms).
+        """
+        width = standing.shape[1]
+        own = np.zeros((FOLDS, len(CHANNELS), width, width))
+        cross = np.zeros((FOLDS, len(CHANNELS), width, self.square.shape[-1]))
+        for channel, rows in enumerate(self._rows):
+            looked_at = standing[rows]
+            for k, (begin, end) in enumerate(pairwise(self._folds[channel])):
+                part = looked_at[begin:end]
+                own[k, channel] = part.T @ part
+                single = part.astype(np.float32)
+                for places, columns in self._chunks.get(channel, ()):
+                    cross[k, channel][:, places] = (columns[:, begin:end] @ single).T
+        return own, cross
+
 
 CHANCE = 20.0
 """Deviance on held-out blocks that a single column must gain, as the search asks of a cause."""
@@ -71,34 +176,11 @@ class Screen:
         for _, same in groupby(self.terms, key=lambda one: one.effect.label):
             probes = [_probed(one) for one in same]
             self._laws.append(slice(at, at + len(probes)))
-            self._responses.add(np.arange(at, at + len(probes)), shown(problem, base, ways, probes))
+            self._responses.add(
+                np.arange(at, at + len(probes)), shown(problem, base.claims, base.residual, ways, probes)
+            )
             at += len(probes)
         self._responses.finish()
-
-    @classmethod
-    def beside(cls, problem: Problem, base: Fit, terms: Sequence[Claim]) -> Screen:
-        """The screen; an earlier one of these recordings beside the same names if there is one.
-
-        What a law does depends little on the other claims' values: to rank laws, not to fit them, it may be old.
-        """
-        names = tuple(one.effect.label for one in base.claims if one.effect.named)
-        key = problem.doubted, names, tuple((one.effect.label, *one.values.values()) for one in terms)
-        known = problem.shelf.get("screen")
-        if known is None or known[0] != key:
-            known = problem.shelf["screen"] = key, cls(problem, base, terms)
-        return known[1].for_problem(problem)
-
-    @classmethod
-    def last(cls, problem: Problem) -> Screen | None:
-        """The last screen of these recordings, beside whichever names: to choose what is fitted it will do."""
-        known = problem.shelf.get("screen")
-        return known[1].for_problem(problem) if known else None
-
-    def for_problem(self, problem: Problem) -> Screen:
-        """The same responses, with the weights of another problem of these recordings."""
-        found = copy(self)
-        found.problem = problem
-        return found
 
     def __len__(self) -> int:
         return len(self.terms)
@@ -124,7 +206,7 @@ class Screen:
         lengths = np.maximum(np.linalg.norm(base, axis=0), SHORTEST)
         base = base / lengths
         responses = self._responses
-        weight = 1.0 / spreads(self.problem, found.residual)
+        weight = 1.0 / residual_variances(self.problem, found.residual)
         size = float(lengths[0]) ** 2
         products = responses.products(base)
         gains, before = column_gains(*products, responses.square, weight, responses.count, size)

@@ -3,37 +3,56 @@
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
 each, all numbers, those of the names too, are estimated anew. Where such laws leave something, names and laws are
-searched together (`together`): names that the judgement dropped may come back, and names that it made may go.
+searched together: names that the judgement dropped may come back, and names that it made may go.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import replace
+from itertools import chain, combinations
 
 import numpy as np
 
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
-from hydro_diagnosis.closure.disguise import barred, in_disguise
-from hydro_diagnosis.closure.growth import TERMS, Closed, count_terms, grown_by_law
-from hydro_diagnosis.closure.merging import merged
-from hydro_diagnosis.closure.openings import openings
-from hydro_diagnosis.closure.renaming import renamed
-from hydro_diagnosis.closure.rounds import CONDENSED, LEAST, Rounds
-from hydro_diagnosis.closure.screen import Screen
-from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.closure.evidence import (
+    THRESHOLD,
+    barred_equations,
+    equals_ruled_out,
+    equivalent_causes,
+    has_identified_shapes,
+    held_out_gain,
+    within_form_error,
+    without_idle_terms,
+)
+from hydro_diagnosis.closure.growth import (
+    CONDENSED,
+    LEAST,
+    TERMS,
+    ClosureFit,
+    ForwardSelection,
+    count_terms,
+    from_starts,
+    select_laws,
+    with_newest_reversal_velocity,
+)
+from hydro_diagnosis.closure.screen import CHANCE, Prospect, Screen
+from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import score
+from hydro_diagnosis.estimation.score_test import screen as screen_names
+from hydro_diagnosis.selection.outcome import SearchSettings
+from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import MOST_OF_THE_GAP, Assessment, coincidence
 from hydro_sim.model.effects.catalogue import CLOSURES
+from hydro_sim.model.tables import Table
+
+SETTINGS = SearchSettings(restarts=1, effort=1500)
+"""Less effort than for names alone: a missing law is found first."""
 
 
-def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[Closed]:
+def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
     """Models of the remainder, the preferred first; none where no term holds on held-out blocks.
 
     `names`: causes that may stand beside a law though the judgement does not claim them. A smooth function is looked
@@ -41,63 +60,76 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     """
     if not assessment.remainder:
         return
-    closed = barred(problem, assessment.fit)
+    closed = barred_equations(problem, assessment.fit)
     by_law = _by_law(problem, assessment.fit, names, closed)
     left = noticeable(by_law.problem, by_law.fit.residual)
     if not left and by_law.gain > 0.0:
         by_law = renamed(merged(by_law), names)
         yield by_law
-    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem), closed)
+    by_table = _by_table(by_law if left else ClosureFit(assessment.fit, "smooth", 0.0, problem, by_law.screen), closed)
     both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
     yield from (renamed(one, names) for one in (both if left else (by_table,)) if one.gain > 0.0)
 
 
 def _open(terms: Sequence[Claim], closed: frozenset[str]) -> list[Claim]:
     """Terms of equations other than these."""
-    return [one for one in terms if not one.effect.touches & closed]
+    return [one for one in terms if not one.effect.blocks & closed]
 
 
-def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> Closed:
+def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> ClosureFit:
     """Laws and names that together leave nothing; else laws alone beside the names that stand."""
-    screen = Screen.beside(problem, base, _open(laws(problem), closed))
-    rounds = Rounds(screen)
-    upon = _upon_others(problem, base, screen, rounds, names)
+    screen = Screen(problem, base, _open(laws(problem), closed))
+    forward = ForwardSelection(screen)
+    upon = _upon_others(problem, base, screen, forward, names)
     if upon is not None:
         return upon
-    beside = grown_by_law(problem, base, rounds, names)
+    beside = select_laws(problem, base, forward, names)
     if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
         return beside
-    alone = grown_by_law(problem, base, rounds) if _names(beside.fit) != _names(base) else beside
+    alone = select_laws(problem, base, forward) if _names(beside.fit) != _names(base) else beside
     if not names or alone.gain >= MOST_OF_THE_GAP * screen.gains(base)[1]:
         return alone  # a small remainder of the right law's form is no reason to look for names
     likely: dict[str, Effect] = {}
     for fitted in (base, beside.fit, alone.fit):
         likely |= {one.effect.label: one.effect for one in fitted.claims if isinstance(one.effect, Closure)}
         likely |= {one.effect.label: one.effect for one in screen.prospects(fitted, PROMISING)[0]}
-    weighed = copy(problem)  # its weights are its own, all else is shared
-    found = together(weighed, names, list(likely.values()))
+    weighed, found = together(problem, names, list(likely.values()))
     gain = held_out_gain(weighed, fit(weighed, base.claims), found)
-    both = Closed(found, "law", gain, weighed)
+    both = ClosureFit(found, "law", gain, weighed, screen)
     return both if not noticeable(weighed, found.residual) and _sound(both) else alone
 
 
-def _upon_others(problem: Problem, base: Fit, screen: Screen, rounds: Rounds, names: Sequence[Effect]) -> Closed | None:
+def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> tuple[Problem, Fit]:
+    """Names and laws that account for the recordings together, and the problem with their weights."""
+    outcome = Search(problem, (*names, *laws), SETTINGS).run()
+    problem, found = outcome.problem, outcome.fit
+    while True:
+        kept = without_idle_terms(problem, found)
+        if len(kept.claims) == len(found.claims):
+            return problem, kept
+        problem = problem.weighed(kept.claims)
+        found = fit(problem, kept.claims)
+
+
+def _upon_others(
+    problem: Problem, base: Fit, screen: Screen, forward: ForwardSelection, names: Sequence[Effect]
+) -> ClosureFit | None:
     """A law upon other names than those that stand, if it leaves nothing and no single law beside these does."""
-    first = [base, *rounds.fits(problem, base, set())]
+    first = [base, *forward.fits(problem, base, set())]
     if not all(noticeable(problem, one.residual) for one in first):
         return None
     left = min(screen.gains(one)[1] for one in first)
-    for weighed, opening in openings(problem, base, screen, names, left):
-        if all(noticeable(weighed, one.residual) for one in rounds.fits(weighed, opening, set())):
+    for weighed, opening in starting_points(problem, base, screen, names, left):
+        if all(noticeable(weighed, one.residual) for one in forward.fits(weighed, opening, set())):
             continue
-        grown = grown_by_law(weighed, opening, rounds, names)
+        grown = select_laws(weighed, opening, forward, names)
         if grown.gain > 0.0 and not noticeable(grown.problem, grown.fit.residual) and _sound(grown):
             gain = held_out_gain(grown.problem, fit(grown.problem, base.claims), grown.fit)
             return replace(grown, gain=gain)
     return None
 
 
-def _sound(closed: Closed) -> bool:
+def _sound(closed: ClosureFit) -> bool:
     """Return whether there are as many laws as may be, and no coincidence of names."""
     room = min(TERMS, CLOSURES - len(closed.problem.bench.closures))
     return 0 < count_terms(closed.fit) <= room and not coincidence(closed.fit.claims)
@@ -107,20 +139,20 @@ def _names(found: Fit) -> set[str]:
     return {claim.effect.label for claim in found.claims if not isinstance(claim.effect, Closure)}
 
 
-def _by_table(below: Closed, closed: frozenset[str]) -> Closed:
+def _by_table(below: ClosureFit, closed: frozenset[str]) -> ClosureFit:
     """Tables upon names, and upon laws that leave something; laws that do not pay beside them go.
 
     Names stay: a table takes the form of any of them.
     """
     problem, before = below.problem, below.fit
-    fitted = paying(
+    fitted = without_idle_terms(
         problem,
         _grown_by_table(problem, before, Candidates(problem, before, _open(tables(problem), closed))),
         names_stay=True,
     )
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
-        return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
-    return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
+        return ClosureFit(before, "smooth", 0.0, problem, below.screen)  # no table, or none that pays
+    return ClosureFit(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem, below.screen)
 
 
 def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
@@ -136,10 +168,146 @@ def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
         start = tried.terms[best]
         tried = tried.without(start.effect.label)
         better = fit(problem, (*current.claims, start))
-        if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
+        if score(problem, current) - score(problem, better) < THRESHOLD or within_form_error(problem, current, better):
             continue
-        if in_disguise(problem, better, better.claims[-1]):
+        if equals_ruled_out(problem, better, better.claims[-1]):
             continue
         taken += 1
         current = better
     return current
+
+
+_MECHANICAL = frozenset({MOTION, LOAD})
+NAMES = 3
+"""Names in one equation, beyond which no law takes the place of some."""
+LEFT = 0.6
+"""Share of what is left without any of them that a law and names may leave, to first order."""
+LIKELY = 3
+"""Laws that are looked at beside each set of names."""
+TRIED = 9
+"""Laws that are fitted, those beside the fewest claims first, of them those that would leave least."""
+
+
+def merged(closed: ClosureFit) -> ClosureFit:
+    """The model with fewer claims, where one law does as well as several; only where nothing remains."""
+    problem, screen = closed.problem, closed.screen
+    while screen is not None and not noticeable(problem, closed.fit.residual):
+        better = next(_simpler(problem, closed.fit, screen), None)
+        if better is None:
+            break
+        closed = replace(closed, fit=better)
+    return closed
+
+
+def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
+    """Fits with fewer claims and no less evidence that leave nothing."""
+    terms = [claim for claim in found.judged if isinstance(claim.effect, Closure)]
+    everything = frozenset(block for claim in found.judged for block in claim.effect.blocks)
+    groups = [frozenset(term.effect.blocks) for term in terms]
+    groups += [_MECHANICAL for group in groups if group & _MECHANICAL]
+    for blocks in dict.fromkeys([*groups, everything] if terms else []):
+        shared = [claim for claim in found.judged if claim.effect.blocks & blocks]
+        names = [claim for claim in shared if not isinstance(claim.effect, Closure)]
+        if len(shared) < 2 or len(names) > NAMES:
+            continue
+        others = tuple(claim for claim in found.claims if claim not in shared)
+        kept = chain.from_iterable(combinations(names, count) for count in range(min(len(names), len(shared) - 2) + 1))
+        bases = [claims for some in kept if _complete(claims := (*others, *some))]
+        for base, prospect in _beside_subsets(problem, screen, bases):
+            made = from_starts(problem, base, prospect.starts)
+            if noticeable(problem, made.residual):
+                made = with_newest_reversal_velocity(problem, made)
+            new = made.claims[-1]
+            if noticeable(problem, made.residual) or score(problem, made) > score(problem, found):
+                continue
+            if has_identified_shapes(problem, made, new) and not equals_ruled_out(problem, made, new):
+                yield made
+
+
+def _complete(claims: Sequence[Claim]) -> bool:
+    """Whether each claim stands beside those that it needs."""
+    return {name for claim in claims for name in claim.effect.needs} <= {claim.effect.id for claim in claims}
+
+
+def _beside_subsets(problem: Problem, screen: Screen, bases: list[tuple[Claim, ...]]) -> list[tuple[Fit, Prospect]]:
+    """Claims and a law beside them, the fewest claims first, of them those that would leave least."""
+    found = []
+    left = 0.0
+    for claims in bases:
+        base = fit(problem, claims)
+        prospects, there_is = screen.prospects(base, LIKELY)
+        left = left or LEFT * there_is
+        price = float(np.log(len(base.residual)))
+        for one in prospects:
+            numbers = base.free + len(one.effect.parameters)
+            if there_is - one.gain < left:
+                found.append((len(claims), there_is - one.gain + price * numbers, base, one))
+    found.sort(key=lambda one: one[:2])
+    return [(base, one) for *_, base, one in found[:TRIED]]
+
+
+ALIKE = 0.95
+"""Share of a term's square, beside all that stands, that a name must account for to be fitted in its place."""
+
+
+def renamed(closed: ClosureFit, names: Sequence[Effect]) -> ClosureFit:
+    """The model with a name for each law or smooth function, of several, that a name explains as well.
+
+    Only where nothing remains: else no name is forced.
+    """
+    problem = closed.problem
+    if noticeable(problem, closed.fit.residual):
+        return closed
+    while True:
+        found = closed.fit
+        terms = [claim for claim in found.claims if isinstance(claim.effect, Closure)]
+        if len(terms) < 2:
+            return closed
+        standing = {claim.effect.id for claim in found.claims}
+        free = [name for name in names if name.id not in standing]
+        worst = score(problem, found) + CHANCE
+        others = [(term, tuple(one for one in found.claims if one is not term)) for term in terms]
+        tried = (fit(problem, (*rest, name)) for term, rest in others
+                 for name in equivalent_causes(problem, found, term, free, ALIKE))  # fmt: skip
+        better = next((one for one in tried if score(problem, one) <= worst and not noticeable(problem, one.residual)),
+                      None)  # fmt: skip
+        if better is None:
+            return closed
+        smooth = any(
+            isinstance(claim.effect, Closure) and isinstance(claim.effect.law, Table) for claim in better.claims
+        )
+        closed = replace(closed, fit=better, form="smooth" if smooth else "law")
+
+
+START_NAMES = 12
+"""Names that are looked at beside each set of names, the most promising first."""
+START_LEFT = 0.6
+"""Share of what is left without them that a name and a law may leave, to first order: once fitted, the right ones leave
+nothing, but further numbers begin on a coarse grid."""
+START_FITS = 2
+"""Openings that are grown upon at most, the best first."""
+
+
+def starting_points(
+    problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect], left: float
+) -> Iterator[tuple[Problem, Fit]]:
+    """Fits with a name more than a base, or a name alone, and the problem under their weights, the best first.
+
+    `left`: deviance above the noise that the best model without them leaves.
+    """
+    if not len(screen):
+        return
+    bases = [base] if not base.judged else [base, fit(problem, ())]
+    found: list[tuple[float, tuple[Claim, ...]]] = []
+    for one in bases:
+        for name in screen_names(problem, one, names)[:START_NAMES]:
+            beside = fit(problem, (*one.claims, name.claim))
+            (best,), there_is = screen.prospects(beside, 1)
+            price = float(np.log(len(beside.residual))) * len(name.claim.effect.parameters)
+            found.append((there_is - best.gain + price, beside.claims))
+    found.sort(key=lambda one: one[0])
+    for remains, claims in found[:START_FITS]:
+        if remains > START_LEFT * left:
+            return
+        weighed = problem.weighed(claims)
+        yield weighed, fit(weighed, claims)

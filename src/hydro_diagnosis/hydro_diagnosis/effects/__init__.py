@@ -7,28 +7,16 @@ several benches are added by `diagnose --grow` (`grown`).
 
 from __future__ import annotations
 
-from hydro_diagnosis.effects import (
-    bench_values,
-    direction,
-    fluid,
-    friction,
-    grown,
-    leakage,
-    load,
-    sensors,
-    supply,
-    unnamed,
-    valve,
-    valve_dynamics,
-)
+from hydro_diagnosis.effects import bench_values, fluid, friction, grown, load, sensors, valve
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter
 
-_MODULES = (friction, direction, leakage, valve, valve_dynamics, supply, fluid, sensors, load, bench_values, grown)
-
-LIBRARY: tuple[Effect, ...] = tuple(effect for module in _MODULES for effect in module.EFFECTS)
+LIBRARY: tuple[Effect, ...] = (
+    *friction.EFFECTS, *fluid.LEAKAGE, *valve.EFFECTS, *fluid.EFFECTS, *sensors.EFFECTS, *load.EFFECTS,
+    *bench_values.EFFECTS, *grown.EFFECTS,
+)  # fmt: skip
 """Effects that can be claimed; several may share an id (chambers, sensors, forms of one cause)."""
 
-CANDIDATES = (*LIBRARY, *unnamed.EFFECTS)
+CANDIDATES = (*LIBRARY, *bench_values.UNNAMED)
 """Effects that a search tries."""
 
 __all__ = ["CANDIDATES", "LIBRARY", "Claim", "Effect", "FitParameter"]

@@ -81,7 +81,7 @@ class Memory(Protocol):
     def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
         """A slow signal s plus `first` [s] times s' plus `second` [s^2] times s''."""
 
-    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
         """First-order lag of a signal, its rises by another time constant [s] than its falls."""
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
@@ -131,7 +131,7 @@ class Kinematics:
 class Effect:
     """A cause that the baseline leaves out.
 
-    Subclasses set `id`, `equation`, `parameters`, `touches` and override the hooks in which they act.
+    Subclasses set `id`, `equation`, `parameters`, `blocks` and override the hooks in which they act.
     """
 
     options: Mapping[str, str] = field(default_factory=dict)
@@ -146,7 +146,7 @@ class Effect:
     """Whether it is in the table; other effects are tried, but never claimed."""
     equations: ClassVar[tuple[str, ...]] = ()
     """Equations in which it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
-    touches: ClassVar[frozenset[str]] = frozenset()
+    blocks: ClassVar[frozenset[str]] = frozenset()
     parameters: ClassVar[tuple[FitParameter, ...]] = ()
     stage: ClassVar[int] = 1
     """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
@@ -154,33 +154,33 @@ class Effect:
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
-    adds: ClassVar[bool] = False
+    additive: ClassVar[bool] = False
     """Whether it adds to one equation in proportion to its amplitudes, whatever other effects do there."""
     bristles: ClassVar[bool] = False
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
 
     @property
-    def rounds(self) -> str:
+    def lagged(self) -> str:
         """Channel whose readings lose their kinks (where the current steps) by this effect."""
         return ""
 
     @property
-    def turns(self) -> bool:
+    def asymmetric(self) -> bool:
         """Whether it rounds rises otherwise than falls: other channels cannot be delayed alike."""
         return False
 
     @property
-    def bends(self) -> bool:
+    def breaks_superposition(self) -> bool:
         """Whether what others do to a residual does not just add up behind it."""
-        return self.rounds.startswith("pressure")
+        return self.lagged.startswith("pressure")
 
     @property
-    def instant(self) -> bool:
+    def memoryless(self) -> bool:
         """Whether a reading depends on the instant, on a path or on slow states alone: it may be curved then."""
         return False
 
     @property
-    def shaken(self) -> bool:
+    def uses_acceleration(self) -> bool:
         """Whether it depends on the acceleration."""
         return False
 
@@ -190,7 +190,7 @@ class Effect:
         return False
 
     @property
-    def curves(self) -> str:
+    def nonlinear_channel(self) -> str:
         """Channel whose readings are no straight line of its signal by this effect."""
         return ""
 

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong values in the bench file: geometry and pressures."""
+"""Wrong values in the bench file (geometry and pressures), and unnamed causes that resemble them.
+
+Unnamed causes are tried like all others, but never claimed: where one of them explains the recordings best, the verdict
+is an unnamed cause, with what it resembles.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,7 @@ class SupplyPressure(Effect):
 
     id = "supply_pressure"
     equations = ("actuation",)
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
@@ -31,7 +35,7 @@ class PistonArea(Effect):
 
     id = "piston_area"
     equations = ("pressure_a", "pressure_b")
-    touches = frozenset({PRESSURE, MOTION, HYDRAULIC})
+    blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
@@ -46,7 +50,7 @@ class AreaRatio(Effect):
 
     id = "area_ratio"
     equations = ("pressure_b",)
-    touches = frozenset({PRESSURE, MOTION, HYDRAULIC})
+    blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
@@ -60,7 +64,7 @@ class DeadVolume(Effect):
     """V_dead of one chamber times a ratio."""
 
     id = "dead_volume"
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
     parameters = (replace(_RATIO, low=0.1, high=10.0, smallest=0.004),)
 
     @property
@@ -81,7 +85,7 @@ class TankPressure(Effect):
 
     id = "tank_pressure"
     equations = ("actuation",)
-    touches = frozenset({PRESSURE})
+    blocks = frozenset({PRESSURE})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -110,3 +114,36 @@ EFFECTS: tuple[Effect, ...] = (
     DeadVolume({"chamber": "b"}),
     TankPressure(),
 )
+
+
+_LEVEL = 5e6
+"""Typical pressure [Pa] of the chambers: over the bulk modulus, the additional oil that a wider hose holds."""
+
+
+class WideningHoses(Effect):
+    """Both chambers grow by the same volume per pressure: V_dead plus compliance (beta + p).
+
+    A wrong bulk modulus softens a chamber by a share of its volume, which the piston changes and which differs between
+    the chambers; hoses soften both by the same amount. Merritt 1967, section 2-6.
+    """
+
+    id = "hoses_that_widen"
+    named = False
+    equations = ("pressure_a", "pressure_b")
+    family = "oil"
+    blocks = frozenset({PRESSURE})
+    parameters = (
+        FitParameter(
+            name="compliance", unit="m3/Pa", low=0.0, high=1e-12, neutral=0.0, probes=(1e-14,), smallest=6e-16
+        ),
+    )
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        more = values["compliance"] * (bench.bulk_modulus + _LEVEL)
+        return changed(bench, dead_volume_a=bench.dead_volume_a + more, dead_volume_b=bench.dead_volume_b + more)
+
+    def sentence(self, values: Values) -> str:
+        return f"It looks like hoses that widen, by {values['compliance']:.3g} m3/Pa in each chamber."
+
+
+UNNAMED: tuple[Effect, ...] = (WideningHoses(),)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects on the piston's motion: dry and viscous friction, a constant force, a cushion, the moving mass."""
+"""Effects on the piston's motion: dry and viscous friction, a constant force, a cushion, the moving mass.
+
+Viscous friction may differ between the directions, as seals and lead screws have it.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,7 @@ from math import isnan
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import (
-    MOTION,
-    Effect,
-    FitParameter,
-    FloatArray,
-    Kinematics,
-    Memory,
-    Values,
-    changed,
-)
+from hydro_diagnosis.effects.base import MOTION, Effect, FitParameter, FloatArray, Kinematics, Memory, Values, changed
 from hydro_sim.model.bench import Bench
 
 STROKE = 0.08
@@ -41,7 +35,7 @@ class FrictionCoulomb(Effect):
     id = "friction_coulomb"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (_force("force"),)
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -57,7 +51,7 @@ class FrictionCoulombDirectional(Effect):
     id = "friction_coulomb"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (_force("force_positive"), _force("force_negative", probes=(6.0,)))
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -76,7 +70,7 @@ class FrictionViscous(Effect):
     id = "friction_viscous"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -104,7 +98,7 @@ class FrictionStribeck(Effect):
     id = "friction_stribeck"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (
         _force("breakaway_force", smallest=0.5),
         FitParameter(name="velocity", unit="m/s", low=2e-3, high=0.06, neutral=0.01, probes=(0.006, 0.02)),
@@ -126,7 +120,7 @@ class FrictionPresliding(Effect):
     id = "friction_presliding"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     needs = ("friction_coulomb",)
     bristles = True
     parameters = (FitParameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
@@ -145,7 +139,7 @@ class ForceOffset(Effect):
     id = "force_offset"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
     parameters = (_force("force", low=-500.0, smallest=0.5),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
@@ -164,7 +158,7 @@ class EndCushion(Effect):
     id = "end_cushion"
     family = "spring"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -202,7 +196,7 @@ class MovingMass(Effect):
     id = "moving_mass"
     family = "friction"
     equations = ("motion",)
-    touches = frozenset({MOTION})
+    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -220,6 +214,43 @@ class MovingMass(Effect):
         return f"The moving mass is {abs(values['mass']):.3g} kg {more} than the bench file says."
 
 
+_COEFFICIENT = FitParameter(
+    name="coefficient_positive", unit="N s/m", low=-1e4, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5
+)
+
+
+class FrictionViscousDirectional(Effect):
+    """b + db_+ while extending, b + db_- while retracting."""
+
+    id = "friction_viscous"
+    family = "friction"
+    equations = ("motion",)
+    blocks = frozenset({MOTION})
+
+    @property
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
+        low = down_to_nothing(self.reference, -_COEFFICIENT.low)
+        other = -15.0 if low < -30.0 else 15.0
+        extending = replace(_COEFFICIENT, low=low)
+        return (extending, replace(extending, name="coefficient_negative", probes=(other,)))
+
+    def adapted(self, bench: Bench) -> Effect:
+        return replace(self, reference=bench.viscous_friction)
+
+    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                   values: Values) -> FloatArray:  # fmt: skip
+        extending = motion.velocity > 0.0
+        coefficient = np.where(extending, values["coefficient_positive"], values["coefficient_negative"])
+        return force + coefficient * motion.velocity
+
+    def sentence(self, values: Values) -> str:
+        positive, negative = values["coefficient_positive"], values["coefficient_negative"]
+        return (
+            f"The viscous friction depends on the direction: against the bench file {positive:+.4g} N s/m while "
+            f"extending and {negative:+.4g} N s/m while retracting."
+        )
+
+
 EFFECTS: tuple[Effect, ...] = (
     FrictionCoulomb(),
     FrictionCoulombDirectional({"form": "directional"}),
@@ -229,4 +260,5 @@ EFFECTS: tuple[Effect, ...] = (
     ForceOffset(),
     *(EndCushion({"form": form}, STROKE) for form in ("end", "start", "end-quadratic", "start-quadratic")),
     MovingMass(),
+    FrictionViscousDirectional({"form": "directional"}),
 )

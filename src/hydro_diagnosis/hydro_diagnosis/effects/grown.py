@@ -41,28 +41,28 @@ class Grown(Effect):
         return self.term.equations
 
     @property
-    def touches(self) -> frozenset[str]:  # type: ignore[override]
-        return self.term.touches
+    def blocks(self) -> frozenset[str]:  # type: ignore[override]
+        return self.term.blocks
 
     @property
-    def curves(self) -> str:
-        return self.term.curves
+    def nonlinear_channel(self) -> str:
+        return self.term.nonlinear_channel
 
     @property
     def places(self) -> bool:
         return self.term.places
 
     @property
-    def instant(self) -> bool:
-        return self.term.instant
+    def memoryless(self) -> bool:
+        return self.term.memoryless
 
     @property
-    def shaken(self) -> bool:
-        return self.term.shaken
+    def uses_acceleration(self) -> bool:
+        return self.term.uses_acceleration
 
     @property
-    def bends(self) -> bool:
-        return self.term.bends
+    def breaks_superposition(self) -> bool:
+        return self.term.breaks_superposition
 
     @property
     def family(self) -> str:  # type: ignore[override]

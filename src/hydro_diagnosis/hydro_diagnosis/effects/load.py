@@ -24,7 +24,7 @@ from hydro_sim.model.bench import Bench
 class _Load(Effect):
     equations = ("load",)
     family = "spring"
-    touches = frozenset({MOTION, LOAD})
+    blocks = frozenset({MOTION, LOAD})
 
 
 class SpringStiffness(_Load):

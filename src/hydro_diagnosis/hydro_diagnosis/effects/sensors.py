@@ -45,7 +45,7 @@ class _Sensor(Effect):
         return self.options.get("sensor", self.options.get("cell", f"pressure_{chamber}"))
 
     @property
-    def touches(self) -> frozenset[str]:  # type: ignore[override]
+    def blocks(self) -> frozenset[str]:  # type: ignore[override]
         return TOUCHES[self.channel]
 
     @property
@@ -122,7 +122,7 @@ class SensorLag(_Sensor):
         )  # fmt: skip
 
     @property
-    def rounds(self) -> str:
+    def lagged(self) -> str:
         return self.channel
 
     def bench(self, bench: Bench, values: Values) -> Bench:

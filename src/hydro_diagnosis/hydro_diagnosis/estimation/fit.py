@@ -3,6 +3,9 @@
 
 A channel's deviation is never taken below the measured noise, and above it where the claims leave a remainder: so a
 channel that nobody can explain does not drown the evidence of the others (diagnosis.md, "Evidence").
+
+Columns of the Jacobian are cached where terms without a name are fitted: such fits differ by a term or two, and an
+additive term has the same response whatever stands beside it.
 """
 
 from __future__ import annotations
@@ -12,15 +15,102 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.parameters import pack, unpack
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.slopes import jacobian
+from hydro_diagnosis.estimation.equation_residuals import (
+    Key,
+    intervening,
+    is_active,
+    shapes,
+    split_additive,
+    values_key,
+)
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_sim.model.tables import Table
+
+
+def pack(claims: Sequence[Claim]) -> tuple[list[FitParameter], FloatArray]:
+    """Parameters and their values, claim after claim."""
+    parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
+    values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]
+    return parameters, np.array(values, dtype=np.float64)
+
+
+def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
+    """Claims from values."""
+    claims, k = [], 0
+    for effect in effects:
+        names = [parameter.name for parameter in effect.parameters]
+        claims.append(Claim(effect, dict(zip(names, map(float, values[k : k + len(names)]), strict=True))))
+        k += len(names)
+    return tuple(claims)
+
+
+STEP = 1e-3
+"""Step of the differences, in `FitParameter.span`s."""
+
+
+def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, first: int = 0) -> FloatArray:
+    """One-sided differences, towards the neutral value's far side unless a bound stands there.
+
+    `residual`: at these claims. `first`: parameter from which on columns are computed.
+    """
+    parameters, values = pack(claims)
+    effects = [claim.effect for claim in claims]
+    owners = [claim for claim in claims for _ in claim.effect.parameters]
+    keeping = any(isinstance(effect, Closure) for effect in effects)
+    columns = np.empty((len(residual), len(values) - first))
+    for k, parameter in enumerate(parameters[first:], first):
+        step = STEP * parameter.span
+        if values[k] + step > parameter.high:
+            step = -step
+        key = _key(problem, claims, owners[k], parameter) if keeping else ()
+        known = problem.columns.get(key) if keeping else None
+        if known is None:
+            moved = values.copy()
+            moved[k] += step
+            known = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
+            if keeping:
+                problem.columns.put(key, known, known.nbytes)
+        else:
+            problem.count(1)
+        columns[:, k - first] = known
+    return columns
+
+
+def _key(problem: Problem, claims: Sequence[Claim], claim: Claim, parameter: FitParameter) -> Key:
+    """All that a column depends on: beside the doubt the values of the claims that reach its equations.
+
+    Of terms that add, their own amplitudes and other such terms do not count; nor do terms without amplitude.
+    """
+    adding, others = split_additive((*problem.baseline, *claims, _present(claim)))
+    adds = any(one.effect is claim.effect for one in adding)
+    beside = intervening(claim, others) if adds else [
+        one for one in claims if one is not claim and is_active(one) and one.effect.blocks & claim.effect.blocks
+    ]  # fmt: skip
+    own = shapes(claim) if adds and parameter.smallest > 0.0 else [*claim.values.values()]
+    rounded = tuple(one.effect.label for one in claims if one.effect.lagged)
+    limits = getattr(claim.effect, "limits", ())
+    return problem.doubted, claim.effect.label, parameter.name, limits, *own, rounded, values_key(beside)
+
+
+def _present(claim: Claim) -> Claim:
+    """A claim with amplitudes that act."""
+    sizes = {one.name: one.span for one in claim.effect.parameters if one.smallest > 0.0}
+    return Claim(claim.effect, {**claim.values, **sizes})
+
 
 STRAIGHT = 0.05
 """Share of a step's effect that slopes may have missed and still hold at its end."""
+QUANTILE = 1.96
+NOTICEABLE = 0.35
+"""Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
+CHANCE = 4.0
+"""Standard deviations of the mean of n squares of white noise, sqrt(2 / n), that it must exceed 1 by too."""
+FORM_ERROR = 0.035
+"""Share of a claim's signature that its form may be off by: another of its family must explain more."""
+SHORTEST = 1e-100
+"""Length of a column below which it counts as nothing: its square still is a number."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +141,7 @@ class Fit:
         return self.jacobian.shape[1]
 
 
-def spreads(problem: Problem, residual: FloatArray) -> FloatArray:
+def residual_variances(problem: Problem, residual: FloatArray) -> FloatArray:
     """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
     layout = problem.layout
     count = np.maximum(layout.count(), 1.0)
@@ -94,7 +184,7 @@ def fit(
     lasting = not secant and any(_many(effect) for effect in effects)
     old = False
     for _ in range(iterations if len(values) else 0):
-        weight = 1.0 / spreads(problem, residual)[problem.layout.channel]
+        weight = 1.0 / residual_variances(problem, residual)[problem.layout.channel]
         found = _stepped(problem, effects, values, residual, best, slopes, weight, damping, fixed)
         if found is None and not old:
             break
@@ -103,17 +193,17 @@ def fit(
             trial, outcome, reached, damping = found
             gained, best = best - reached, reached
             step, damping = (trial - values) / span, damping * 0.1
-            foretold = slopes @ step
-            missed = outcome - residual - foretold
+            predicted = slopes @ step
+            missed = outcome - residual - predicted
             if secant:
                 slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
             values, residual = trial, outcome
         ends = gained < tolerance and not old
         if not secant and not (ends and lasting):
             # a step that gained next to nothing tells nothing about the slopes
-            old = lasting and gained >= tolerance and _share(missed, foretold, weight) < STRAIGHT
+            old = lasting and gained >= tolerance and _share(missed, predicted, weight) < STRAIGHT
             slopes = slopes if old else jacobian(problem, unpack(effects, values), residual)
-            problem.evaluations += len(values) if old else 0  # a search's effort is the same, however it is spared
+            problem.count(len(values) if old else 0)
         if ends:
             break
     if old:
@@ -144,12 +234,12 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
 
 
 def _many(effect: Effect) -> bool:
-    return isinstance(effect, Closure) and isinstance(effect.law, Table) and not effect.adds
+    return isinstance(effect, Closure) and isinstance(effect.law, Table) and not effect.additive
 
 
-def _share(missed: FloatArray, foretold: FloatArray, weight: FloatArray) -> float:
+def _share(missed: FloatArray, predicted: FloatArray, weight: FloatArray) -> float:
     """Weighted size of what slopes missed of a step's effect, over what they foretold."""
-    return float(np.sqrt(missed**2 @ weight / max(float(foretold**2 @ weight), 1e-300)))
+    return float(np.sqrt(missed**2 @ weight / max(float(predicted**2 @ weight), 1e-300)))
 
 
 def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
@@ -167,3 +257,47 @@ def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float 
     slopes = np.delete(found.jacobian, range(begin, begin + counts[at]), axis=1)
     others = (*found.claims[:at], *found.claims[at + 1 :])
     return fit(problem, others, tolerance=tolerance, slopes=slopes)
+
+
+def score(problem: Problem, found: Fit) -> float:
+    """Deviance plus price: lower is better."""
+    return found.deviance + found.free * float(np.log(len(found.residual)))
+
+
+def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
+    """Each channel's mean square over the noise's."""
+    layout = problem.layout
+    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
+    count = layout.count()
+    return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
+
+
+def noise_thresholds(problem: Problem) -> dict[str, float]:
+    """Each channel's mean square over the noise's above which it holds more than noise.
+
+    The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
+    """
+    count = problem.layout.count()
+    return {
+        name: 1.0 + max(NOTICEABLE, CHANCE * float(np.sqrt(2.0 / count[k])))
+        for k, name in enumerate(CHANNELS)
+        if count[k]
+    }
+
+
+def remaining(problem: Problem, residual: FloatArray) -> dict[str, float]:
+    """Mean square over the noise's of those channels that hold more than noise."""
+    limit = noise_thresholds(problem)
+    return {name: square for name, square in mean_squares(problem, residual).items() if square > limit[name]}
+
+
+def noticeable(problem: Problem, residual: FloatArray) -> bool:
+    """Return whether any channel holds more than noise."""
+    return bool(remaining(problem, residual))
+
+
+def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
+    """Share of the held-out squared residual, beyond that of all claims, that a claim removes; below 0: it adds."""
+    squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
+    nothing, fewer, everything = squares
+    return (fewer - everything) / max(nothing - everything, 1e-12)

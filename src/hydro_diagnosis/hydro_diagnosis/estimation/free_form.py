@@ -2,21 +2,130 @@
 """Free-form hidden inputs: in which equation an unnamed quantity would have to act, as a function of which variable.
 
 For each equation and variable a piecewise linear function with many knots is pushed through that equation's way to the
-residuals and fitted by linear least squares. It competes with the named causes at the same price per parameter.
+residuals (observer, test function, sensors) and fitted by linear least squares. It competes with the named causes at
+the same price per parameter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
-from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.estimation.fit import Fit, deviance, spreads
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.responses import UNIT_SIZE, Responses
+from hydro_diagnosis.effects import kernels
+from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.estimation.fit import Fit, deviance, residual_variances
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.chambers import fading_sums
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
+from hydro_sim.model import equations as eq
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
+
+UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion": 1.0, "load": 1.0}
+"""Scale of the basis functions, so that columns are of similar length."""
+
+
+class Responses:
+    """Response of the residual vector to an input in one equation."""
+
+    def __init__(self, problem: Problem, claims: Sequence[Claim], equation: str, sensor: str) -> None:
+        self.problem = problem
+        self.equation, self.sensor = equation, sensor
+        everything = (*problem.baseline, *claims)
+        self._benches = [model.bench(everything) for model in problem.models]
+        self._stiff: list[tuple[FloatArray, FloatArray]] = []
+        self._roots: list[tuple[FloatArray, FloatArray]] = []
+        if "pressure" in problem.blocks and equation in ("pressure_a", "pressure_b", "actuation"):
+            for model, bench in zip(problem.models, self._benches, strict=True):
+                oil = model.observer.oil(everything)
+                self._stiff.append(chambers.compliances(bench, oil, everything))
+                opened = kernels.substep_mean(oil.spool) >= 0
+                drops = zip(*eq.edge_drops(bench.supply_pressure, bench.tank_pressure, *oil.pressures), strict=True)
+                root_a, root_b = (eq.signed_root(np.where(opened, out, back)) for out, back in drops)
+                self._roots.append((root_a, root_b))
+
+    @property
+    def visible(self) -> bool:
+        """Whether the recordings hold the channels in which this input shows."""
+        blocks = self.problem.blocks
+        if self.equation in ("pressure_a", "pressure_b", "actuation"):
+            return "pressure" in blocks
+        if self.equation in ("motion", "load"):
+            return self.equation in blocks
+        return self.sensor in self.problem.sensor_noise and any(block != "motion" for block in blocks)
+
+    def of(self, inputs: Sequence[FloatArray]) -> FloatArray:
+        """Residual vector's change for an input given per segment."""
+        problem = self.problem
+        shown = [self._channels(k, model, inputs[k]) for k, model in enumerate(problem.models)]
+        layout = problem.layout
+        vector = np.zeros(len(layout.channel))
+        for index, name in enumerate(CHANNELS):
+            for k in range(len(problem.models)):
+                if name in shown[k]:
+                    at = (layout.channel == index) & (layout.segment == k)
+                    vector[at] = shown[k][name] / problem.deviation(name, k)
+        return vector
+
+    def _channels(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
+        if not np.any(hidden):
+            return {}
+        if self.equation in ("pressure_a", "pressure_b", "actuation"):
+            return self._chambers(k, model, hidden)
+        if self.equation == "motion":
+            return {"motion": -model.kept_finish(hidden)}
+        if self.equation == "load":
+            return self._load(k, model, hidden)
+        return self._sensor(k, model, hidden)
+
+    def _chambers(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
+        scale = UNIT_SIZE[self.equation] * model.step
+        shown = {}
+        for index, name in enumerate(("pressure_a", "pressure_b")):
+            if self.equation not in (name, "actuation"):
+                continue
+            flow = hidden * scale
+            if self.equation == "actuation":
+                flow = flow * self._benches[k].valve_gain * self._roots[k][index] * (1.0 if index == 0 else -1.0)
+            built = fading_sums((self._stiff[k][index] * flow)[None], 1.0 - model.step / OBSERVER_MEMORY)[0]
+            shown[name] = -model.kept_smooth(built)
+        return shown
+
+    def _load(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
+        bandwidth = self._benches[k].load_cell_bandwidth
+        seen = hidden if bandwidth is None else model.memory.low_pass("", hidden, bandwidth, LOAD_CELL_DAMPING)
+        shown = {"load": -model.kept_smooth(seen)}
+        if "motion" in self.problem.blocks:
+            shown["motion"] = -model.kept_finish(hidden)
+        return shown
+
+    def _sensor(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
+        shown: dict[str, FloatArray] = {}
+        means = model.means(hidden)
+        area = self._benches[k].piston_area
+        if self.sensor == "load_force":
+            return {"load": model.kept_smooth(hidden)}
+        if self.sensor == "hydraulic_force":
+            shown["motion"] = model.kept_smooth(hidden)
+            shown["hydraulic"] = means
+        else:
+            shown[self.sensor] = model.kept_smooth(clear_caches(hidden, model.step)) * 1e4
+            share = 1.0 if self.sensor == "pressure_a" else -self._benches[k].area_ratio
+            shown["hydraulic"] = -area * share * means * 1e4
+        present = {CHANNELS[index] for index in np.unique(self.problem.layout.channel)}
+        return {name: signal for name, signal in shown.items() if name in present}
+
+
+def clear_caches(signal: FloatArray, step: float) -> FloatArray:
+    """High-pass effect of a slow observer on a signal."""
+    gain = step / OBSERVER_MEMORY
+    followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], signal, zi=[signal[0]])
+    return signal - np.asarray(followed)
+
 
 KNOTS = 24
 """Knots of each function; of time: per recording."""
@@ -37,6 +146,11 @@ class FreeForm:
     """The input at the knots: m3/s for the chambers, N for motion and load, A for actuation, the sensor's unit else."""
 
 
+def gains_by_equation(forms: Sequence[FreeForm]) -> dict[str, float]:
+    """Evidence of the best form in each equation; `forms`: the most informative first."""
+    return {form.equation: form.gain for form in reversed(forms)}
+
+
 _INPUTS = (
     ("pressure_a", ""),
     ("pressure_b", ""),
@@ -52,7 +166,7 @@ _INPUTS = (
 
 def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     """Every free-form input beside the named causes, the most informative first."""
-    weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
     named = found.jacobian * weight[:, None]
     left = found.residual * weight
     base = deviance(problem, left / weight)
@@ -85,7 +199,7 @@ def _least_squares(columns: FloatArray, goal: FloatArray) -> FloatArray:
 
 
 def variables(problem: Problem) -> list[str]:
-    """Names of what a hidden input may depend on, for `variable_of`."""
+    """Names of what a hidden input may depend on, for `SegmentModel.variable`."""
     have = set.intersection(*(set(model.channels) for model in problem.models))
     names = ["time", "position", "velocity"]
     names += ["current"] if "valve_current" in have else []
@@ -93,23 +207,8 @@ def variables(problem: Problem) -> list[str]:
     return names
 
 
-def variable_of(model: SegmentModel, name: str) -> FloatArray:
-    """A variable that a hidden input may depend on, shape (n,), SI units."""
-    if name == "time":
-        return model.time
-    if name == "position":
-        return model.x
-    if name == "velocity":
-        return model.v
-    if name == "current":
-        return model.channels["valve_current"]
-    if name == "pressure_difference":
-        return model.smooth(model.channels["pressure_a"] - model.channels["pressure_b"])
-    return model.smooth(model.channels[name])
-
-
 def _knots(problem: Problem, variable: str) -> FloatArray:
-    values = np.concatenate([variable_of(model, variable)[model.settle :] for model in problem.models])
+    values = np.concatenate([model.variable(variable)[model.settle :] for model in problem.models])
     if variable in ("velocity", "current"):  # denser around zero, where friction and valve change their ways
         shares = np.linspace(0.0, 1.0, KNOTS)
         return np.unique(np.quantile(values, shares))
@@ -121,7 +220,7 @@ def _hats(problem: Problem, variable: str, knots: FloatArray) -> Iterator[list[F
     groups = [[model] for model in problem.models] if variable == "time" else [problem.models]
     for group in groups:
         for j in range(len(knots)):
-            yield [_hat(variable_of(one, variable), knots, j) * (one in group) for one in problem.models]
+            yield [_hat(one.variable(variable), knots, j) * (one in group) for one in problem.models]
 
 
 def _hat(values: FloatArray, knots: FloatArray, index: int) -> FloatArray:

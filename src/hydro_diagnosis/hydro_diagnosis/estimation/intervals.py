@@ -17,12 +17,28 @@ from math import hypot, sqrt
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, fit, spreads
-from hydro_diagnosis.estimation.parameters import pack, unpack
+from hydro_diagnosis.estimation.fit import QUANTILE, Fit, fit, pack, residual_variances, unpack
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.unrecorded_rows import shifts
 
-QUANTILE = 1.96
+
+def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
+    """Shift of each claim's parameters if half of the rows are left out, to first order; 0 if none are missing.
+
+    Returns
+    -------
+    One array per claim, in the parameters' units.
+    """
+    counts = [len(claim.effect.parameters) for claim in found.claims]
+    if problem.thinner is None or not counts:
+        return [np.zeros(count) for count in counts]
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
+    slopes, change = found.jacobian * weight[:, None], problem.change(found.claims) * weight
+    lengths = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    spans = np.array([parameter.span for parameter in pack(found.claims)[0]])
+    moved = np.abs(np.linalg.lstsq(slopes / lengths, change, rcond=1e-10)[0]) / lengths * spans
+    return np.split(moved, np.cumsum(counts)[:-1])
+
+
 SYSTEMATIC = 0.03
 """Share of a parameter's smallest size worth claiming; shapes have their own: `FitParameter.systematic`."""
 PROFILING = 4
@@ -42,13 +58,13 @@ class Interval:
     identifiable: bool
 
 
-def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
+def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
     """Return the fit without claims whose intervals include neutral, and the intervals of those that remain."""
     while True:
         bounds, standing, k = intervals(problem, found), [], 0
         for claim in found.claims:
             count = len(claim.effect.parameters)
-            if claim.effect.estimated or not _holds_nothing(claim, bounds[k : k + count]):
+            if claim.effect.estimated or not _includes_neutral(claim, bounds[k : k + count]):
                 standing.append(claim)
             k += count
         ids = {claim.effect.id for claim in standing}
@@ -58,15 +74,17 @@ def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
         found = fit(problem, standing)
 
 
-def all_hold(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
+def all_exclude_neutral(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
     """Return whether no claim's interval includes its absence; `bounds` of all parameters, in the order of `pack`."""
     at = np.cumsum([0, *(len(claim.effect.parameters) for claim in claims)])
     return not any(
-        _holds_nothing(claim, bounds[at[k] : at[k + 1]]) for k, claim in enumerate(claims) if not claim.effect.estimated
+        _includes_neutral(claim, bounds[at[k] : at[k + 1]])
+        for k, claim in enumerate(claims)
+        if not claim.effect.estimated
     )
 
 
-def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:
+def _includes_neutral(claim: Claim, bounds: Sequence[Interval]) -> bool:
     """Return whether the effect may be absent: so for each amplitude, or the first shape where there is none."""
     pairs = list(zip(claim.effect.parameters, bounds, strict=True))
     telling = [(one, bound) for one, bound in pairs if one.smallest > 0.0] or pairs[:1]
@@ -91,7 +109,7 @@ def intervals(problem: Problem, found: Fit) -> list[Interval]:
 def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
     """Standard deviations by curvature, in spans, and how much wider the sandwich says they are."""
     layout = problem.layout
-    weight = 1.0 / spreads(problem, found.residual)[layout.channel]
+    weight = 1.0 / residual_variances(problem, found.residual)[layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     covariance = np.linalg.pinv(normal, hermitian=True)
     scores = found.jacobian * (found.residual * weight)[:, None]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Values
-from hydro_diagnosis.estimation.fit import Fit, deviance, spreads
+from hydro_diagnosis.estimation.fit import Fit, deviance, residual_variances
 from hydro_diagnosis.estimation.problem import Problem
 
 
@@ -47,7 +47,7 @@ def allowed(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence
     taken = {cause(claim.effect) for claim in claims}
     ids = {claim.effect.id for claim in claims}
     for effect in library:
-        if cause(effect) not in taken and set(effect.needs) <= ids and effect.touches & set(blocks):
+        if cause(effect) not in taken and set(effect.needs) <= ids and effect.blocks & set(blocks):
             yield effect
 
 
@@ -61,7 +61,7 @@ def screen(
     problem: Problem, fit: Fit, library: Sequence[Effect], signatures: Signatures | None = None
 ) -> list[Prospect]:
     """Prospects, the most promising first; `signatures` that are known already are not computed again."""
-    weight = np.sqrt(1.0 / spreads(problem, fit.residual))[problem.layout.channel]
+    weight = np.sqrt(1.0 / residual_variances(problem, fit.residual))[problem.layout.channel]
     basis = _basis(fit.jacobian * weight[:, None])
     left = _without(basis, fit.residual * weight)
     known, deviations = signatures or Signatures(), problem.deviations()

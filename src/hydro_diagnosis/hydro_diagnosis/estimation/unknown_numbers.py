@@ -14,11 +14,11 @@ from functools import cache
 
 import numpy as np
 
+from hydro_diagnosis.bench_numbers import lacks, numbers, told
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, Effect, changed
-from hydro_diagnosis.estimation.fit import Fit, fit, spreads
+from hydro_diagnosis.estimation.fit import Fit, fit, residual_variances
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.partial_bench import lacks, numbers, told
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_sim.model.bench import Bench
 
@@ -83,7 +83,7 @@ def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence
     for size in SIZES if any(lacks(bench, name) for name in names) else (1.0,):
         start = _start(bench, names, size, short)
         tried.append(_settled(short, start, baseline, names))
-        if np.max(spreads(tried[-1][1], tried[-1][2].residual)) < EXPLAINED:
+        if np.max(residual_variances(tried[-1][1], tried[-1][2].residual)) < EXPLAINED:
             break
     return min(tried, key=lambda one: _left(one[1], one[2]))[0]
 
@@ -108,7 +108,7 @@ def _settled(
 def _beside(problem: Problem, names: Collection[str]) -> Iterator[Claim]:
     taken = {estimable()[name].id for name in names}
     for effect in LIBRARY:
-        if effect.label in BESIDE and effect.id not in taken and effect.touches & set(problem.blocks):
+        if effect.label in BESIDE and effect.id not in taken and effect.blocks & set(problem.blocks):
             adapted = effect.adapted(problem.bench)
             yield Claim(adapted, {one.name: one.neutral for one in adapted.parameters})
 

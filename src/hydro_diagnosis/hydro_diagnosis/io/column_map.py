@@ -21,14 +21,177 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from hydro_bridge.signals import STATE_FIELDS
-from hydro_diagnosis.io.column_source import Source, source_of
+from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_diagnosis.io.columns import UNITS, known
 from hydro_diagnosis.recording import InputError
+
+_SOURCE = re.compile(
+    r"""\s*(?:'(?P<single>[^']+)'|"(?P<double>[^"]+)"|(?P<bare>[^\[\]*/+\-@'"]+?))\s*(?P<rest>[\[*/+\-].*)?"""
+)
+_STEP = re.compile(r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*")
+_UNIT = re.compile(r"\s*\[(?P<unit>[^\]]*)\]\s*")
+_DELAY = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
+
+
+_BARE = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
+"""A column's name that needs no quotes, in a map in short nor in YAML."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Source of a field."""
+
+    column: str
+    """Name in the file; empty for a constant."""
+    steps: tuple[tuple[str, float | str], ...] = ()
+    """Sign (*, /, +, -) and number, or the name of a single number in the file; in this order."""
+    unit: str = ""
+    """Unit of the column, SI if empty; the last to be multiplied."""
+    delay: float = 0.0
+    """s by which the column is late against the others: what it shows at a time happened so much earlier."""
+
+    @property
+    def plain(self) -> bool:
+        """Whether the column is taken as it is, so that the unit that the file states for it counts."""
+        return bool(self.column) and not self.steps and not self.unit
+
+    def __str__(self) -> str:
+        """Text of the source, as in a short map."""
+        if not self.column:
+            return f"{sum(float(number) for _, number in self.steps):g}"
+        quoted = self.column if _BARE.fullmatch(self.column) else f"'{self.column}'"
+        if "'" in self.column:
+            quoted = f'"{self.column}"'
+        unit = f"[{self.unit}]" if self.unit else ""
+        steps = "".join(
+            f"{sign}{number:.9g}" if isinstance(number, float) else f"{sign}{number}" for sign, number in self.steps
+        )
+        late = f"@{self.delay * 1e3:.9g}ms" if self.delay else ""
+        return f"{quoted}{unit}{steps}{late}"
+
+    def of(self, columns: Mapping[str, FloatArray], constants: Mapping[str, float], length: int) -> FloatArray:
+        """The field in SI units, shape (length,).
+
+        Raises
+        ------
+        InputError
+            If the file lacks the column or a number that the steps name; the sentence lists what there is.
+        """
+        if not self.column:
+            values: FloatArray = np.zeros(length)
+        elif self.column in columns:
+            values = columns[self.column]
+        else:
+            raise InputError(f"there is no column named {self.column!r}{_instead(self.column, columns)}")
+        for sign, number in self.steps:
+            if isinstance(number, str) and number not in constants:
+                raise InputError(f"there is no single number named {number!r}{_instead(number, constants)}")
+            by = constants[number] if isinstance(number, str) else number
+            values = _OPERATIONS[sign](values, by)
+        if self.unit:
+            values = values * UNITS[self.unit]
+        return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def source_of(field: str, value: Any) -> Source:
+    """The source that an entry of a map describes.
+
+    Raises
+    ------
+    InputError
+        In one sentence that names the field.
+    """
+    if isinstance(value, bool) or value is None:
+        raise InputError(f"columns: {field} = {value!r} is neither a column nor a number")
+    if isinstance(value, (int, float)):
+        return _constant(field, float(value))
+    if isinstance(value, Mapping):
+        return _from_words(field, value)
+    number = _number(value)
+    return _constant(field, number) if isinstance(number, float) else _parsed(field, number)
+
+
+def _constant(field: str, value: float) -> Source:
+    if field == "time":
+        raise InputError("columns: the time cannot be a constant")
+    if not isfinite(value):
+        raise InputError(f"columns: {field} = {value} is not a finite number")
+    return Source("", (("+", value),))
+
+
+def _from_words(field: str, words: Mapping[str, Any]) -> Source:
+    unknown = [str(key) for key in words if key not in ("column", "unit", "scale", "offset", "delay")]
+    if unknown or "column" not in words:
+        said = f"{unknown[0]!r} is unknown" if unknown else "'column' is missing"
+        raise InputError(f"columns: {field}: {said}; there are column, unit, scale, offset, delay")
+    steps: list[tuple[str, float | str]] = []
+    for sign, word in (("*", "scale"), ("+", "offset")):
+        if word in words:
+            steps.append((sign, _number(words[word])))
+    unit = _unit(field, str(words["unit"])) if "unit" in words else ""
+    delay = _number(words.get("delay", 0.0))
+    if not isinstance(delay, float) or not isfinite(delay):
+        raise InputError(f"columns: {field}: delay {words['delay']!r} is not a number of seconds")
+    return Source(str(words["column"]), tuple(steps), unit, delay)
+
+
+def _parsed(field: str, text: str) -> Source:
+    late = _DELAY.search(text)
+    delay = float(late["value"]) * UNITS[late["unit"]] if late else 0.0
+    found = _SOURCE.fullmatch(text[: late.start()] if late else text)
+    if found is None:
+        raise InputError(
+            f"columns: {field}={text} is not COLUMN[unit]*number+number@delay; quote a name with signs in it"
+        )
+    column = next(name for name in (found["single"], found["double"], found["bare"]) if name is not None)
+    steps: list[tuple[str, float | str]] = []
+    rest = found["rest"] or ""
+    unit = _UNIT.match(rest)
+    rest = rest[unit.end() :] if unit else rest
+    while rest:
+        step = _STEP.match(rest)
+        if step is None:
+            raise InputError(f"columns: {field}={text} cannot be read from {rest!r} on")
+        steps.append((step["sign"], _number(step["value"])))
+        rest = rest[step.end() :]
+    return Source(column.strip(), tuple(steps), _unit(field, unit["unit"]) if unit else "", delay)
+
+
+def _number(text: Any) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return str(text)
+
+
+def _unit(field: str, unit: str) -> str:
+    if not known(unit):
+        raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
+    return known(unit)
+
+
+def _instead(name: str, there: Iterable[str]) -> str:
+    names = list(there)
+    close = difflib.get_close_matches(name, names, 1)
+    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    listed = ", ".join(names[:40]) + (f" and {len(names) - 40} more" if len(names) > 40 else "")
+    return f"{hint}; there are {listed}" if names else "; there are none"
+
+
+_OPERATIONS = {
+    "*": lambda values, by: values * by,
+    "/": lambda values, by: values / by,
+    "+": lambda values, by: values + by,
+    "-": lambda values, by: values - by,
+}
+
 
 TARGETS = ("time", *STATE_FIELDS)
 """Targets of a column."""

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elements with memory, in two implementations of one law: filtered over a whole record, or advanced step by step."""
+"""Elements with memory: filtered over a whole record, or advanced step by step.
+
+`ColumnMemory` and `WindowMemory` run over many windows side by side: one column each, time down the first axis.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.effects.path_memory import along, held_lag, turning
+from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag
 from hydro_sim.jit import njit
 
 
@@ -48,9 +52,9 @@ class RecordMemory:
         bend = np.gradient(slope, self.step)
         return np.asarray(signal + first * slope + second * bend)
 
-    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
-        """See `Memory.turning`; the signal is a straight line between samples."""
-        return np.asarray(turning(np.ascontiguousarray(signal), self.step, rising, falling))
+    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+        """See `Memory.asymmetric_lag`; the signal is a straight line between samples."""
+        return np.asarray(asymmetric_lag(np.ascontiguousarray(signal), self.step, rising, falling))
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """See `Memory.play`; it starts in the middle of the gap."""
@@ -99,7 +103,7 @@ class StepMemory:
         """Not needed while stepping, as above."""
         raise NotImplementedError
 
-    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
         """Not needed while stepping, as above."""
         raise NotImplementedError
 
@@ -154,3 +158,58 @@ def amplifier(bandwidth: float, damping: float, step: float) -> tuple[FloatArray
     ahead, behind = resolvent(late), resolvent(early)
     numerator = np.array([ahead[0], ahead[1] + behind[0], behind[1]])
     return numerator, np.array([1.0, -trace, determinant])
+
+
+Indices = npt.NDArray[np.int64]
+"""Samples at which windows begin."""
+
+
+class ColumnMemory(RecordMemory):
+    """A record memory whose time runs down the first axis, one column per window."""
+
+    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
+        """See `RecordMemory`."""
+        numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
+        state = np.cumsum((numerator - denominator)[::-1])[::-1][1:, None] * signal[0]
+        passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
+        return np.asarray(passed, dtype=np.float64)
+
+    def lag(
+        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
+        falling: float | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """See `RecordMemory`."""
+        single = super().lag
+        return np.apply_along_axis(lambda column: single(key, column, time_constant, start, falling), 0, signal)
+
+    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+        """See `RecordMemory`."""
+        return np.apply_along_axis(
+            lambda column: super(ColumnMemory, self).asymmetric_lag(column, rising, falling), 0, signal
+        )
+
+
+class WindowMemory(ColumnMemory):
+    """A column memory of windows that begin along a record, in the states in which it left what remembers."""
+
+    def __init__(self, step: float, beside: Mapping[str, FloatArray], traces: dict[str, FloatArray],
+                 at: Indices) -> None:  # fmt: skip
+        super().__init__(step, beside)
+        self._along, self._at = traces, at
+
+    def lag(
+        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
+        falling: float | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """A slow state is the record's."""
+        return self._along[key][self._at]
+
+    def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
+        """See `RecordMemory`."""
+        force, where = (self._along[name][self._at[0]] for name in (key, key + ".x"))
+        course = np.empty_like(position)
+        for k, now in enumerate(position):
+            moved, where = now - where, now
+            goal = np.sign(moved) * limit[k]
+            course[k] = force = goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit[k], 1e-6))
+        return course

@@ -17,20 +17,154 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
-from scipy.ndimage import correlate1d
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import correlate1d, distance_transform_edt
+from scipy.special import ndtr
 
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, changes
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, Kinematics, changes
+from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.model.chambers import ChamberRun
-from hydro_diagnosis.model.forces import ForceBalance
-from hydro_diagnosis.model.observer import ChamberObserver
+from hydro_diagnosis.model.segment_record import ChamberObserver, SegmentRecord
+from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
+from hydro_diagnosis.recording import Segment
+from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
+
+VELOCITY_DOUBT = 1e-3
+"""Uncertainty [m/s] of the velocity's zero."""
+_FAST = 1.0
+"""Velocity [m/s] beyond which friction is that of sliding."""
+_GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
+
 
 PLACES = 4
 """Corrected positions that a segment keeps."""
 
 
-class SegmentModel(ChamberObserver, ForceBalance):
-    """A segment and its residuals under some claims, in physical units."""
+class SegmentModel(SegmentRecord):
+    """A segment, the forces on its mass, and its residuals under some claims, in physical units."""
+
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
+        super().__init__(segment, bench, like)
+        self.observer = ChamberObserver(self)
+
+    def dry_friction_level(self, claims: Sequence[Claim], velocity: FloatArray | None = None) -> FloatArray:
+        """Level [N] of dry friction while sliding."""
+        motion = self.kinematics if velocity is None else Kinematics(self.time, self.x, velocity)
+        level = np.zeros_like(self.x)
+        for claim in claims:
+            level = claim.effect.drag(level, motion, claim.values)
+        return level
+
+    def spring_force(self, bench: Bench, claims: Sequence[Claim], motion: Kinematics) -> FloatArray:
+        """True force [N] of the load."""
+        force = bench.spring_stiffness * (motion.position - bench.spring_rest_position)
+        for claim in claims:
+            force = claim.effect.load(force, motion, bench, self.memory, claim.values)
+        return force
+
+    def dry_friction(self, claims: Sequence[Claim]) -> FloatArray:
+        """Dry friction [N] without bristles, as the first Gaussian sees it: a mean over velocities where they change.
+
+        Friction is no straight line in the velocity. Taken at the smoothed velocity alone, a Stribeck rise that the
+        piston passes within milliseconds would read a quarter too small.
+        """
+        force = np.zeros_like(self.x)
+        dry = any(changes(claim, "drag") for claim in claims)
+        if not dry or any(claim.effect.bristles for claim in claims):
+            return force
+        for weight, velocity, sign in self._seen_velocities:
+            force += weight * self.dry_friction_level(claims, velocity) * sign
+        return force
+
+    @cached_property
+    def _seen_velocities(self) -> tuple[tuple[float, FloatArray, FloatArray], ...]:
+        """Weight, velocity [m/s] and its smoothed sign at each node of the first Gaussian."""
+        width = KINEMATIC_WIDTH * self.spacing * self.step
+        nodes = ((weight, self.v + node * width * self.a) for node, weight in _GAUSS_HERMITE)
+        return tuple((weight, velocity, np.tanh(velocity / SLIP_VELOCITY)) for weight, velocity in nodes)
+
+    def required_force(self, claims: Sequence[Claim]) -> FloatArray:
+        """Hydraulic force [N] that the recorded motion needs, as the first Gaussian sees it."""
+        bench = self.bench(claims)
+        force = self.dry_friction(claims)
+        resisting = [claim for claim in claims if changes(claim, "resistance")]
+        level = self.dry_friction_level(claims) if resisting else force
+        for claim in resisting:
+            force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
+        inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
+        return inertia + force + self.spring_force(bench, claims, self.kinematics)
+
+    def friction_doubt(self, claims: Sequence[Claim], reversals: int = 1) -> FloatArray:
+        """Standard deviation [N] of the dry friction, because the velocity near standstill is only known so well.
+
+        `reversals`: of all recordings; the same kernel misplaces the velocity alike at each of them, which does not
+        average out: its doubt is that of their mean, not of one.
+        """
+        level = self.dry_friction_level(claims)
+        doubt = self._swing(
+            claims, VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.spacing * self.step, np.zeros_like(level)
+        )
+        beyond = self.dry_friction_level(claims, np.full_like(self.v, _FAST))
+        if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
+            doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self.velocity_kink(claims), beyond))
+        late = [claim for claim in claims if claim.effect.lagged == "hydraulic_force"]
+        return self.smooth(np.abs(self.reading("hydraulic_force", doubt, late)))
+
+    def velocity_kink(self, claims: Sequence[Claim]) -> FloatArray:
+        """By how much [m/s] the first Gaussian misplaces a velocity whose slope jumps where the piston reverses.
+
+        Dry friction F turns round there, so x_p'' jumps by 2 F / m. A kink of slope J seen through a Gaussian of width
+        s is off by J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
+        """
+        at_rest = self.dry_friction_level(claims, np.zeros_like(self.v))
+        width = KINEMATIC_WIDTH * self.spacing * self.step
+        jump = 2.0 * at_rest / self.bench(claims).moving_mass
+        u = self._since_rest / (KINEMATIC_WIDTH * self.spacing)
+        return jump * width * (np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi) - u * ndtr(-u))
+
+    @cached_property
+    def reversals(self) -> int:
+        """Number of times that the piston stands or reverses."""
+        return int(np.count_nonzero(np.diff(self._resting.astype(np.int8), prepend=0) == 1))
+
+    @cached_property
+    def _resting(self) -> npt.NDArray[np.bool_]:
+        resting = np.abs(self.v) < VELOCITY_DOUBT
+        turns = self.v[:-1] * self.v[1:] <= 0.0
+        resting[:-1] |= turns
+        resting[1:] |= turns
+        return resting
+
+    @cached_property
+    def _since_rest(self) -> FloatArray:
+        """Samples to the nearest one at which the piston stands or turns round."""
+        if not self._resting.any():
+            return np.full_like(self.v, np.inf)
+        return np.asarray(distance_transform_edt(~self._resting))
+
+    def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:
+        """Half of how far dry friction beyond a level `but` [N] changes between -/+ `velocity` around the recorded."""
+        low, high = (
+            (self.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_DOUBT)
+            for one in (self.v - velocity, self.v + velocity)
+        )
+        return np.asarray(np.abs(high - low) / 2.0)
+
+    def variable(self, name: str) -> FloatArray:
+        """A variable that a hidden input may depend on, shape (n,), SI units."""
+        if name == "time":
+            return self.time
+        if name == "position":
+            return self.x
+        if name == "velocity":
+            return self.v
+        if name == "current":
+            return self.channels["valve_current"]
+        if name == "pressure_difference":
+            return self.smooth(self.channels["pressure_a"] - self.channels["pressure_b"])
+        return self.smooth(self.channels[name])
 
     def placed(self, claims: Sequence[Claim]) -> SegmentModel:
         """The same segment with the position that is the piston's under these claims; itself, if it is the recorded."""
@@ -101,13 +235,13 @@ class SegmentModel(ChamberObserver, ForceBalance):
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
         bench = self.bench(claims)
-        late = [one for one in claims if one.effect.rounds.startswith("pressure") and not one.effect.turns]
+        late = [one for one in claims if one.effect.lagged.startswith("pressure") and not one.effect.asymmetric]
         others = [claim for claim in claims if claim not in late]
 
         def delayed(signal: FloatArray, but: str) -> FloatArray:
             for claim in late:
-                if claim.effect.rounds != but:
-                    signal = claim.effect.measure(claim.effect.rounds, signal, self.memory, claim.values)
+                if claim.effect.lagged != but:
+                    signal = claim.effect.measure(claim.effect.lagged, signal, self.memory, claim.values)
             return signal
 
         channels = ("pressure_a", "pressure_b")

@@ -1,18 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities of a segment that do not depend on claims, and the sensor models of its channels."""
+"""A segment with its sensor models, and the slow observer of its chamber equations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.memory import RecordMemory
-from hydro_diagnosis.preprocessing.box_clock import Rows, judged
-from hydro_diagnosis.preprocessing.smoothing import STRIDE, bend, finish, finish_at, kinematics, smooth, smooth_at
+from hydro_diagnosis.preprocessing.smoothing import (
+    STRIDE,
+    bend,
+    finish,
+    finish_at,
+    kinematics,
+    smooth,
+    smooth_at,
+    white_noise,
+)
 from hydro_diagnosis.recording import Segment
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
 BLOCK = 0.1
@@ -22,6 +36,17 @@ TAIL = 20
 MARGIN = 6
 SETTLE = 0.3
 """Time [s] at the start of a segment that is not judged: filters and observer settle."""
+Kept = TypeVar("Kept")
+CACHE_SIZE = 10
+"""Largest number of intermediate results that a segment keeps."""
+LAG_ITERATIONS = 3
+"""Iterations between the pressures behind lagging sensors and the flows that they drive."""
+OBSERVER_MEMORY = 0.12
+"""Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
+SLOPE_STEP = 1e3
+"""Step [Pa] of the differences that give the slope of a curved reading."""
+TIMING_DOUBT = 3e-6
+"""Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
 
 
 class SegmentRecord:
@@ -43,7 +68,9 @@ class SegmentRecord:
         self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
         self.settle = min(round(SETTLE / self.step), len(segment) // 4)
         end = len(segment) - TAIL * self.spacing
-        self.rows: Rows | slice = like.rows if like else judged(segment, self.settle, end, STRIDE, MARGIN)
+        self.rows: npt.NDArray[np.int64] | slice = (
+            like.rows if like else segment.judged(self.settle, end, STRIDE, MARGIN)
+        )
         """Samples that are judged."""
         self._judged = np.arange(len(segment))[self.rows]
         if self.has_position:
@@ -127,3 +154,161 @@ class SegmentRecord:
         length = round(BLOCK / self.step)
         count = (len(self.time) - self.settle) // length
         return self.time[self.settle] + (np.arange(count) + 0.5) * length * self.step
+
+
+class ChamberObserver:
+    """Both chambers of a segment under some claims, from recorded current, position and pressures."""
+
+    def __init__(self, record: SegmentRecord) -> None:
+        self._record = record
+        self._cache: dict[tuple[Any, ...], Any] = {}
+
+    def oil(self, claims: Sequence[Claim]) -> Oil:
+        """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
+        moving = sorted(filter(chambers.moves_spool, claims), key=lambda claim: claim.effect.stage)
+        sensing = [claim for claim in claims if changes(claim, "unmeasure")]
+        spool = self._cached("spool", moving, self._spool)
+        p_a, p_b = self._cached("pressures", sensing, self._middle_pressures)
+        position = self._cached("position", (), self._middle_position)
+        velocity = self._cached("velocity", (), lambda claims: chambers.middle(self._record.v))
+        return Oil(self._record.time, position, (p_a, p_b), spool, velocity)
+
+    def _spool(self, claims: Sequence[Claim]) -> FloatArray:
+        """Each claim's spool is kept back, so that what comes later in the command's path begins there."""
+        if not claims:
+            return chambers.spool_position(
+                self._record.channels["valve_current"], self._record.step / chambers.SUBSTEPS, ()
+            )
+        *before, last = claims
+        spool = self._cached("spool", before, self._spool) if before else self._held_current
+        return last.effect.command(spool, self._record.step / chambers.SUBSTEPS, last.values)
+
+    @cached_property
+    def _held_current(self) -> FloatArray:
+        """A, shape (n, substeps)."""
+        return np.repeat(self._record.channels["valve_current"][:, None], chambers.SUBSTEPS, axis=1)
+
+    def _middle_pressures(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
+        p_a, p_b = (chambers.middle(self._record.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
+        return p_a, p_b
+
+    def _middle_position(self, claims: Sequence[Claim]) -> FloatArray:
+        return chambers.middle(self._record.channels["piston_position"])
+
+    def _cached(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
+        """Return the result for these claims, computed once as long as only others change."""
+        key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
+        found: Kept = self._cache.pop(key) if key in self._cache else compute(claims)
+        if len(self._cache) >= CACHE_SIZE:
+            self._cache.pop(next(iter(self._cache)))
+        self._cache[key] = found  # the one that was asked for longest ago goes first
+        return found
+
+    def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
+        """Innovations and arcs under the claims."""
+        bench = self._record.bench(claims)
+        oil = self.oil(claims)
+        stiff, (built_a, built_b) = self.built(bench, oil, claims)
+        lagging = any(claim.effect.lagged.startswith("pressure") for claim in claims)
+        for _ in range(LAG_ITERATIONS if lagging else 0):
+            oil = self._ahead_of_lag(oil, (built_a, built_b), claims)
+            stiff, (built_a, built_b) = self.built(bench, oil, claims)
+        innovations = tuple(
+            self._innovation(channel, built, claims)
+            for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
+        )
+        force = eq.hydraulic_force(bench, built_a, built_b)
+        arc = chambers.force_arc(bench, oil, stiff, self._record.a, self._record.step)
+        return ChamberRun((innovations[0], innovations[1]), arc, force)
+
+    def built(
+        self, bench: Bench, oil: Oil, claims: Sequence[Claim]
+    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
+        into_a, into_b = chambers.net_flows(bench, oil, claims, self._record.memory)
+        stiff = chambers.compliances(bench, oil, claims)
+        return stiff, eq.pressure_rates(
+            bench, stiff, (into_a * self._record.step, into_b * self._record.step), self._moved
+        )
+
+    @cached_property
+    def _moved(self) -> FloatArray:
+        """Change [m] of the position from each sample to the next."""
+        position = self._record.channels["piston_position"]
+        return np.diff(position, append=position[-1])
+
+    def _ahead_of_lag(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
+        """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
+        others = [claim for claim in claims if not claim.effect.lagged.startswith("pressure")]
+        pressures = list(oil.pressures)
+        for index, channel in enumerate(("pressure_a", "pressure_b")):
+            late = [claim for claim in claims if claim.effect.lagged == channel]
+            if late:
+                integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
+                swallowed = integral - self._record.reading(channel, integral, late)
+                pressures[index] = chambers.middle(self._record.true_signal(channel, others) + swallowed)
+        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
+
+    def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        curved = [claim for claim in claims if claim.effect.nonlinear_channel == channel]
+        if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
+            built = built * self._slope(channel, claims, curved)
+            claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
+        gain = self._record.step / OBSERVER_MEMORY
+        if not any(changes(claim, "measure") for claim in claims):
+            return np.asarray(chambers.innovations(self._record.channels[channel], built, gain))
+        integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
+        unexplained = self._record.channels[channel] - self._record.reading(channel, integral, claims)
+        start = float(np.mean(unexplained[:10]))
+        followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
+        return unexplained - np.asarray(followed)
+
+    def _slope(self, channel: str, claims: Sequence[Claim], curved: Sequence[Claim]) -> FloatArray:
+        """Change of a curved reading [-] per change of its signal, within each sample."""
+        signal = chambers.middle(self._record.true_signal(channel, claims))
+        above, below = (self._record.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
+        return np.asarray((above - below) / (2.0 * SLOPE_STEP))
+
+    def pressure_doubt(self, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.
+
+        Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
+        """
+        bench = self._record.base
+        timing = self._stiffest(0) * bench.piston_area * TIMING_DOUBT * self._record.smooth(np.abs(self._record.v))
+        a, b = (
+            self._record.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber])))
+            for chamber in "ab"
+        )
+        return a, b
+
+    def _stiffest(self, chamber: int) -> float:
+        """beta/V [Pa/m3] of a chamber whose end the piston touches."""
+        bench, moduli = self._record.base, (self._record.base.bulk_modulus, self._record.base.bulk_modulus)
+        return float(eq.stiffnesses(bench, moduli, 0.0 if chamber == 0 else bench.stroke)[chamber])
+
+    def _flow_doubt(self, chamber: str, noise: float) -> FloatArray:
+        """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
+        bench, current = self._record.base, self._record.channels["valve_current"]
+        pressure = chambers.middle(self._record.channels["pressure_" + chamber])
+        fed = current > 0.0 if chamber == "a" else current < 0.0
+        drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
+        gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))
+        stiff = self._stiffest("ab".index(chamber))
+        built = np.square(stiff * gain * noise * self._record.step)  # neighbours share a reading
+        if self._record.spacing > 1:
+            per_ampere = stiff * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * self._record.step
+            built = built + np.square(per_ampere) * self._hidden_current()
+        kept = (1.0 - self._record.step / OBSERVER_MEMORY) ** 2
+        return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))
+
+    def _hidden_current(self) -> FloatArray:
+        """Variance [A^2] of what the box added to the current from sample to sample that no row shows, shape (n,).
+
+        Of n samples per row n - 1 are not seen, and the one that is stands for all of them: together n (n - 1) times
+        the variance of a single one. What half of the rows change does not tell: they do not see these either.
+        """
+        measured = self._record.segment.measured
+        seen = np.ones(len(self._record.time), dtype=np.bool_) if measured is None else measured
+        noise = white_noise(self._record.channels["valve_current"][self._record.segment.phase :: self._record.spacing])
+        return np.where(seen, 0.0, self._record.spacing * noise**2)

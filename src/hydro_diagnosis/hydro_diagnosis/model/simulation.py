@@ -2,7 +2,8 @@
 """Forward simulation of the bench with claims, from the recorded valve current, many windows side by side.
 
 The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. Other
-elements with memory (droop, bristles, play) start in the states that the recording gives.
+elements with memory (droop, bristles, play) start in the states that the recording gives. The sensors' readings of the
+simulated states are their response to the recording, and to how far the states leave it.
 """
 
 from __future__ import annotations
@@ -15,13 +16,111 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes
-from hydro_diagnosis.model import chambers, kernels
-from hydro_diagnosis.model.memory import RecordMemory, StepMemory
-from hydro_diagnosis.model.readings import readings
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.memory import ColumnMemory, Indices, RecordMemory, StepMemory, WindowMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.window_memory import Indices
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
+
+
+def measurements(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
+    """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
+    length, _, lanes = states.shape
+    samples = np.tile(begins, lanes // len(begins))
+    at = samples[None, :] + np.arange(length)[:, None]
+    x, v, p_a, p_b = states.transpose(1, 0, 2)
+    bench, shaken = plant.bench, _accelerations(plant, states, samples)
+    true = {
+        "piston_position": x,
+        "pressure_a": p_a,
+        "pressure_b": p_b,
+        "hydraulic_force": eq.hydraulic_force(bench, p_a, p_b),
+        "load_force": _load(plant, Kinematics(at * plant.model.step, x, v, None, shaken), samples),
+    }
+    simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b, "acceleration": shaken}
+    beside = plant.model.beside
+    aside = {name: simulated[name] - beside[name][at] for name in simulated if name in beside}
+    return {
+        name: _shown(plant, name, signal, at, aside) for name, signal in true.items() if name in plant.model.channels
+    }
+
+
+def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatArray:
+    """Acceleration [m/s2] along windows, shape (length, windows), if any claim depends on it; else 0."""
+    found = np.zeros_like(states[:, 1])
+    memory = StepMemory(plant.model.step)
+    memory.begin({key: trace[samples] for key, trace in plant.traces.items()})
+    for k in range(len(states) if any(claim.effect.uses_acceleration for claim in plant.claims) else 0):
+        time = np.asarray(plant.model.segment.start + (samples + k) * plant.model.step)
+        spool = plant.spool[np.minimum(samples + k, len(plant.spool) - 1), 0][:, None]
+        motion = Kinematics(time, states[k, 0], states[k, 1])
+        dry = 0.0 if not plant.sticks else np.sign(motion.velocity) * plant.level(motion) / plant.mass(motion)
+        found[k] = plant.rates(states[k], time, spool, memory)[1] - dry
+        memory.tick()
+    return found
+
+
+def _load(plant: Plant, motions: Kinematics, samples: Indices) -> FloatArray:
+    position, shaken = motions.position, motions.acceleration
+    force: FloatArray = eq.spring_force(plant.bench, position)
+    acting = plant.loading
+    memory = StepMemory(plant.model.step)
+    memory.begin({key: trace[samples] for key, trace in plant.traces.items()})
+    for k in range(len(position) if acting else 0):
+        now = None if shaken is None else shaken[k]
+        motion = Kinematics(motions.time[k], position[k], motions.velocity[k], None, now)
+        for claim in acting:
+            force[k] = claim.effect.load(force[k], motion, plant.bench, memory, claim.values)
+        memory.tick()
+    return force
+
+
+def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, aside: dict[str, FloatArray]) -> FloatArray:
+    """The sensor's response to the recording's own signal plus its response to the difference from it.
+
+    A reading that depends on the instant alone, or on a path, is taken where the signal is: it may be curved.
+
+    `aside`: that difference of what stands beside the sensor.
+    """
+    proxy, record = _proxy(plant, name), plant.model.memory
+    apart = signal - proxy[at]
+    nothing = np.zeros_like(apart)
+    still = ColumnMemory(plant.model.step, dict.fromkeys(aside, nothing))
+    memory = ColumnMemory(plant.model.step, aside)
+    if name == "load_force" and plant.bench.load_cell_bandwidth is not None:
+        cell = plant.bench.load_cell_bandwidth, LOAD_CELL_DAMPING
+        proxy, apart = record.low_pass(name, proxy, *cell), memory.low_pass(name, apart, *cell)
+    for claim in plant.claims:
+        shown = claim.effect.measure(name, proxy, record, claim.values)
+        if shown is proxy:
+            continue
+        if claim.effect.memoryless:
+            both = {key: plant.model.beside[key][at] + aside.get(key, 0.0) for key in plant.model.beside}
+            there = WindowMemory(plant.model.step, both, record.traces, at)
+            apart = claim.effect.measure(name, proxy[at] + apart, there, claim.values) - shown[at]
+        else:
+            with_it, without = (
+                claim.effect.measure(name, one, past, claim.values) for one, past in ((apart, memory), (nothing, still))
+            )
+            apart = with_it - without
+        proxy = shown
+    if name == "piston_position":
+        apart = apart + (plant.channels[name] - plant.model.channels[name])[at]
+    return proxy[at] + apart
+
+
+def _proxy(plant: Plant, name: str) -> FloatArray:
+    if name == "piston_position":
+        return plant.model.channels[name]
+    if name == "load_force":
+        return plant.model.spring_force(plant.bench, plant.claims, plant.model.recorded)
+    p_a, p_b = (plant.model.smooth(plant.model.true_signal("pressure_" + chamber, plant.claims)) for chamber in "ab")
+    if name == "hydraulic_force":
+        force: FloatArray = eq.hydraulic_force(plant.bench, p_a, p_b)
+        return force
+    return p_a if name == "pressure_a" else p_b
+
 
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
@@ -69,7 +168,7 @@ class Plant:
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         spool = chambers.spool_position(current, model.step / substeps, claims)
         memory = model.memory = RecordMemory(model.step, model.beside)
-        model.chamber_run(claims)
+        model.observer.chamber_run(claims)
         model.required_force(claims)
         for claim in claims:
             claim.effect.trace(model.kinematics, memory, claim.values)
@@ -95,7 +194,7 @@ class Plant:
         for claim in self.loading:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
         rates = np.empty_like(state)
-        kernels.derivatives(rates, self._numbers, state, into_a, into_b, stiff_a, stiff_b, against, load)
+        chambers.derivatives(rates, self._numbers, state, into_a, into_b, stiff_a, stiff_b, against, load)
         if self._dragging_along:
             rates[1] *= bench.moving_mass / self.mass(motion)
         return rates
@@ -178,7 +277,7 @@ class Plant:
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
         if self.textbook:
-            kernels.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
+            chambers.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
             return states
         memory = StepMemory(step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
@@ -205,7 +304,7 @@ class Plant:
         fourth = self.rates(state + step * third, time, spool, memory, grip)
         memory.tick()
         after = np.empty_like(state)
-        kernels.runge_kutta(after, state, first, second, third, fourth, step)
+        chambers.runge_kutta(after, state, first, second, third, fourth, step)
         if grip is not None:
             after[1] = np.where(grip.stuck, 0.0, after[1])
         return after
@@ -217,9 +316,9 @@ class Plant:
         level = self.level(grip.toward(Kinematics(time, state[0], state[1])))
         return Grip(holding, grip.direction, np.abs(holding) <= level)
 
-    def readings(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
+    def measurements(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
         """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
-        return readings(self, states, begins)
+        return measurements(self, states, begins)
 
 
 def _sticks(claims: Sequence[Claim]) -> bool:

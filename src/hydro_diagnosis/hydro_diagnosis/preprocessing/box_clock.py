@@ -104,26 +104,6 @@ def _gaps_doubled(rows: Rows) -> Mask:
     return kept
 
 
-def judged(segment: Segment, begin: int, end: int, stride: int, margin: int) -> Rows | slice:
-    """Samples that are judged: recorded ones, `stride` recorded rows apart, none missing within `margin` rows of them.
-
-    A slice where every row was recorded.
-    """
-    if segment.measured is None:
-        return slice(begin, end, stride)
-    spacing = segment.spacing
-    phase = segment.phase
-    recorded = segment.measured[phase::spacing]
-    lost = np.convolve(~recorded, np.ones(2 * margin + 1), mode="same") > 0.5
-    open_ = phase + spacing * np.flatnonzero(~lost)
-    open_ = open_[(open_ >= begin) & (open_ < end)]
-    chosen, at = [], 0
-    while at < len(open_):
-        chosen.append(open_[at])
-        at = int(np.searchsorted(open_, open_[at] + stride * spacing))
-    return np.array(chosen, dtype=np.int64)
-
-
 def rate_note(step: float, segment: Segment) -> str:
     """What a recording's `step` [s] means for what can be told, in a sentence."""
     rate = f"recorded at {1.0 / step:.4g} Hz"

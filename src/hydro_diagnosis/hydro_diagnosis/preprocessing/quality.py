@@ -3,21 +3,193 @@
 
 The outcome is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing
 for longer than `BRIDGED`, and what is shorter is bridged (`box_clock`).
+
+Time stamps: a logger that stamps rows on arrival adds jitter to samples that the box took evenly; one that polls takes
+samples unevenly with correct stamps. The recording itself decides: placed correctly, it is smoother.
+
+Frozen sensors: a noisy one repeats its number. An encoder is quantised and a piston may stand: frozen is one that stays
+exactly where it is while the load's force or the reported velocity moves on, or that jumps when it comes back. What
+follows a stop for a moment (the load cell's amplifier rings, the velocity's filter runs out) does not count.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicSpline
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_diagnosis.bench_numbers import knows
 from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
-from hydro_diagnosis.partial_bench import knows
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
-from hydro_diagnosis.preprocessing.sensor_faults import Mask, frozen_encoder, repeats
-from hydro_diagnosis.preprocessing.stamps import counted, placed_by_stamps, stamped, uneven
+from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
 from hydro_sim.model.bench import Bench
+
+Rows = npt.NDArray[np.int64]
+SHAKEN = 0.02
+"""Deviation of a stamp, as a share of the sampling time, that counts as jitter."""
+OFTEN = 0.05
+"""Share of the stamps that must have jitter."""
+FOLLOWS = 0.01
+"""Gain of the clock that counts rows: the share of a stamp's error that it follows."""
+SMOOTHER = 0.9
+"""Ratio to the roughness of evenly taken samples below which samples lie at their stamps."""
+_LOOKS = ((32, 0.03), (512, 3e-3), (8192, 2e-4))
+"""Rows in which a rhythm is sought, and how far around the guess: finer as more of them are in step."""
+_BEGIN = 21
+"""Stamps that initialise that clock."""
+
+
+def uneven(time: FloatArray) -> bool:
+    """Return whether stamps [s] run forward, but not evenly."""
+    steps = np.diff(time)
+    if not np.all(np.isfinite(steps)) or np.any(steps < 0.0) or not np.any(steps > 0.0):
+        return False
+    steps = steps / float(np.median(steps[steps > 0.0]))
+    return bool(np.mean(np.abs(steps - np.rint(steps)) > SHAKEN) > OFTEN)
+
+
+def counted(time: FloatArray) -> tuple[float, Rows]:
+    """Sampling time [s] and the row of each stamp; rows that are missing leave gaps in the count."""
+    steps = np.diff(time)
+    rows = _followed(time, _period(time, float(np.median(steps[steps > 0.0]))))
+    return float(np.polyfit(rows, time - time[0], 1)[0]), rows
+
+
+def _period(time: FloatArray, step: float) -> float:
+    """The sampling time [s] in whose rhythm the stamps lie best, near a first guess that lost rows have lengthened."""
+    for count, reach in _LOOKS:
+        length = min(count, len(time))
+        blocks = time[: len(time) // length * length].reshape(-1, length)
+        trials = step * (1.0 + np.linspace(-reach, reach, 61))
+        rhythm = [np.sum(np.square(np.abs(np.exp(2j * np.pi / one * blocks).sum(axis=1)))) for one in trials]
+        step = float(trials[int(np.argmax(rhythm))])
+    return step
+
+
+def _followed(time: FloatArray, step: float) -> Rows:
+    turns = np.exp(2j * np.pi / step * (time[:_BEGIN] - time[0]))  # their mean angle: lost rows do not matter
+    begin = float(np.angle(turns.mean())) / (2.0 * np.pi) * step
+    clock = float(time[0]) + begin
+    rows, row = np.zeros(len(time), dtype=np.int64), 0
+    for k in range(1, len(time)):
+        passed = max(round((time[k] - clock) / step), 1)
+        row += passed
+        clock += passed * step
+        clock += FOLLOWS * (time[k] - clock)
+        rows[k] = row
+    return rows
+
+
+def placed_by_stamps(
+    columns: Mapping[str, FloatArray], time: FloatArray, rows: Rows, step: float
+) -> dict[str, FloatArray] | None:
+    """Return the readings at even times, if the samples were taken at their stamps; None if they were even.
+
+    The valve current is left out: it is held for a millisecond, and which one a row has caught is not known.
+    """
+    offset = float(np.median(time - step * rows))
+    even, distinct = offset + step * rows, np.concatenate([[True], np.diff(time) > 0.0])
+    names = [name for name in MEASURED if name in columns and np.all(np.isfinite(columns[name]))]
+    if not names:
+        return None
+    moved = {name: CubicSpline(time[distinct], columns[name][distinct])(even) for name in names}
+    first = "piston_position" if "piston_position" in names else names[0]
+    if white_noise(moved[first]) > SMOOTHER * white_noise(columns[first]):
+        return None
+    return {name: values for name, values in columns.items() if name != "valve_current"} | moved
+
+
+def stamped(time: FloatArray, rows: Rows, step: float, *, taken_there: bool) -> list[str]:
+    """Notes on uneven stamps, one sentence each."""
+    off = time - step * rows
+    size = f"the time stamps are uneven by {1e3 * float(np.std(off - np.median(off))):.2g} ms"
+    lost = int(rows[-1]) + 1 - len(rows)
+    notes = [f"{lost} samples are missing"] if lost else []
+    if not taken_there:
+        return [*notes, f"{size}, the samples are even: they were placed by counting rows"]
+    return [
+        *notes,
+        f"{size}, and the samples were taken so: the sensors were interpolated to even times; when the valve current "
+        "acted is not known to the millisecond, so that the chambers' equations are not checked",
+    ]
+
+
+FROZEN = 40
+"""Samples: a noisy sensor that repeats the same number so often has stopped, an encoder may have."""
+DISPLACED = 2e-4
+"""m by which the piston must move, by what else there is, while its encoder stands."""
+QUANTA = 10.0
+"""Steps of the encoder that it must move at least."""
+LOAD_SETTLES, VELOCITY_SETTLES = 0.1, 0.03
+"""s after a stop until load cell and velocity show it too."""
+AVERAGED = 20
+"""Samples over which the load's force is averaged."""
+NOISE = 8.0
+"""Standard deviations of such a mean that its range must exceed."""
+MOVES = 0.2
+"""Share of the recording's mean speed that the reported one must have: an offset of a tachometer is no motion."""
+Mask = npt.NDArray[np.bool_]
+
+
+def repeats(values: FloatArray) -> Mask:
+    """Samples within a run of at least `FROZEN` equal values."""
+    mask = np.zeros(len(values), dtype=bool)
+    for begin, end in _runs(values):
+        mask[begin:end] = True
+    return mask
+
+
+def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench) -> Mask:
+    """Samples in which `piston_position` stands though the piston moves; `step` is the sampling time in s."""
+    position = columns["piston_position"]
+    steps = np.abs(np.diff(position))
+    quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
+    least = max(DISPLACED, QUANTA * quantum) if np.isfinite(quantum) else DISPLACED
+    mask = np.zeros(len(position), dtype=bool)
+    for begin, end in _runs(position):
+        jumps = end < len(position) and abs(position[end] - position[end - 1]) > least
+        if jumps or _load_moves(columns, begin, end, step, bench, least) or _glides(columns, begin, end, step, least):
+            mask[begin:end] = True
+    return mask
+
+
+def _runs(values: FloatArray) -> list[tuple[int, int]]:
+    """First and one past the last sample of every run of at least `FROZEN` equal values."""
+    same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
+    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
+    return [(b, e + 1) for b, e in zip(edges[::2], edges[1::2], strict=True) if e - b >= FROZEN]
+
+
+def _load_moves(
+    columns: Mapping[str, FloatArray], begin: int, end: int, step: float, bench: Bench, least: float
+) -> bool:
+    """Return whether the load's force changes by what the spring does over `least` [m], and beyond the noise."""
+    if "load_force" not in columns:
+        return False
+    settled = columns["load_force"][begin + round(LOAD_SETTLES / step) : end]
+    means = settled[: len(settled) // AVERAGED * AVERAGED].reshape(-1, AVERAGED).mean(axis=1)
+    means = means[np.isfinite(means)]
+    if len(means) < 2:
+        return False
+    noise = white_noise(columns["load_force"][np.isfinite(columns["load_force"])])
+    return float(np.ptp(means)) > max(bench.spring_stiffness * least, NOISE * noise / AVERAGED**0.5)
+
+
+def _glides(columns: Mapping[str, FloatArray], begin: int, end: int, step: float, least: float) -> bool:
+    """Return whether the reported velocity carries the piston by more than `least` [m]."""
+    if "piston_velocity" not in columns:
+        return False
+    speed = np.abs(columns["piston_velocity"])
+    settled = speed[begin + round(VELOCITY_SETTLES / step) : end]
+    settled = settled[np.isfinite(settled)]
+    if not len(settled):
+        return False
+    return bool(settled.sum() * step > least and settled.mean() > MOVES * np.nanmean(speed))
+
 
 BRIDGED = 5
 """Longest gap [rows] that is bridged."""

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weak form: signals and derivatives seen through Gaussian test functions; nothing noisy is differentiated.
+"""Weak form: signals and derivatives through Gaussian test functions, and the white noise in a signal.
 
-Two Gaussians follow each other. The first (1 recorded row) makes position, velocity and acceleration out of the
-recorded position; the second brings everything, forces computed from these and forces measured, to the same total width
-of 1.5 rows: 1.5 ms at 1 kHz. Where a logger recorded every n-th row of the box's clock alone, `spacing` is n.
+Nothing noisy is differentiated. Two Gaussians follow each other. The first (1 recorded row) makes position, velocity
+and acceleration out of the recorded position; the second brings everything, forces computed from these and forces
+measured, to the same total width of 1.5 rows: 1.5 ms at 1 kHz. Where a logger recorded every n-th row of the box's
+clock alone, `spacing` is n.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from math import comb
 
 import numpy as np
 import numpy.typing as npt
@@ -111,3 +113,20 @@ def _through(signal: FloatArray, width: float, derivative: int = 0) -> FloatArra
         return np.asarray(correlate1d(signal, taps, mode="nearest"))
     reach = len(taps) // 2
     return np.asarray(oaconvolve(np.pad(signal, reach, mode="edge"), taps[::-1], mode="valid"))
+
+
+_ORDER = 6
+_GAIN = sum(comb(_ORDER, k) ** 2 for k in range(_ORDER + 1)) ** 0.5
+
+
+def white_noise(signal: FloatArray, recorded: npt.NDArray[np.bool_] | None = None) -> float:
+    """Standard deviation of the white noise in a signal, robust against rare jumps; None: every sample is recorded."""
+    differences = np.diff(signal, _ORDER) / _GAIN
+    if recorded is not None:
+        differences = differences[np.lib.stride_tricks.sliding_window_view(recorded, _ORDER + 1).all(axis=1)]
+        if not len(differences):
+            return white_noise(signal)
+    middle = float(np.median(np.abs(differences)))
+    limit = 6.0 * middle if middle > 0.0 else np.inf  # a slow encoder repeats itself most of the time
+    kept = differences[np.abs(differences) <= limit]
+    return float(np.sqrt(np.mean(np.square(kept)))) if len(kept) else 0.0

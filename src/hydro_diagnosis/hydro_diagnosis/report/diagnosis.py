@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from hydro_diagnosis.bench_numbers import PartialBench
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import Report
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.partial_bench import PartialBench
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
@@ -31,8 +31,8 @@ class Diagnosis:
     @property
     def corrected(self) -> Bench:
         """The bench with what was found, as in corrected.yaml: an estimated number only if the recordings tell it."""
-        untold = [one for one in self.report.estimated if one.ci95 is None]
-        given = {one.name: one.given for one in untold if one.given is not None}
-        missing = frozenset(one.name for one in untold if one.given is None)
+        undetectable_causes = [one for one in self.report.estimated if one.ci95 is None]
+        given = {one.name: one.given for one in undetectable_causes if one.given is not None}
+        missing = frozenset(one.name for one in undetectable_causes if one.given is None)
         bench = replace(corrected_bench(self.bench, self.assessment.fit.claims), **given)  # type: ignore[arg-type]
         return replace(bench, unknown=bench.unknown | missing) if isinstance(bench, PartialBench) else bench

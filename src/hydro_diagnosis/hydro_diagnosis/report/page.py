@@ -16,8 +16,7 @@ from hydro_diagnosis.findings import EffectReport, Report
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report.residual_plots import location_plot
-from hydro_diagnosis.report.valve_plots import STATIC, valve_plot
+from hydro_diagnosis.report.plots import STATIC, location_plot, valve_plot
 from hydro_sim.plotting import UNITS
 
 _VERDICTS = {

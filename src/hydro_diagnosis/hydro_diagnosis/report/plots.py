@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.free_form import variable_of
-from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import CHANNELS
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_diagnosis.selection.localisation import Place
 from hydro_sim.model.effects import grown
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
 
@@ -138,7 +141,7 @@ def _variable(cause: Effect, found: Diagnosis) -> str:
 def _sampled(found: Diagnosis, segment: int, variable: str, channel: int) -> FloatArray:
     model, layout = found.problem.models[segment], found.problem.layout
     at = (layout.channel == channel) & (layout.segment == segment)
-    return np.interp(layout.time[at], model.time, variable_of(model, variable))
+    return np.interp(layout.time[at], model.time, model.variable(variable))
 
 
 def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -154,3 +157,101 @@ def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     kept = count >= 5
     means = [np.bincount(index, values, bins)[kept] / count[kept] for values in (x, y)]
     return means[0], means[1]
+
+
+MOST = 4
+"""Equations shown at most, the largest share first."""
+_SMOOTHED = 0.1
+"""s, over which the squares are averaged."""
+_PAUSE = 1.0
+"""s, drawn between recordings."""
+_LABELS = {"pressure_a": "chamber A", "pressure_b": "chamber B"}
+
+
+def location_plot(found: Diagnosis) -> str:
+    """Residuals with the bench file alone, in units of the noise, over all segments side by side."""
+    places = found.assessment.places[:MOST]
+    begins = np.cumsum([0.0, *(len(model.segment) * model.step + _PAUSE for model in found.problem.models)])
+
+    def draw(axes: Any) -> None:
+        for axis, place in zip(axes, places, strict=True):
+            for k, model in enumerate(found.problem.models):
+                time, level = _level(found, place, k)
+                shift = begins[k] - model.segment.start
+                axis.plot(time + shift, level, color=BLUE, linewidth=0.7, label="unexplained" if k == 0 else None)
+                for number, (begin, end) in enumerate(place.windows[k]):
+                    label = "stands out" if k == 0 and number == 0 else None
+                    axis.axvspan(begin + shift, end + shift, color=ORANGE, alpha=0.18, linewidth=0, label=label)
+                if k:
+                    axis.axvline(begins[k] - 0.5 * _PAUSE, color="black", linewidth=0.6)
+            axis.axhline(1.0, color=RED, linewidth=0.7, label="noise")
+            axis.set_yscale("log")
+            axis.set_ylabel(_LABELS.get(place.equation, place.equation))
+        legend(axes[0])
+        axes[-1].set_xlabel("time [s], recordings one after the other")
+
+    return svg(len(places), (9.0, 1.2 * len(places) + 0.6), draw, sharex=True)
+
+
+def _level(found: Diagnosis, place: Place, segment: int) -> tuple[FloatArray, FloatArray]:
+    """Time [s] and root mean square over the noise's, of the channel in which an equation shows most."""
+    layout = found.problem.layout
+    at = (layout.channel == CHANNELS.index(place.channel)) & (layout.segment == segment)
+    time = layout.time[at]
+    width = max(int(_SMOOTHED / max(float(np.median(np.diff(time))), 1e-3)), 1)
+    squares = uniform_filter1d(np.square(found.outcome.nothing.residual[at]), width, mode="nearest")
+    return time, np.sqrt(np.maximum(squares, 1e-2))
+
+
+STATIC = ("valve_deadband", "valve_offset", "valve_gain", "valve_gain_asymmetry", "valve_null_leakage")
+"""Effects that change the characteristic itself."""
+_WIDTH = 4.0
+"""Samples, of the Gaussian behind the rate of pressure."""
+_ZOOM = {"valve_deadband": 4.0, "valve_offset": 8.0, "valve_null_leakage": 4.0}
+"""Plotted range around null by effect, in multiples of its width; others are shown over the whole range."""
+
+
+def valve_plot(found: Diagnosis, claim: Claim) -> str:
+    """Flow into chamber A over valve current: recorded, fitted and of the bench file, as an ideal valve's current."""
+    claims = (*found.problem.baseline, *found.assessment.fit.claims)
+    looks = [_looked(model, claims) for model in found.problem.models]
+    current, recorded, fitted = (np.concatenate(parts) for parts in zip(*looks, strict=True))
+    reach = float(np.percentile(np.abs(current), 99.5))
+    if claim.effect.id in _ZOOM:
+        size = max(abs(claim.values[key]) for key in claim.values if key in _WIDTHS)
+        reach = min(reach, _ZOOM[claim.effect.id] * size)
+    near = np.abs(current) <= reach
+    current, recorded, fitted = current[near], recorded[near], fitted[near]
+
+    def draw(axes: Any) -> None:
+        some = np.random.default_rng(0).permutation(len(current))[:4000]
+        shown = {"markersize": 1.5, "alpha": 0.5, "label": "recorded"}
+        axes[0].plot(1e3 * current[some], 1e3 * recorded[some], ".", color=GRAY, **shown)
+        axes[0].plot(*(1e3 * part for part in binned(current, recorded)), "o", color=ORANGE, markersize=3, label="mean")
+        axes[0].plot(*(1e3 * part for part in binned(current, fitted)), color=BLUE, label="with the effects found")
+        axes[0].plot([-1e3 * reach, 1e3 * reach], [-1e3 * reach, 1e3 * reach], ":", color="black", label="ideal valve")
+        low, high = np.percentile(recorded, [2.0, 98.0])
+        axes[0].set_ylim(2e3 * min(low, -reach / 2), 2e3 * max(high, reach / 2))
+        axes[0].set_xlabel("valve current [mA]")
+        axes[0].set_ylabel("flow into A, as an\nideal valve's current [mA]")
+        legend(axes[0])
+
+    return svg(1, (8.0, 3.4), draw)
+
+
+_WIDTHS = ("half_width", "half_width_negative", "current", "width")
+
+
+def _looked(model: SegmentModel, claims: tuple[Claim, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Valve current, and what an ideal valve would have needed for the recorded and for the fitted flow into A [A]."""
+    bench, oil = model.bench(claims), model.observer.oil(claims)
+    stiff, _ = chambers.compliances(bench, oil, claims)
+    pressure = gaussian_filter1d(oil.pressures[0], _WIDTH, order=1, mode="nearest") / model.step
+    flow = pressure / stiff + bench.piston_area * gaussian_filter1d(model.v, _WIDTH)
+    into_a, _ = chambers.net_flows(bench, oil, claims, model.memory)
+    kept = slice(model.settle, len(flow) - 20)
+    currents = []
+    for signal in (flow, gaussian_filter1d(into_a, _WIDTH)):
+        drop = np.where(signal >= 0.0, bench.supply_pressure - oil.pressures[0], oil.pressures[0] - bench.tank_pressure)
+        currents.append(signal / (model.bench(()).valve_gain * np.sqrt(np.maximum(drop, 1e5))))
+    return gaussian_filter1d(model.channels["valve_current"], _WIDTH)[kept], currents[0][kept], currents[1][kept]

@@ -3,23 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable, score
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
 from hydro_diagnosis.findings import EffectReport, Location, LookAlike, ParameterEstimate, Rival
-from hydro_diagnosis.selection.localisation import Place
-from hydro_diagnosis.selection.outcome import Outcome, score
+from hydro_diagnosis.selection.localisation import Place, locate
+from hydro_diagnosis.selection.outcome import CLOSE, Outcome
 from hydro_diagnosis.selection.verdict import Assessment
-
-CLOSE = 10.0
-"""BIC within which a rival is not distinguished from a claim (Kass and Raftery 1995: decisive beyond it)."""
 
 
 def describe(
@@ -66,13 +62,6 @@ def _report(
     )
 
 
-def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
-    """Share of the held-out squared residual, beyond that of all claims, that a claim removes; below 0: it adds."""
-    squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
-    nothing, fewer, everything = squares
-    return (fewer - everything) / max(nothing - everything, 1e-12)
-
-
 def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
     """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
     rivals, look_alikes = [], []
@@ -107,3 +96,69 @@ def location_of(place: Place, problem: Problem) -> Location:
         windows.setdefault(model.segment.recording, []).extend([list(stretch) for stretch in stretches])
     region = {name: list(bounds) for name, bounds in place.region.items()}
     return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)
+
+
+WORSE = 1.1
+"""Ratio of a held-out channel's error after to that before from which a model has made it worse."""
+SHOWN = 1.35
+"""Noise floors from which a simulated held-out channel's RMS error is more than noise and an uncertain start."""
+
+
+def made_worse(proof: Mapping[str, Any]) -> str:
+    """Held-out channels that the corrected model predicts worse than the bench file; empty where none is.
+
+    `proof`: `fit` of report.json. Under much noise wrong names may leave nothing in what they were fitted to.
+    """
+    worse = [
+        f"{channel} at {error['rmse_after'] / error['noise_floor']:.3g} noise floors instead of "
+        f"{error['rmse_before'] / error['noise_floor']:.3g}"
+        for channel, error in proof["holdout"].items()
+        if error["rmse_after"] > max(WORSE * error["rmse_before"], SHOWN * error["noise_floor"])
+    ]
+    return "; ".join(worse)
+
+
+def made_worse_in_all(proof: Mapping[str, Any]) -> str:
+    """`made_worse`, where the squared errors beyond the noise have grown over all channels together; else empty."""
+    ratios = [(error["rmse_before"], error["rmse_after"], error["noise_floor"]) for error in proof["holdout"].values()]
+    grown = [max((after / floor) ** 2, 1.0) - max((before / floor) ** 2, 1.0) for before, after, floor in ratios]
+    return made_worse(proof) if sum(grown) > 0.0 else ""
+
+
+def withheld(claims: Sequence[Claim], worse: str, *, whole: bool) -> str:
+    """Note on names that fit and are not handed back, since `worse` of the held-out recordings.
+
+    `whole`: whether they leave nothing of what was fitted.
+    """
+    names = ", ".join(dict.fromkeys(claim.effect.id for claim in claims))
+    share = "" if whole else "a part of "
+    return (
+        f"{names} would explain {share}the recordings that were fitted, but predict the held-out ones worse than the "
+        f"bench file does ({worse}): not claimed; record with less noise or more motion"
+    )
+
+
+def distrusted(worse: str) -> str:
+    """Note on a model that is handed back although `worse`; empty where it is not."""
+    if not worse:
+        return ""
+    return (
+        f"the held-out recordings are predicted worse than by the bench file ({worse}): do not trust what is named; "
+        "record with less noise or more motion"
+    )
+
+
+def not_predicted(holdout: Problem, claims: Sequence[Claim]) -> str:
+    """Note on held-out recordings that hold more than noise, weighed for these claims; empty where they do not.
+
+    Names fit what they can take the form of: viscous friction with a Stribeck rise takes that of drag with the square
+    of speed, as far as the piston was moved.
+    """
+    residual = holdout.residual(claims)
+    if not noticeable(holdout, residual):
+        return ""
+    places = ", ".join(dict.fromkeys(place.equation for place in locate(holdout, residual, {})))
+    return (
+        f"the held-out recordings hold more than noise ({places}), which those that were fitted do not show: the "
+        "model that is handed back does not foretell them; fit recordings of all that the bench does"
+    )

@@ -7,23 +7,17 @@ chambers. So an excess is traced back to the one equation whose hidden input exp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.free_form import FreeForm, variable_of
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.fit import Fit, remaining
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 
-NOTICEABLE = 0.35
-"""Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
-CHANCE = 4.0
-"""Standard deviations of the mean of n squares of white noise, sqrt(2 / n), that it must exceed 1 by too."""
 _PAUSE = 2.0
 """s, pauses of excess that `windows` bridge."""
 _WINDOW = 0.5
@@ -45,46 +39,17 @@ class Place:
     """Channel of the residuals in which it shows most."""
 
 
-def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
-    """Each channel's mean square over the noise's."""
-    layout = problem.layout
-    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
-    count = layout.count()
-    return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
+def locate(problem: Problem, residual: FloatArray, gains: Mapping[str, float]) -> list[Place]:
+    """Equations that hold more than noise, the largest share first; empty if there is none.
 
-
-def bounds(problem: Problem) -> dict[str, float]:
-    """Each channel's mean square over the noise's above which it holds more than noise.
-
-    The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
+    `gains`: evidence of the best free-form input in each equation (`free_form.gains_by_equation`).
     """
-    count = problem.layout.count()
-    return {
-        name: 1.0 + max(NOTICEABLE, CHANCE * float(np.sqrt(2.0 / count[k])))
-        for k, name in enumerate(CHANNELS)
-        if count[k]
-    }
-
-
-def remaining(problem: Problem, residual: FloatArray) -> dict[str, float]:
-    """Mean square over the noise's of those channels that hold more than noise."""
-    limit = bounds(problem)
-    return {name: square for name, square in mean_squares(problem, residual).items() if square > limit[name]}
-
-
-def noticeable(problem: Problem, residual: FloatArray) -> bool:
-    """Return whether any channel holds more than noise."""
-    return bool(remaining(problem, residual))
-
-
-def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) -> list[Place]:
-    """Equations that hold more than noise, the largest share first; empty if there is none."""
     excess = {name: square - 1.0 for name, square in remaining(problem, residual).items()}
     counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
     weights: dict[str, float] = {}
     channel_of: dict[str, str] = {}
     for name in excess:
-        equation = _equation(problem, residual, name, excess, forms)
+        equation = _equation(problem, residual, name, excess, gains)
         weights[equation] = weights.get(equation, 0.0) + excess[name] * counts[name]
         if equation not in channel_of or excess[name] > excess[channel_of[equation]]:
             channel_of[equation] = name
@@ -118,12 +83,12 @@ def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Pla
 
 
 def _equation(
-    problem: Problem, residual: FloatArray, channel: str, excess: dict[str, float], forms: Sequence[FreeForm]
+    problem: Problem, residual: FloatArray, channel: str, excess: dict[str, float], gains: Mapping[str, float]
 ) -> str:
     if channel in ("pressure_a", "pressure_b"):
         if _follows_supply(problem, residual):
             return "actuation"
-        return _of_chambers(channel, excess, forms)
+        return _of_chambers(channel, excess, gains)
     if channel == "hydraulic":
         return "sensor"
     if channel == "motion":
@@ -133,17 +98,13 @@ def _equation(
     return "load" if "motion" in excess and _coherent(problem, residual) else "sensor"
 
 
-def _of_chambers(channel: str, excess: dict[str, float], forms: Sequence[FreeForm]) -> str:
+def _of_chambers(channel: str, excess: dict[str, float], gains: Mapping[str, float]) -> str:
     other = "pressure_b" if channel == "pressure_a" else "pressure_a"
     if "hydraulic" in excess and other not in excess:
         return "sensor"
     if other not in excess:
         return channel
-    best = {
-        form.equation: form.gain
-        for form in reversed(forms)
-        if form.equation in ("pressure_a", "pressure_b", "actuation")
-    }
+    best = {name: gains[name] for name in ("pressure_a", "pressure_b", "actuation") if name in gains}
     return max([channel, "actuation"], key=lambda equation: best.get(equation, 0.0))
 
 
@@ -203,9 +164,7 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
     for name in ("position", "velocity", "current"):
         if name == "current" and "valve_current" not in problem.models[0].channels:
             continue
-        values = np.concatenate(
-            [variable_of(model, name)[at] for model, at in zip(problem.models, inside, strict=True)]
-        )
+        values = np.concatenate([model.variable(name)[at] for model, at in zip(problem.models, inside, strict=True)])
         if len(values):
             low, high = np.percentile(values, [10, 90])
             region[name] = (float(low), float(high))

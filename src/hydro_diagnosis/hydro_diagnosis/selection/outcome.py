@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings and outcome of a search, its steps, and the score that it minimises."""
+"""Settings and outcome of a search."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Annotated
 
-import numpy as np
-
 from hydro_bridge.settings import quantity
-from hydro_diagnosis.estimation.fit import Fit
+from hydro_diagnosis.estimation.fit import FORM_ERROR, Fit
 from hydro_diagnosis.estimation.problem import Problem
 
 
@@ -19,7 +17,7 @@ class SearchSettings:
 
     threshold: Annotated[float, quantity("-", 0.0, 1000.0)] = 20.0
     """Evidence in units of BIC that a claim needs beyond its parameters' price: a choice, held against recordings
-    with nothing missing; `calibrate` measures what such recordings reach.
+    with nothing missing (`benchmarks.null_simulations`).
     """
     most: Annotated[int, quantity("-", 0, 100)] = 6
     """Claims at most."""
@@ -27,7 +25,7 @@ class SearchSettings:
     """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
     shortlist: Annotated[int, quantity("-", 1, 1000)] = 7
     """Prospects that are fitted in full at each step."""
-    form_error: Annotated[float, quantity("-", 0.0, 1.0)] = 0.035
+    form_error: Annotated[float, quantity("-", 0.0, 1.0)] = FORM_ERROR
     """Share of a claim's signature that its form may be off by: another of its family must explain more."""
     restarts: Annotated[int, quantity("-", 1, 10)] = 3
     """First claims that are tried, one search each, as long as something remains unexplained."""
@@ -41,6 +39,8 @@ NAMES = SearchSettings(most=12, patience=2)
 """Of a search among names alone: where nothing remains, or what remains has no name, it ends by itself."""
 MINOR = 0.1
 """Share of what remains in a channel below which a claim says little about it."""
+CLOSE = 10.0
+"""BIC within which a rival is not distinguished from a claim (Kass and Raftery 1995: decisive beyond it)."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,8 @@ class Step:
 class Outcome:
     """Outcome of a search."""
 
+    problem: Problem
+    """The problem with the weights of the fit."""
     fit: Fit
     nothing: Fit
     steps: list[Step] = field(default_factory=list)
@@ -63,8 +65,3 @@ class Outcome:
     """By a claim's label: fits in which another cause stands in its place, best first."""
     cut_short: str = ""
     """Why the search ended before nothing paid, in words; empty if it did not."""
-
-
-def score(problem: Problem, found: Fit) -> float:
-    """Deviance plus price: lower is better."""
-    return found.deviance + found.free * float(np.log(len(found.residual)))

@@ -2,24 +2,100 @@
 """Search for the causes that together explain the recordings: forward, backward and swap steps by evidence.
 
 Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per
-parameter plus a threshold; so must each parameter that a cause has more than the one whose place it takes. What chance
-alone reaches, `calibrate` finds by running this whole search on recordings in which nothing is missing.
+parameter plus a threshold; so must each parameter that a cause has more than the one whose place it takes.
+`benchmarks.null_simulations` measures the evidence that chance alone reaches.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect
-from hydro_diagnosis.estimation.fit import Fit, fit, without_one
-from hydro_diagnosis.estimation.parameters import pack
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, Step, score
-from hydro_diagnosis.selection.shortlist import Shortlists
-from hydro_diagnosis.selection.significance import all_significant, form_error, nibbles
+from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
+from hydro_diagnosis.estimation.fit import (
+    Fit,
+    fit,
+    mean_squares,
+    noticeable,
+    pack,
+    remaining,
+    score,
+    with_one_more,
+    without_one,
+)
+from hydro_diagnosis.estimation.intervals import shifts
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.score_test import Prospect, Signatures, screen
+from hydro_diagnosis.selection.outcome import MINOR, Outcome, SearchSettings, Step
+
+SCREEN_TOLERANCE = 1.0
+"""Gain in deviance below which a candidate's fit is good enough to be ranked by."""
+SAME_DOUBT = 1e-3
+"""Relative change of the doubt below which fits with other claims are not made anew."""
+
+
+@dataclass
+class _Screened:
+    """Candidates beside a base that was looked at."""
+
+    doubt: tuple[float, ...]
+    """`Problem.doubted` at that time."""
+    waiting: list[Prospect]
+    """Those that are not fitted yet."""
+    fits: list[Fit] = field(default_factory=list)
+    """With one claim more."""
+    polished: set[str] = field(default_factory=set)
+    """Labels of those that are fitted in full."""
+
+
+def _labels(base: Fit) -> frozenset[str]:
+    return frozenset(claim.effect.label for claim in base.claims)
+
+
+class Shortlists:
+    """Candidates beside every base that a search has looked at."""
+
+    def __init__(self, library: Sequence[Effect], settings: SearchSettings) -> None:
+        self._library, self._settings = library, settings
+        self._screened: dict[frozenset[str], _Screened] = {}
+        """By the labels of a base."""
+        self._signatures = Signatures()
+
+    def renew(self) -> None:
+        """Compute what candidates do to the residuals anew, from the next base on."""
+        self._signatures = Signatures()
+
+    def beside(self, problem: Problem, base: Fit, promised: float, but: str = "") -> list[Fit]:
+        """Fits with one claim more, the best first, by secants from the slopes of the base, as far as not polished.
+
+        `promised`: gain to first order from which on candidates are fitted, all `but` one; the others wait.
+        """
+        screened = self._screened.get(_labels(base))
+        if screened is None:
+            prospects = screen(problem, base, self._library, self._signatures)[: self._settings.shortlist]
+            hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self._settings.threshold]
+            screened = self._screened[_labels(base)] = _Screened(problem.doubted, hopeful)
+        elif not np.allclose(screened.doubt, problem.doubted, rtol=SAME_DOUBT, atol=0.0):
+            again = [Prospect(one.claims[-1], np.inf) for one in screened.fits]
+            screened = self._screened[_labels(base)] = _Screened(problem.doubted, [*again, *screened.waiting])
+        now = [one for one in screened.waiting if one.gain >= promised and one.claim.effect.label != but]
+        screened.waiting = [one for one in screened.waiting if one not in now]
+        screened.fits += [with_one_more(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
+        screened.fits.sort(key=lambda one: score(problem, one))
+        return [one for one in screened.fits if one.claims[-1].effect.label != but]
+
+    def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000) -> None:
+        """Fit in full those that score `enough` with one claim more than a base, the best and `most` of them."""
+        screened = self._screened[_labels(base)]
+        for k, one in enumerate(screened.fits[:most]):
+            label = one.claims[-1].effect.label
+            if label not in screened.polished and score(problem, one) <= enough:
+                screened.fits[k] = fit(problem, one.claims, tolerance=SCREEN_TOLERANCE)
+                screened.polished.add(label)
+        screened.fits.sort(key=lambda one: score(problem, one))
+
 
 POLISHED = 3
 """Largest number of candidates for a further claim that are fitted in full; the others by secants."""
@@ -54,12 +130,12 @@ class Search:
         self.steps: list[Step] = []
         """Steps of acceptance and removal so far, passed to the outcome."""
         self._begun = problem.evaluations
-        self._shortlists = Shortlists(problem, self.library, self.settings)
+        self._shortlists = Shortlists(self.library, self.settings)
 
     def run(self) -> Outcome:
         """Search; where something remains, search again from other first claims, and keep the best outcome."""
         nothing = fit(self.problem, ())
-        restarts = self._ranked(nothing)
+        restarts = self._ranked(self.problem, nothing)
         best = self._from(nothing, restarts[:1])
         for opening in restarts[1 : self.settings.restarts]:
             if not noticeable(self.problem, best.fit.residual) or self._spent > self.settings.effort / 3:
@@ -71,29 +147,28 @@ class Search:
 
     def _from(self, nothing: Fit, opening: Sequence[Fit]) -> Outcome:
         """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""
-        self.problem.update_weights(())
         self.steps.clear()
         self._shortlists.renew()
-        outcome = Outcome(nothing, nothing)
+        outcome = Outcome(self.problem.weighed(()), nothing, nothing)
         ranked, idle = list(opening), 0
         for _ in range(2 * self.settings.most):
             if ranked:
-                idle = idle + 1 if nibbles(self.problem, outcome.fit, ranked[0]) else 0
+                idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
-            elif not self._backward(outcome) and (self._tired or not self._swap(outcome, 0.0)):
+            elif not self._backward(outcome) and (self._exhausted or not self._swap(outcome, 0.0)):
                 break
             for _ in range(SWAPS):
-                if self._tired or not self._swap(outcome, PROMISING):
+                if self._exhausted or not self._swap(outcome, PROMISING):
                     break
             ranked = [] if idle >= self.settings.patience else self._further(outcome)
         return outcome
 
     def _further(self, outcome: Outcome) -> list[Fit]:
         """What may join the outcome; nothing if the search must end, and the outcome says why."""
-        if self._tired:
+        if self._exhausted:
             outcome.cut_short = f"its effort of {self.settings.effort} evaluations was spent"
             return []
-        ranked = self._ranked(outcome.fit)
+        ranked = self._ranked(outcome.problem, outcome.fit)
         if ranked and len(outcome.fit.judged) >= self.settings.most:
             outcome.cut_short = f"it looks for {self.settings.most} causes at most"
             return []
@@ -105,31 +180,31 @@ class Search:
         return self.problem.evaluations - self._begun
 
     @property
-    def _tired(self) -> bool:
+    def _exhausted(self) -> bool:
         return self._spent > self.settings.effort
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
-        self.problem.update_weights((*one.fit.claims, *other.fit.claims))
-        first, second = (score(self.problem, fit(self.problem, found.fit.claims)) for found in (one, other))
+        problem = self.problem.weighed((*one.fit.claims, *other.fit.claims))
+        first, second = (score(problem, fit(problem, found.fit.claims)) for found in (one, other))
         winner = one if first <= second else other
-        self.problem.update_weights(winner.fit.claims)
+        winner.problem = self.problem.weighed(winner.fit.claims)
         return winner
 
-    def _ranked(self, base: Fit) -> list[Fit]:
+    def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
         """Fits with one claim more that pay, the best first.
 
         None at all where the best only mends the form of its kin: what others explain of that is mimicry.
         """
-        enough = score(self.problem, base) - self.settings.threshold
+        enough = score(problem, base) - self.settings.threshold
         self._shortlists.renew()
-        fits = self._shortlists.beside(base, 0.0)
+        fits = self._shortlists.beside(problem, base, 0.0)
         if fits:
-            best = score(self.problem, fits[0])
-            self._shortlists.polish(base, best + CONTENDING * (score(self.problem, base) - best), POLISHED)
-        better = [one for one in self._shortlists.beside(base, 0.0) if score(self.problem, one) <= enough]
-        worth = [one for one in better if all_significant(self.problem, one)]
-        mends = bool(worth) and form_error(self.problem, base, worth[0], self.settings.form_error)
+            best = score(problem, fits[0])
+            self._shortlists.polish(problem, base, best + CONTENDING * (score(problem, base) - best), POLISHED)
+        better = [one for one in self._shortlists.beside(problem, base, 0.0) if score(problem, one) <= enough]
+        worth = [one for one in better if all_significant(problem, one)]
+        mends = bool(worth) and form_error(problem, base, worth[0], self.settings.form_error)
         return [] if mends else worth
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
@@ -139,24 +214,25 @@ class Search:
         """
         changed = False
         for claim in outcome.fit.judged:
+            problem = outcome.problem
             if claim not in outcome.fit.claims:
                 continue
             if any(claim.effect.id in one.effect.needs for one in outcome.fit.claims):
                 continue
-            label, base = claim.effect.label, without_one(self.problem, outcome.fit, claim)
-            present = score(self.problem, outcome.fit)
-            worth = max(score(self.problem, base) - present, 0.0)
-            self._shortlists.beside(base, promising * worth, label)
-            self._shortlists.polish(base, present + CONTENDING * worth)
-            fits = self._shortlists.beside(base, promising * worth, label)
+            label, base = claim.effect.label, without_one(problem, outcome.fit, claim)
+            present = score(problem, outcome.fit)
+            worth = max(score(problem, base) - present, 0.0)
+            self._shortlists.beside(problem, base, promising * worth, label)
+            self._shortlists.polish(problem, base, present + CONTENDING * worth)
+            fits = self._shortlists.beside(problem, base, promising * worth, label)
             outcome.rivals[label] = fits[:4]
-            better = [one for one in fits if self._pays_in_place(one, claim.effect, outcome.fit)]
-            if better and all_significant(self.problem, better[0]):
+            better = [one for one in fits if self._pays_in_place(outcome, one, claim.effect)]
+            if better and all_significant(problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
 
-    def _pays_in_place(self, other: Fit, effect: Effect, current: Fit) -> bool:
+    def _pays_in_place(self, outcome: Outcome, other: Fit, effect: Effect) -> bool:
         """Return whether the newest claim of `other` may take the place of `effect`.
 
         What it has more of parameters must each be worth the threshold.
@@ -164,18 +240,18 @@ class Search:
         newest = other.claims[-1].effect
         more = len(newest.parameters) - len(effect.parameters)
         toll = self.settings.threshold * max(more, 0)
-        return score(self.problem, other) + toll < score(self.problem, current) - SWAP_BIC_MARGIN
+        return score(outcome.problem, other) + toll < score(outcome.problem, outcome.fit) - SWAP_BIC_MARGIN
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
         while outcome.fit.judged:
             smaller = [
-                self._without(outcome.fit, claim)
+                self._without(outcome, claim)
                 for claim in outcome.fit.judged
                 if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
             ]
-            best = min(smaller, key=lambda one: score(self.problem, one))
-            if score(self.problem, best) - score(self.problem, outcome.fit) > self.settings.threshold:
+            best = min(smaller, key=lambda one: score(outcome.problem, one))
+            if score(outcome.problem, best) - score(outcome.problem, outcome.fit) > self.settings.threshold:
                 return changed
             kept = {claim.effect.label for claim in best.claims}
             dropped = [claim.effect.label for claim in outcome.fit.claims if claim.effect.label not in kept]
@@ -183,26 +259,105 @@ class Search:
             changed = True
         return changed
 
-    def _without(self, found: Fit, claim: Claim) -> Fit:
+    def _without(self, outcome: Outcome, claim: Claim) -> Fit:
         """The fit without a claim, in full where the claim may be worth little."""
-        fewer = without_one(self.problem, found, claim)
-        worth = score(self.problem, fewer) - score(self.problem, found)
-        return fewer if worth > DOUBTFUL * self.settings.threshold else fit(self.problem, fewer.claims)
+        problem, found = outcome.problem, outcome.fit
+        fewer = without_one(problem, found, claim)
+        worth = score(problem, fewer) - score(problem, found)
+        return fewer if worth > DOUBTFUL * self.settings.threshold else fit(problem, fewer.claims)
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
-        outcome.fit = self._weighed(found)
-        outcome.nothing = fit(self.problem, ())
-        gained = score(self.problem, outcome.fit) - score(self.problem, outcome.nothing)
+        outcome.problem, outcome.fit = self._weighed(found)
+        outcome.nothing = fit(outcome.problem, ())
+        gained = score(outcome.problem, outcome.fit) - score(outcome.problem, outcome.nothing)
         outcome.steps.append(Step(action, label, gained))
         self.steps[:] = outcome.steps
         self.progress(f"{action} {label}")
 
-    def _weighed(self, found: Fit) -> Fit:
-        """The fit under the doubt that its own claims bring, which moves with them, until both stand still."""
+    def _weighed(self, found: Fit) -> tuple[Problem, Fit]:
+        """Weights and fit under the uncertainty that the fit's own claims bring, iterated until they stand still."""
         for _ in range(MAX_REWEIGHT_ITERATIONS):
             before = pack(found.claims)[1]
-            self.problem.update_weights(found.claims)
-            found = fit(self.problem, found.claims)
-            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(self.problem.doubted):
+            problem = self.problem.weighed(found.claims)
+            found = fit(problem, found.claims)
+            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(problem.doubted):
                 break
-        return found
+        return problem, found
+
+
+ABSENT = 0.05
+"""Share of a shape's neutral value within which an effect without amplitudes is absent."""
+ATTENUATIONS = 2.0
+"""Multiple of `Problem.attenuation`, and of the change by half of the rows, that a claim must exceed."""
+
+
+def is_significant(claim: Claim) -> bool:
+    """Return whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
+
+    An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
+    """
+    amplitudes = [one for one in claim.effect.parameters if one.smallest > 0.0]
+    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
+        return False
+    if not amplitudes:
+        return any(
+            abs(claim.values[one.name] - one.neutral) > ABSENT * abs(one.neutral) for one in claim.effect.parameters
+        )
+    return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+
+
+def all_significant(problem: Problem, found: Fit) -> bool:
+    """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
+    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.judged):
+        return False
+    moved = zip(found.claims, shifts(problem, found), strict=True)
+    return all(claim.effect.estimated or _beyond(claim, shift) for claim, shift in moved)
+
+
+def _beyond(claim: Claim, shift: FloatArray) -> bool:
+    """Return whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
+    pairs = list(zip(claim.effect.parameters, shift, strict=True))
+    amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
+    return any(abs(claim.values[one.name] - one.neutral) >= ATTENUATIONS * moved for one, moved in amplitudes)
+
+
+def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
+    least = ATTENUATIONS * problem.attenuation.get(claim.effect.id, 0.0)
+    return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
+
+
+def _at_its_end(parameter: FitParameter, value: float) -> bool:
+    """Return whether a value stands at a bound that is not its neutral value."""
+    near = 1e-3 * parameter.smallest
+    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
+
+
+def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
+    """Return whether the newest claim explains no more than an error in the form of its kin would.
+
+    Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
+
+    `share`: of a claim's signature that its form may be off by.
+    """
+    if noticeable(problem, base.residual) and not noticeable(problem, found.residual):
+        return False
+    newest = found.claims[-1].effect
+    kin = [claim for claim in base.judged if newest.family and claim.effect.family == newest.family]
+    for claim in kin:
+        if claim.effect.id in newest.needs:
+            continue
+        without = problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
+        signature = float(np.sum(np.square(without - problem.residual(found.claims[:-1]))))
+        added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
+        if added < share**2 * signature:
+            return True
+    return False
+
+
+def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
+    """Return whether the newest claim removes little of what remains in the channel in which it removes most."""
+    before, after = (mean_squares(problem, one.residual) for one in (base, found))
+    counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
+    channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
+    excess = remaining(problem, found.residual).get(channel, 1.0) - 1.0
+    return before[channel] - after[channel] < MINOR * excess

@@ -14,21 +14,65 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import Fit, fit
-from hydro_diagnosis.estimation.free_form import FreeForm, free_forms
-from hydro_diagnosis.estimation.layout import CHANNELS
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.constancy import without_varying
-from hydro_diagnosis.selection.localisation import (
-    Place,
-    bounds,
-    locate,
-    locate_claims,
-    mean_squares,
-    noticeable,
-    remaining,
-)
+from hydro_diagnosis.estimation.fit import Fit, fit, mean_squares, noise_thresholds, noticeable, remaining
+from hydro_diagnosis.estimation.free_form import FreeForm, free_forms, gains_by_equation, variables
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.selection.localisation import Place, locate, locate_claims
+
+MOST = 0.5
+"""Share of what remains that a claimed number may remove by varying."""
+
+
+def without_varying(problem: Problem, found: Fit, judged: npt.NDArray[np.bool_], spared: frozenset[str]) -> Fit:
+    """The fit without claims that explain most of what remains if their numbers vary.
+
+    Parameters
+    ----------
+    judged
+        Residuals in which something remains, shape (n,).
+    spared
+        Ids that are not questioned.
+    """
+    remains = float(np.sum(np.square(found.residual[judged]))) - float(np.count_nonzero(judged))
+    if not found.claims or remains <= 0.0:
+        return found
+    states = [_along(problem, name) for name in variables(problem)]
+    steady, column = [], 0
+    for claim in found.claims:
+        count = len(claim.effect.parameters)
+        slopes = found.jacobian[:, column : column + count]
+        column += count
+        removed = (
+            0.0
+            if claim.effect.estimated or claim.effect.id in spared
+            else max(_removed(found, slopes, one, judged) for one in states)
+        )
+        if removed <= MOST * remains:
+            steady.append(claim)
+    return found if len(steady) == len(found.claims) else fit(problem, steady)
+
+
+def _removed(found: Fit, slopes: FloatArray, state: FloatArray, judged: npt.NDArray[np.bool_]) -> float:
+    """Squares that go if a claim's numbers follow a variable, beyond what the claims' own values can take up."""
+    columns = np.column_stack([found.jacobian, slopes * state[:, None]])[judged]
+    lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    left = found.residual[judged]
+    amounts = np.linalg.lstsq(columns / lengths, left, rcond=1e-10)[0]
+    return float(left @ left - np.sum(np.square(left - columns @ (amounts / lengths))))
+
+
+def _along(problem: Problem, name: str) -> FloatArray:
+    """A variable at every residual, of mean 0 and standard deviation 1, shape (n,)."""
+    layout = problem.layout
+    values = np.zeros(len(layout.time))
+    for k, model in enumerate(problem.models):
+        at = layout.segment == k
+        values[at] = np.interp(layout.time[at], model.time, model.variable(name))
+    centred: FloatArray = values - values.mean()
+    return centred / max(float(values.std()), 1e-300)
+
 
 MOST_OF_THE_GAP = 0.98
 """Share of the squared mismatch that names must explain where something remains."""
@@ -67,7 +111,9 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     kept = nothing if alike else _named(problem, _trusted(problem, found, nothing))
     forms = free_forms(problem, kept)
     found_at = tuple(locate_claims(problem, found, nothing.residual))
-    remainder = tuple(locate(problem, kept.residual, forms)) or found_at  # an unnamed cause may be small
+    remainder = (
+        tuple(locate(problem, kept.residual, gains_by_equation(forms))) or found_at
+    )  # an unnamed cause may be small
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
@@ -80,7 +126,7 @@ def refuted(problem: Problem, assessment: Assessment, nothing: Fit) -> Assessmen
     """The judgement without its names: they fit, but held-out recordings are predicted worse than by the bench file."""
     forms = free_forms(problem, nothing)
     dropped = (*assessment.dropped, *assessment.fit.judged)
-    remainder = tuple(locate(problem, nothing.residual, forms)) or assessment.places
+    remainder = tuple(locate(problem, nothing.residual, gains_by_equation(forms))) or assessment.places
     return Assessment("unknown", nothing, remainder, remainder, tuple(forms[:6]), dropped)
 
 
@@ -119,7 +165,7 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
     counts = problem.layout.count()
     before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
-    limit = bounds(problem)
+    limit = noise_thresholds(problem)
     gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
     shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and after[name] > limit[name]]

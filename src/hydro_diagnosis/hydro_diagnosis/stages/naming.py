@@ -1,72 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second stage: causes of the table are searched for, judged, and tried on the held-out recordings."""
+"""Second and third stage: causes of the table are searched for and judged, the remainder is modelled by laws.
+
+Names and laws are tried on the held-out recordings, and withdrawn where they predict these worse.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.estimation.intervals import Interval, intervals, surely
-from hydro_diagnosis.estimation.needed_numbers import rehearsable
+from hydro_diagnosis.bench_numbers import rehearsable
+from hydro_diagnosis.closure.admission import Admitted, admitted, reports, without_harmful_names
+from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.effects.base import Effect
+from hydro_diagnosis.estimation.fit import noticeable
+from hydro_diagnosis.estimation.free_form import free_forms, gains_by_equation
+from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals, without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design.next_recording import next_recording
-from hydro_diagnosis.findings import ClosureReport
+from hydro_diagnosis.experiment_design import next_for_law, next_recording
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.foretelling import made_worse, made_worse_in_all, withheld
+from hydro_diagnosis.selection.effect_summary import made_worse, made_worse_in_all, withheld
+from hydro_diagnosis.selection.localisation import locate, locate_claims
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
-from hydro_diagnosis.validation.equations import held_out
-from hydro_diagnosis.validation.heldout import Known
+from hydro_diagnosis.stages.reading import Progress, StageResult
+from hydro_diagnosis.validation import Known, equations_told, held_out
 
 
-@dataclass(frozen=True, kw_only=True)
-class Standing:
-    """What is claimed at the end of a stage, and how it holds."""
-
-    problem: Problem
-    outcome: Outcome
-    assessment: Assessment
-    bounds: list[Interval]
-    """Of the claims' parameters."""
-    models: list[SegmentModel]
-    """Held-out recordings."""
-    unseen: Problem
-    """The same, weighed for the claims."""
-    simulated: Known
-    """Of the held-out recordings."""
-    proof: dict[str, Any]
-    """`fit` of report.json."""
-    taken_back: str = ""
-    """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
-    closures: list[ClosureReport] = field(default_factory=list)
-    next_recording: dict[str, Any] | None = None
-    """The recording that separates the closest rivals among the claims."""
-
-    @property
-    def names(self) -> set[str]:
-        """Labels of the named claims."""
-        return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}
-
-
-def named(search: Search, held: Sequence[Segment]) -> Standing:
+def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
     """Names that account for the recordings, unless they make the held-out ones worse."""
-    problem, progress = search.problem, search.progress
+    progress = search.progress
     progress(stage_bar.SEARCHING)
     outcome = search.run()
+    problem = outcome.problem
     progress(stage_bar.JUDGING)
     assessment, bounds = _judged(problem, outcome)
     models = [SegmentModel(segment, problem.bench) for segment in held]
     progress(stage_bar.CHECKING)
-    unseen = Problem(held, problem.bench, problem.baseline, noise=problem.sensor_noise)
-    unseen.update_weights(assessment.fit.claims)
+    holdout = Problem(held, problem.bench, problem.baseline, noise=problem.sensor_noise)
+    holdout = holdout.weighed(assessment.fit.claims)
     simulated: Known = {}
-    proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
-    found = Standing(
-        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, models=models, unseen=unseen,
+    proof = held_out(problem, holdout, assessment.fit.claims, models, simulated)
+    found = StageResult(
+        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, models=models, holdout=holdout,
         simulated=simulated, proof=proof,
     )  # fmt: skip
     if assessment.verdict == "explained" and (worse := made_worse(proof)):
@@ -74,7 +54,7 @@ def named(search: Search, held: Sequence[Segment]) -> Standing:
     return replace(found, next_recording=_ahead(found))
 
 
-def trusted(found: Standing, names: Standing) -> Standing:
+def withdraw_if_worse(found: StageResult, names: StageResult) -> StageResult:
     """`found`, or neither names nor closures where on the whole the held-out recordings are predicted worse with them.
 
     `names`: the same before closures.
@@ -83,22 +63,23 @@ def trusted(found: Standing, names: Standing) -> Standing:
     return _withdrawn(names, worse) if worse else found
 
 
-def _withdrawn(found: Standing, worse: str) -> Standing:
+def _withdrawn(found: StageResult, worse: str) -> StageResult:
     """The bench file again, with a note on the names: `worse` of the held-out recordings."""
     problem, nothing = found.problem, found.outcome.nothing
     assessment = refuted(problem, found.assessment, nothing)
-    found.unseen.update_weights(assessment.fit.claims)
+    holdout = found.holdout.weighed(assessment.fit.claims)
     bare = replace(
         found,
+        holdout=holdout,
         assessment=assessment,
         bounds=intervals(problem, assessment.fit),
-        proof=held_out(problem, found.unseen, assessment.fit.claims, found.models, found.simulated),
-        taken_back=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder),
+        proof=held_out(problem, holdout, assessment.fit.claims, found.models, found.simulated),
+        withdrawn=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder),
     )
     return replace(bare, next_recording=_ahead(bare))
 
 
-def _ahead(found: Standing) -> dict[str, Any] | None:
+def _ahead(found: StageResult) -> dict[str, Any] | None:
     """The next recording; None where the bench file is not known enough to rehearse one."""
     problem = found.problem
     return next_recording(problem, found.outcome, found.assessment) if rehearsable(problem.bench) else None
@@ -108,7 +89,50 @@ def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interv
     """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged anew."""
     assessment = assess(problem, outcome.fit, outcome.nothing)
     while True:
-        sure, bounds = surely(problem, assessment.fit)
+        sure, bounds = without_insignificant(problem, assessment.fit)
         if len(sure.claims) == len(assessment.fit.claims):
             return assessment, bounds
         assessment = assess(problem, sure, outcome.nothing)
+
+
+def model_remainder(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult:
+    """Names and closure together; the names alone where nothing remains, or no closure is admitted."""
+    if not names.assessment.remainder:
+        return names
+    progress(stage_bar.MODELLING)
+    problem, holdout = names.problem, names.holdout
+    others = [effect for effect in library if effect.named]
+    candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment, others))
+    found = admitted(problem, holdout, candidates, names.models, names.proof, names.simulated)
+    bounds = intervals(found.closed.problem, found.closed.fit) if found else []
+    if not found or not all_exclude_neutral(found.closed.fit.claims, bounds):
+        return names
+    beside = replace(
+        names,
+        problem=found.closed.problem,
+        assessment=_closed(found.closed.problem, names.assessment, found),
+        bounds=bounds,
+        closures=reports(found, bounds),
+    )
+    ahead = names.next_recording if beside.names == names.names else None  # it would tell apart what is not claimed
+    if ahead is None and rehearsable(problem.bench):
+        ahead = next_for_law(beside.problem, found.closed.fit, found.closed.screen)
+    holdout = holdout.weighed(found.closed.fit.claims)
+    proof = {**found.held, "equations": equations_told(holdout, found.closed.fit.claims)}
+    return replace(beside, holdout=holdout, proof=proof, next_recording=ahead)
+
+
+def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assessment:
+    """The judgement with a closure: `model_remainder` where it leaves nothing, else something remains as before."""
+    claims = found.closed.fit.claims
+    labels = {claim.effect.label for claim in claims}
+    dropped = tuple(claim for claim in assessment.dropped if claim.effect.label not in labels)
+    places = tuple(locate_claims(problem, found.closed.fit, problem.residual(())))
+    assessment = replace(assessment, fit=found.closed.fit, places=places, dropped=dropped)
+    if not noticeable(problem, found.closed.fit.residual):
+        return replace(assessment, verdict="modelled", remainder=(), forms=())
+    search_causes = any(claim.effect.named and not claim.effect.estimated for claim in claims)
+    verdict = "partly_explained" if search_causes else assessment.verdict
+    forms = tuple(free_forms(problem, found.closed.fit)[:6])
+    remainder = tuple(locate(problem, found.closed.fit.residual, gains_by_equation(forms))) or assessment.remainder
+    return replace(assessment, verdict=verdict, remainder=remainder, forms=forms)

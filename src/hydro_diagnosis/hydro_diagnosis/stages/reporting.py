@@ -1,31 +1,223 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Last stage: what is claimed, and what may still be wrong with it, as a report."""
+"""Last stage: the report of what is claimed, and of what may still be wrong with it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
-from hydro_diagnosis.estimation.unrecorded_rows import untold
-from hydro_diagnosis.findings import INTERRUPTED, EffectReport, Report
+import numpy as np
+import scipy.signal
+
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.estimation.fit import Fit, pack, residual_variances
+from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
+from hydro_diagnosis.estimation.score_test import allowed, cause
+from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.selection.current_alignment import current_is_early
-from hydro_diagnosis.selection.effect_summary import describe, location_of
-from hydro_diagnosis.selection.foretelling import distrusted, made_worse, not_foretold
-from hydro_diagnosis.selection.number_estimates import number_estimates
-from hydro_diagnosis.selection.periodicity import line_of
+from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.stages.naming import Standing
-from hydro_diagnosis.stages.reading import Case
+from hydro_diagnosis.stages.reading import Case, StageResult
+from hydro_sim.model.bench import Bench
+
+SLOWEST = 5.0
+"""Hz: what repeats less often may be the reference's doing."""
+AROUND = 40
+"""Bins on either side of a line whose median is what it stands out of."""
+STANDS_OUT = 40.0
+"""Times that median: among 5000 bins of white noise it is exceeded once in 10^8."""
+SHARE = 0.3
+"""Of what remains in a channel, that a line must hold."""
 
 
-def reported(case: Case, search: Search, found: Standing, begun: float) -> Diagnosis:
+@dataclass(frozen=True)
+class Line:
+    """A line in the spectrum of what remains, the same in all recordings."""
+
+    frequency: float
+    """Hz."""
+    share: float
+    """Of the squares of what remains there, of the recording that has least of it."""
+
+    @property
+    def sentence(self) -> str:
+        """What it is typical of."""
+        return (
+            f"{100.0 * self.share:.0f} % of what remains repeats every {1e3 / self.frequency:.3g} ms "
+            f"({self.frequency:.3g} Hz), unless the reference does: typical of the mains, a pump's strokes, a dither "
+            "or a machine nearby; stop it, for it is not modelled."
+        )
+
+
+def line_of(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> Line | None:
+    """Return the line that holds most of what remains in a channel of the residuals in every recording, or None.
+
+    `parts`: layouts, and residuals [noise] in their order: of the fitted recordings, of the held-out ones.
+    """
+    lines, finest = [], 0.0
+    for layout, residual in parts:
+        here = layout.channel == CHANNELS.index(channel)
+        for segment in np.unique(layout.segment[here]):
+            at = here & (layout.segment == segment)
+            lines.append(_strongest(layout.time[at], residual[at]))
+            finest = max(finest, 2.0 / max(float(np.ptp(layout.time[at])), 1e-9))
+    told = [line for line in lines if line is not None]
+    if not told or len(told) < len(lines) or np.ptp([line.frequency for line in told]) > finest:
+        return None
+    return Line(float(np.mean([line.frequency for line in told])), min(line.share for line in told))
+
+
+def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
+    """The line of one recording: most of the residual's power beyond the noise (1 a sample) within two bins."""
+    if len(time) < 8 * AROUND:
+        return None
+    step = float(np.median(np.diff(time)))
+    even = np.interp(np.arange(time[0], time[-1], step), time, residual)
+    frequency, power = scipy.signal.periodogram(even, 1.0 / step, window="hann", scaling="spectrum")
+    beyond = float(np.mean(even * even)) - 1.0
+    best = int(np.argmax(np.where(frequency > SLOWEST, power, 0.0)))
+    around = np.r_[power[max(best - AROUND, 1) : max(best - 2, 1)], power[best + 3 : best + AROUND]]
+    if beyond <= 0.0 or frequency[best] <= SLOWEST or power[best] < STANDS_OUT * np.median(around):
+        return None
+    share = float(power[best - 2 : best + 3].sum()) / 1.5 / beyond  # Hann's window widens a line: 1.5 bins of noise
+    return Line(float(frequency[best]), min(share, 1.0)) if share > SHARE else None
+
+
+TIMING = 2e-5
+"""Tolerance [s] of a dead time of one row."""
+
+
+def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str | None:
+    """Return a sentence if a claimed dead time is one row: a current written a row before it acts looks the same."""
+    rows = {model.step * model.spacing for model in problem.models}
+    for effect in effects:
+        bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
+        if bounds and any(bounds[0] - TIMING <= row <= bounds[1] + TIMING for row in rows):
+            return (
+                "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
+                "the same; if this one does, move that column down by one row and diagnose again"
+            )
+    return None
+
+
+ALIKE = 0.999
+"""Correlation of what a number and a cause change in the residuals, beside all that is fitted, from which they are one.
+"""
+OWN = 0.01
+"""Share of a number's signature that nothing else in the fit makes, below which it cannot be told from the others."""
+VAGUE = 0.5
+"""Half width of the interval over the value from which a number is not told."""
+
+
+def number_estimates(
+    problem: Problem,
+    found: Fit,
+    bounds: Sequence[Interval],
+    library: Sequence[Effect],
+    numbers: Mapping[str, float | None],
+) -> list[NumberEstimate]:
+    """One entry per estimated number, in their order.
+
+    `bounds`: of the parameters of all claims; `numbers`: by name, the bench file's value if it holds one.
+    """
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
+    columns = found.jacobian * weight[:, None]
+    owners = [claim for claim in found.claims for _ in claim.effect.parameters]
+    names = dict(zip((claim.effect.label for claim in problem.estimated), numbers, strict=True))
+    entries = []
+    for k, (claim, bound) in enumerate(zip(owners, bounds, strict=True)):
+        if claim.effect.estimated:
+            mixed = _mixed(columns, k, [names.get(one.effect.label, one.effect.id) for one in owners])
+            others = mixed or _alike(problem, found, columns, k, weight, library)
+            name = names[claim.effect.label]
+            entries.append(_entry(problem.bench, name, claim, bound, numbers[name], others, told=not mixed))
+    return entries
+
+
+def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
+    """What else in the fit makes nearly all of a number's signature; the number itself if it has none."""
+    column = columns[:, k]
+    if not np.linalg.norm(column) > 1e-9 * np.sqrt(len(column)):
+        return [names[k]]
+    others = np.delete(columns, k, axis=1)
+    lengths = np.linalg.norm(others, axis=0)
+    if not len(lengths) or np.linalg.norm(column - _part(others, column)) > OWN * np.linalg.norm(column):
+        return []
+    lengths = np.maximum(lengths, 1e-300)
+    shares = np.linalg.lstsq(others / lengths, column, rcond=1e-12)[0]
+    by_size = np.argsort(-np.abs(shares))
+    rest = [name for j, name in enumerate(names) if j != k]
+    return list(dict.fromkeys(rest[j] for j in by_size if abs(shares[j]) > 0.3 * np.max(np.abs(shares))))
+
+
+def _part(others: FloatArray, column: FloatArray) -> FloatArray:
+    """What a set of columns makes of another one."""
+    if not others.shape[1]:
+        return np.zeros_like(column)
+    scaled = others / np.maximum(np.linalg.norm(others, axis=0), 1e-300)
+    return np.asarray(scaled @ np.linalg.lstsq(scaled, column, rcond=1e-12)[0])
+
+
+def _alike(
+    problem: Problem, found: Fit, columns: FloatArray, k: int, weight: FloatArray, library: Sequence[Effect]
+) -> list[str]:
+    """Causes that are not claimed and would change the residuals as the number does."""
+    others = np.delete(columns, k, axis=1)
+    own = columns[:, k] - _part(others, columns[:, k])
+    alike = []
+    for effect in allowed(library, found.claims, problem.blocks):
+        if not effect.named or effect.needs or len(effect.parameters) > 1:
+            continue
+        probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
+        shown = (problem.residual((*found.claims, probe)) - found.residual) * weight
+        shown = shown - _part(others, shown)
+        size = float(np.linalg.norm(shown) * np.linalg.norm(own))
+        if size > 0.0 and abs(float(shown @ own)) > ALIKE * size:
+            alike.append(effect.label)
+    return alike
+
+
+def _entry(
+    bench: Bench, name: str, claim: Claim, bound: Interval, given: float | None, others: list[str], *, told: bool
+) -> NumberEstimate:
+    unit = next(entry.metadata["unit"] for entry in fields(Bench) if entry.name == name)
+    parameter = pack([claim])[0][0].name
+    value, low, high = (
+        float(getattr(claim.effect.settled(bench, {parameter: one}), name))
+        for one in (bound.value, bound.low, bound.high)
+    )
+    positive = next(entry.metadata["low"] for entry in fields(Bench) if entry.name == name) > 0.0
+    sure = told and bound.identifiable and not (positive and high - low > 2.0 * VAGUE * abs(value))
+    return NumberEstimate(
+        name=name,
+        value=value,
+        unit=unit,
+        ci95=[low, high] if sure else None,
+        given=given,
+        alike=[one for one in others if one != name],
+        sentence=_sentence(name, f"{value:.5g} {unit}", f"{low:.5g} to {high:.5g}" if sure else "", others),
+    )
+
+
+def _sentence(name: str, value: str, interval: str, others: Sequence[str]) -> str:
+    alike = " and ".join(one for one in others if one != name)
+    if interval:
+        said = f"{name} is estimated at {value} (95 % {interval})"
+        return f"{said}, provided that there is none of what would look the same: {alike}." if alike else f"{said}."
+    if alike:
+        return f"{name} cannot be told from {alike} by these recordings: it is left open."
+    return f"These recordings hold too little of {name} to tell it: it is left open."
+
+
+def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
     """The report and the data behind it; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
-    problem.forget()
-    hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
-    effects = describe(problem, found.unseen, found.outcome, assessment, found.bounds)
+    problem.clear_caches()
+    hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold)
+    effects = describe(problem, found.holdout, found.outcome, assessment, found.bounds)
     notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden))
     report = Report(
         verdict=assessment.verdict,
@@ -43,7 +235,7 @@ def reported(case: Case, search: Search, found: Standing, begun: float) -> Diagn
     return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.models, notes)
 
 
-def unfinished(case: Case, search: Search, begun: float) -> Report:
+def interrupted_report(case: Case, search: Search, begun: float) -> Report:
     """Return the report after Ctrl-C: the equations that can be checked, and the steps so far, which prove nothing."""
     return Report(
         verdict=INTERRUPTED,
@@ -58,27 +250,27 @@ def unfinished(case: Case, search: Search, begun: float) -> Report:
     )
 
 
-def _notes(found: Standing, effects: Sequence[EffectReport], hidden: str | None) -> tuple[str, ...]:
+def _notes(found: StageResult, effects: Sequence[EffectReport], hidden: str | None) -> tuple[str, ...]:
     """What the verdict does not say."""
     assessment, cut_short = found.assessment, ""
     if found.outcome.cut_short and assessment.remainder:
         cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
     early = current_is_early(found.problem, effects)
-    beyond = "" if assessment.remainder else not_foretold(found.unseen, assessment.fit.claims)
+    beyond = "" if assessment.remainder else not_predicted(found.holdout, assessment.fit.claims)
     distrust = distrusted(made_worse(found.proof))
-    return tuple(note for note in (early, hidden, cut_short, beyond, found.taken_back, distrust) if note)
+    return tuple(note for note in (early, hidden, cut_short, beyond, found.withdrawn, distrust) if note)
 
 
 def _steps(search: Search) -> list[dict[str, Any]]:
     return [{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps]
 
 
-def _remainder(found: Standing) -> dict[str, Any] | None:
-    problem, unseen, assessment = found.problem, found.unseen, found.assessment
+def _remainder(found: StageResult) -> dict[str, Any] | None:
+    problem, holdout, assessment = found.problem, found.holdout, found.assessment
     if not assessment.remainder:
         return None
     equation = assessment.remainder[0].equation
-    left = ((problem.layout, assessment.fit.residual), (unseen.layout, unseen.residual(assessment.fit.claims)))
+    left = ((problem.layout, assessment.fit.residual), (holdout.layout, holdout.residual(assessment.fit.claims)))
     line = line_of(left, assessment.remainder[0].channel)
     like = [claim.effect.sentence(claim.values) for claim in assessment.dropped if not claim.effect.named]
     telling = [form for form in assessment.forms if form.gain > 0.0 and form.equation == equation]
@@ -88,3 +280,52 @@ def _remainder(found: Standing) -> dict[str, Any] | None:
         "dropped": [claim.effect.id for claim in assessment.dropped if claim.effect.named],
         "looks_like": [*like, line.sentence] if line else like,
     }
+
+
+MUCH = 10.0
+"""Multiple of its smallest size worth claiming that a cause may hide without being listed."""
+_PROBES = 3
+"""Values at which each cause is tried."""
+
+
+def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
+    """Causes that could hide in missing rows, with the size from which they would show; None if none are missing.
+
+    `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
+    """
+    if problem.thinner is None:
+        return None
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
+    change = problem.change(found.claims) * weight
+    limits: dict[str, tuple[float, str]] = {}
+    for effect in allowed(library, found.claims, problem.blocks):
+        if not effect.named or effect.needs:
+            continue
+        name = " ".join(part for part in cause(effect)).replace("=", " ")
+        price = threshold + len(effect.parameters) * float(np.log(len(weight)))
+        tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
+        limit = min(tried, key=lambda one: one[0])
+        limits[name] = min(limit, limits.get(name, limit), key=lambda one: one[0])
+    hidden = [f"{name}{words}" for name, (_, words) in limits.items() if words]
+    if not hidden:
+        return None
+    return "between the recorded rows there is room for causes that are therefore not told: " + ", ".join(hidden)
+
+
+def _least(
+    problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray, price: float
+) -> tuple[float, str]:
+    """Multiple of a probe from which it shows, and in words if that is much: ` under 0.4 kg`, or alone if never."""
+    start = {one.name: one.probes[min(probe, len(one.probes) - 1)] for one in effect.parameters}
+    signature = (problem.residual((*found.claims, Claim(effect, start))) - found.residual) * weight
+    power = float(signature @ signature)
+    if power <= 0.0:
+        return np.inf, " at any size"
+    share = max(2.0 * abs(float(signature @ change)), (price * power) ** 0.5) / power
+    main = next((one for one in effect.parameters if one.smallest > 0.0), None)
+    if main is None:
+        return share, " at any size" if share > 1.0 else ""
+    size = share * abs(start[main.name] - main.neutral)
+    if size <= MUCH * main.smallest:
+        return share, ""
+    return share, f" under {size:.2g} {main.unit}" if main.neutral == 0.0 else f" within {size:.2g} {main.unit}"

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bench files that lack numbers, and the numbers that each equation needs.
+
+A number that is not given has a stand-in that no residual reads and that passes every check of sizes; it is never
+written. Viscous friction and spring have none: where they are not given, there are none.
+
+A force that only the pressures tell brings the motion equation in where the mass is known; a force cell always does.
+Viscous friction and spring are in the motion equation where the bench has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, cast
+
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
+from hydro_diagnosis.recording import InputError
+from hydro_sim.model.bench import Bench, read_content
+
+SPRING = ("spring_stiffness", "spring_rest_position")
+NONE = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
+"""Numbers of what a bench need not have, as they are where they are not given."""
+_INERT = {"stroke": 5.0, "valve_current_max": 10.0}
+"""Stand-ins that no recording comes near; the others are those of the nominal bench."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartialBench(Bench):
+    """A bench some of whose numbers are not known, or that has no spring."""
+
+    spring_stiffness: float = field(metadata={"unit": "N/m", "low": 0.0, "high": 1e8})
+    """0: no spring."""
+    unknown: frozenset[str] = frozenset()
+    """Numbers that hold stand-ins."""
+    absent: frozenset[str] = frozenset()
+    """Numbers of `NONE` that were not given: none, unless a diagnosis finds some."""
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return keys and values of what is known."""
+        still = {name for name in self.absent if getattr(self, name) == NONE[name]}
+        hidden = {"unknown", "absent", *self.unknown, *still}
+        return {key: value for key, value in super().to_mapping().items() if key not in hidden}
+
+
+def knows(bench: Bench, *names: str) -> bool:
+    """Return whether these numbers of a bench are known, not stand-ins."""
+    return not (isinstance(bench, PartialBench) and bench.unknown & set(names))
+
+
+def has_spring(bench: Bench) -> bool:
+    """Return whether a bench has a spring."""
+    return bench.spring_stiffness > 0.0
+
+
+def lacks(bench: Bench, name: str) -> bool:
+    """Return whether a number was not given."""
+    return isinstance(bench, PartialBench) and name in bench.unknown | bench.absent
+
+
+def hiding(bench: Bench, names: Collection[str]) -> Bench:
+    """The bench as if these numbers were not known: their values are stand-ins."""
+    if not names:
+        return bench
+    values = {entry.name: getattr(bench, entry.name) for entry in fields(bench)}
+    return PartialBench(**{**values, "unknown": values.get("unknown", frozenset()) | frozenset(names)})
+
+
+def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Bench:
+    """Read a bench file that may lack numbers: a `Bench` where it holds all, else a `PartialBench`.
+
+    Parameters
+    ----------
+    path
+        bench.yaml or corrected.yaml.
+    estimated
+        Numbers that will be estimated: those that are not given hold stand-ins, also of `NONE`.
+
+    Raises
+    ------
+    ValueError
+        As `Bench.load`.
+    """
+    content = read_content(path)
+    try:
+        return completed(content, estimated)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def completed(content: object, estimated: frozenset[str] = frozenset()) -> Bench:
+    """A bench of the keys and values that are known; `estimated` and errors as in `read_bench`."""
+    if not isinstance(content, Mapping):
+        return Bench.from_mapping(content)
+    springless = content.get("spring_stiffness") == 0
+    missing = frozenset(name for name in numbers() if name not in content)
+    if not missing and not springless:
+        return Bench.from_mapping(content)
+    half_a_spring = not springless and any(name in content or name in estimated for name in SPRING)
+    absent = (frozenset(NONE) & missing) - estimated - (frozenset(SPRING) if half_a_spring else frozenset())
+    stand_ins = {**Bench.nominal().to_mapping(), **_INERT, **dict.fromkeys(absent, 1.0)}
+    whole = Bench.from_mapping(
+        {**{name: stand_ins[name] for name in missing}, **content, **({"spring_stiffness": 1.0} if springless else {})}
+    )
+    values = {entry.name: getattr(whole, entry.name) for entry in fields(whole)}
+    values |= {name: NONE[name] for name in absent} | ({"spring_stiffness": 0.0} if springless else {})
+    return PartialBench(**values, unknown=missing - absent, absent=absent)
+
+
+def numbers() -> tuple[str, ...]:
+    """The numbers that a whole bench file holds, in the order of `Bench`."""
+    return tuple(entry.name for entry in fields(Bench) if entry.metadata and entry.name != "load_cell_bandwidth")
+
+
+def told(bench: Bench, **values: float) -> Bench:
+    """The bench with numbers that are known from now on."""
+    if not isinstance(bench, PartialBench):
+        return replace(bench, **values)  # type: ignore[arg-type]
+    return replace(bench, unknown=bench.unknown - values.keys(), **values)  # type: ignore[arg-type]
+
+
+class UnknownNumberError(Exception):
+    """A number was read that is not known."""
+
+
+class Guarded:
+    """A bench that raises `UnknownNumberError` where a number that is not known is read."""
+
+    def __init__(self, bench: Bench, unknown: frozenset[str]) -> None:
+        self._bench, self._unknown = bench, unknown
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self._unknown or (name == "valve_gain" and self._unknown & VALVE):
+            raise UnknownNumberError(name)
+        return getattr(self._bench, name)
+
+
+VALVE = frozenset({"valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop"})
+"""Numbers of which the valve's gain is made."""
+
+
+def guarded(bench: Bench) -> Bench:
+    """The bench, with stand-ins and what it has not raising where they are read."""
+    if not isinstance(bench, PartialBench):
+        return bench
+    return cast(Bench, Guarded(bench, bench.unknown | bench.absent))
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Channels that together bring an equation in."""
+
+    block: str
+    """Block of residuals: PRESSURE, MOTION, LOAD or HYDRAULIC."""
+    equation: str
+    """Words for it."""
+    channels: frozenset[str]
+    numbers: tuple[str, ...]
+    """Numbers of the bench that it needs."""
+    if_known: str = ""
+    """Number without which the equation is left out instead of asking for it."""
+
+
+CONNECTIONS = (
+    Connection(
+        PRESSURE,
+        "pressure equations",
+        frozenset({"pressure_a", "pressure_b", "piston_position", "valve_current"}),
+        ("bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure",
+         "valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop", "dead_volume_a",
+         "dead_volume_b"),
+    ),
+    Connection(MOTION, "motion equation", frozenset({"hydraulic_force", "piston_position"}), ("moving_mass",)),
+    Connection(
+        MOTION,
+        "motion equation",
+        frozenset({"pressure_a", "pressure_b", "piston_position"}),
+        ("moving_mass", "piston_area", "area_ratio"),
+        if_known="moving_mass",
+    ),
+    Connection(LOAD, "load equation", frozenset({"load_force", "piston_position"}), SPRING),
+    Connection(
+        HYDRAULIC,
+        "force of the pressures",
+        frozenset({"pressure_a", "pressure_b", "hydraulic_force"}),
+        ("piston_area", "area_ratio"),
+    ),
+)  # fmt: skip
+
+
+def connected(channels: Collection[str], bench: Bench) -> tuple[Connection, ...]:
+    """Equations that these channels bring in."""
+    return tuple(
+        one for one in CONNECTIONS if one.channels <= set(channels) and (not one.if_known or knows(bench, one.if_known))
+    )
+
+
+def needed(channels: Collection[str], bench: Bench) -> dict[str, str]:
+    """Numbers that the recorded channels need, each with the first equation that needs it."""
+    found: dict[str, str] = {}
+    for one in connected(channels, bench):
+        spring = SPRING if one.block == MOTION and any(not knows(bench, name) for name in SPRING) else ()
+        for name in (*one.numbers, *spring):
+            found.setdefault(name, one.equation)
+    return found
+
+
+def refuse_missing(channels: Collection[str], bench: Bench, estimated: Collection[str] = ()) -> None:
+    """Raise `InputError` if numbers are needed that are neither known nor estimated: all of them in one sentence."""
+    lacking = {
+        name: equation
+        for name, equation in needed(channels, bench).items()
+        if lacks(bench, name) and name not in estimated
+    }
+    if not lacking:
+        return
+    units = {entry.name: entry.metadata["unit"] for entry in fields(Bench) if entry.metadata}
+    asked = ", ".join(f"{name} ({units[name]}, {equation})" for name, equation in lacking.items())
+    raise InputError(
+        f"the bench file lacks {asked}: write what is known, leave out channels that it is not needed for, or have a "
+        f"number estimated from the recordings with --estimate {' '.join(lacking)}"
+    )
+
+
+def left_out(channels: Collection[str], bench: Bench) -> list[str]:
+    """Notes on what is not checked or taken as none since the bench file does not hold it."""
+    if not isinstance(bench, PartialBench):
+        return []
+    blocks = {one.block for one in connected(channels, bench)}
+    notes = [
+        f"the {one.equation} was left out: the bench file does not hold {one.if_known}"
+        for one in CONNECTIONS
+        if one.if_known and one.channels <= set(channels) and one.block not in blocks
+    ]
+    absent = [name for name in ("viscous_friction", "spring_stiffness") if name in bench.absent]
+    if absent and MOTION in blocks:
+        words = " and no ".join(name.replace("_", " ") for name in absent)
+        notes.append(f"the bench file holds no {words}: none is assumed")
+    return notes
+
+
+def applies(effect: Effect, bench: Bench) -> bool:
+    """Return whether an effect can act on a bench: not one of a spring that it has not, or of a number not known."""
+    if not isinstance(bench, PartialBench):
+        return True
+    if effect.equations[:1] == ("load",) and not has_spring(bench):
+        return False
+    try:
+        effect.adapted(cast(Bench, Guarded(bench, bench.unknown)))
+    except UnknownNumberError:
+        return False
+    return True
+
+
+def rehearsable(bench: Bench) -> bool:
+    """Return whether a run of the bench can be simulated: all numbers are known, and it has a spring."""
+    return not isinstance(bench, PartialBench) or (not bench.unknown and has_spring(bench))

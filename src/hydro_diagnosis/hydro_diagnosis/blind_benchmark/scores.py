@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scores of diagnosed cases (named, located, parameter errors, held-out fit), and the standards (diagnosis.md).
+
+Several names are correct where different sets of causes give exactly the same bench. A spring's rest position shifts
+the force on the mass and, by the same amount in the opposite direction, the reading of its load cell: any two of
+`force_offset`, `spring_rest` and a bias of the load cell make every bench that all three do. A dead band around a
+shifted null is an asymmetric one around the old null. LuGre friction is friction with bristles.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.cli.console import Table
+from hydro_diagnosis.blind_benchmark.cases import Case
+
+Name = tuple[str, str]
+"""Id, and the chamber, cell or sensor if it has one."""
+PLACES = ("chamber", "cell", "sensor")
+_CONSTANT = (("force_offset", ""), ("spring_rest", ""), ("load_cell_bias", "load_force"))
+_BAND, _NULL = ("valve_deadband", ""), ("valve_offset", "")
+
+
+def names(effects: Mapping[str, Mapping[str, Any]]) -> list[frozenset[Name]]:
+    """All sets of causes that are equivalent to these effects, the given set first."""
+    own = frozenset((cause, next((str(values[key]) for key in PLACES if key in values), ""))
+                    for cause, values in effects.items())  # fmt: skip
+    ways = [own]
+    if len(own & set(_CONSTANT)) >= 2:
+        ways += [own - set(_CONSTANT) | set(two) for two in combinations(_CONSTANT, 2)]
+    if {_BAND, _NULL} <= own:
+        ways += [way - {_NULL} for way in ways]
+    if "half_width_negative" in effects.get("valve_deadband", ()):
+        ways += [way | {_NULL} for way in ways]
+    if effects.get("friction_coulomb", {}).get("form") == "lugre":
+        ways += [way | {("friction_presliding", "")} for way in ways]
+    return ways
+
+
+_IDS = {
+    "motion": ("friction_coulomb", "friction_viscous", "friction_stribeck", "friction_presliding", "moving_mass",
+               "end_cushion", "force_offset", "friction_rib", "friction_pressure", "load_hum", "load_walk"),
+    "load": ("spring_stiffness", "spring_hardening", "spring_rest", "backlash", "spring_hysteresis", "load_hum",
+             "load_walk"),
+    "sensor": ("load_cell_gain", "load_cell_bias", "pressure_sensor_bias", "sensor_lag", "cell_crosstalk"),
+    "actuation": ("valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain",
+                  "valve_gain_asymmetry", "valve_null_leakage", "valve_gain_drift", "supply_droop", "supply_pressure",
+                  "tank_pressure", "valve_temperature", "valve_underlap", "supply_ripple"),
+    "pressure_a": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
+                   "dead_volume", "wall_flexibility"),
+    "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
+                   "dead_volume", "area_ratio", "wall_flexibility"),
+}  # fmt: skip
+SHARE = 0.1
+"""Share of the mismatch below which a place does not count against the location."""
+
+
+_BY_RATIO = ("valve_gain", "valve_gain_asymmetry", "bulk_modulus", "load_cell_gain", "spring_stiffness",
+             "supply_pressure", "piston_area", "area_ratio", "dead_volume")  # fmt: skip
+_NEUTRAL = {**{(cause, "ratio"): 1.0 for cause in _BY_RATIO}, ("spring_rest", "position"): 0.04}
+"""Neutral values other than 0."""
+
+
+def equations(cause: str) -> set[str]:
+    """Equations in which a cause acts."""
+    return {equation for equation, ids in _IDS.items() if cause in ids}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Estimated parameter of a correctly named cause, with its true value."""
+
+    cause: str
+    name: str
+    truth: float
+    value: float
+    inside: bool
+    """Whether the 95 % interval holds the truth."""
+
+    @property
+    def error(self) -> float:
+        """Error relative to the true value."""
+        return abs(self.value - self.truth) / abs(self.truth)
+
+    @property
+    def error_of_size(self) -> float:
+        """Error relative to the true value's distance from neutral: for a ratio of 1.05, relative to 0.05."""
+        return abs(self.value - self.truth) / abs(self.truth - _NEUTRAL.get((self.cause, self.name), 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """One case and its diagnosis."""
+
+    case: Case
+    answer: Mapping[str, Any]
+    """answer.json of `blind`."""
+
+    @property
+    def refused(self) -> bool:
+        """Whether the recordings could not be diagnosed."""
+        return self.answer["report"] is None
+
+    @property
+    def verdict(self) -> str:
+        """Verdict of the report, or `refused`."""
+        return "refused" if self.refused else str(self.answer["report"]["verdict"])
+
+    @property
+    def effects(self) -> list[dict[str, Any]]:
+        """Claims of the report."""
+        return [] if self.refused else list(self.answer["report"]["effects"])
+
+    @property
+    def claimed(self) -> list[str]:
+        """Ids of the claims."""
+        return [effect["id"] for effect in self.effects]
+
+    @property
+    def exact(self) -> bool:
+        """Whether exactly the concealed causes are named, in their chamber, cell or sensor; on a clean bench, none."""
+        if self.case.kind == "clean":
+            return self.verdict == "no_mismatch"
+        return not self.refused and len(self.claims) == len(self.effects) and self.claims in names(self.case.effects)
+
+    @property
+    def claims(self) -> frozenset[Name]:
+        """Claims with their chamber, cell or sensor."""
+        return frozenset((effect["id"], _place(effect["options"])) for effect in self.effects)
+
+    @property
+    def spurious(self) -> list[str]:
+        """Claimed ids that occur in no correct naming of the concealed causes."""
+        allowed = frozenset().union(*names(self.case.effects))
+        return sorted(cause for cause, place in self.claims if (cause, place) not in allowed)
+
+    @property
+    def admitted(self) -> bool:
+        """Whether the report states that an unnamed cause is present."""
+        return self.verdict in ("modelled", "unknown", "partly_explained")
+
+    @property
+    def places(self) -> dict[str, float]:
+        """Share of the mismatch by equation."""
+        shares: dict[str, float] = {}
+        for place in [] if self.refused else self.answer["report"]["location"]:
+            shares[place["equation"]] = shares.get(place["equation"], 0.0) + place["share"]
+        return shares
+
+    @property
+    def located(self) -> bool:
+        """Whether every place with a tenth of the mismatch or more is an equation in which a concealed cause acts."""
+        causes = {cause for way in names(self.case.effects) for cause, _ in way} | set(self.case.outside)
+        right = set().union(*(equations(cause) for cause in causes))
+        found = {equation for equation, share in self.places.items() if share >= SHARE}
+        return bool(found) and found <= right
+
+    @property
+    def passed(self) -> bool:
+        """Whether the diagnosis meets the requirement of this kind of case."""
+        if self.case.kind == "outside":
+            return self.admitted and self.located and not self.claimed
+        if self.case.kind == "faint":
+            return not self.spurious and not self.refused
+        return self.exact
+
+    @property
+    def estimates(self) -> list[Estimate]:
+        """Parameters that truth and report share and that the recordings identify, if all causes are named."""
+        found = []
+        alike = self.exact and {cause for cause, _ in self.claims} >= set(self.case.effects)
+        for effect in self.effects if alike else ():
+            truth = self.case.effects.get(effect["id"], {})
+            for name, one in effect["parameters"].items():
+                if name in truth and one["ci95"] is not None:
+                    low, high = one["ci95"]
+                    found.append(Estimate(cause=effect["id"], name=name, truth=truth[name], value=one["value"],
+                                          inside=low <= truth[name] <= high))  # fmt: skip
+        return found
+
+    @property
+    def held_out(self) -> float | None:
+        """Held-out error over the noise floor, root mean square over channels; infinite where it diverges."""
+        return None if self.refused else _over(self.answer["report"]["fit"]["holdout"])
+
+    def worst_channel(self) -> str:
+        """Channel whose held-out error is largest over its noise floor."""
+        ratios = _ratios({} if self.refused else self.answer["report"]["fit"]["holdout"])
+        return max(ratios, key=lambda name: ratios[name]) if ratios else ""
+
+
+def _place(options: Mapping[str, str]) -> str:
+    return next((options[key] for key in PLACES if key in options), "")
+
+
+def _over(channels: Mapping[str, Any]) -> float | None:
+    ratios = list(_ratios(channels).values())
+    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
+
+
+def _ratios(channels: Mapping[str, Any]) -> dict[str, float]:
+    return {
+        name: float("inf") if one["rmse_after"] is None else one["rmse_after"] / one["noise_floor"]
+        for name, one in channels.items()
+        if one["noise_floor"]
+    }
+
+
+COLUMNS = {
+    "standard": "what is asked for",
+    "goal": "",
+    "reached": "share of cases, or a percentile",
+    "count": "of how many",
+    "wilson": "95 % interval of the share (Wilson)",
+    "met": "whether the goal is met",
+}
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927)."""
+    if not count:
+        return 0.0, 1.0
+    z, share = 1.959964, hits / count
+    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
+    reach = z / (1 + z * z / count) * sqrt(share * (1 - share) / count + z * z / (4 * count * count))
+    return max(middle - reach, 0.0), min(middle + reach, 1.0)
+
+
+def standards(results: Sequence[Result]) -> Table:
+    """The table of standards; those without a case are left out."""
+    table = Table(COLUMNS, title=f"{len(results)} sealed cases")
+    kinds: dict[str, list[Result]] = defaultdict(list)
+    for result in results:
+        kinds[result.case.kind].append(result)
+    placed = [result for result in results if result.case.kind not in ("clean", "faint")]
+    _share(table, "single concealed effect named exactly, nothing else", 0.98, kinds["single"], lambda r: r.exact)
+    _share(table, "two effects: both named, nothing else", 0.95, kinds["pair"], lambda r: r.exact)
+    _share(table, "three effects: all named, nothing else", 0.90, kinds["triple"], lambda r: r.exact)
+    _share(table, "same cause, other form: cause named, nothing else", 0.90, kinds["form"], lambda r: r.exact)
+    _share(table, "wrong value in the bench file named", 0.90, kinds["value"], lambda r: r.exact)
+    _share(table, "nothing missing: any claim", -0.01, kinds["clean"], lambda r: not r.exact)
+    _share(table, "outside the table: unknown or partly, right equation", 0.90, kinds["outside"],
+           lambda r: r.admitted and r.located)  # fmt: skip
+    _share(table, "outside the table: wrong name", -0.05, kinds["outside"], lambda r: bool(r.claimed))
+    _share(table, "right equation", 0.99, placed, lambda r: r.located)
+    _numbers(table, results)
+    _fits(table, [result for result in placed if result.case.kind != "outside"])
+    _times(table, results)
+    _share(table, "faint (a fifth to all of the smallest single): named", None, kinds["faint"], lambda r: r.exact)
+    _share(table, "faint: wrong name", None, kinds["faint"], lambda r: bool(r.spurious))
+    _share(table, "refused: recordings that cannot be diagnosed", None, results, lambda r: r.refused)
+    return table
+
+
+def _share(
+    table: Table, standard: str, goal: float | None, results: Sequence[Result], test: Callable[[Result], bool]
+) -> None:
+    """A row with a share; a negative goal is an upper limit."""
+    if not results:
+        return
+    hits = sum(test(result) for result in results)
+    _row(table, standard, goal, hits, len(results))
+
+
+def _row(table: Table, standard: str, goal: float | None, hits: int, count: int) -> None:
+    low, high = wilson(hits, count)
+    share = hits / count
+    words = "" if goal is None else f">= {goal:.0%}" if goal > 0 else f"<= {-goal:.0%}"
+    met = "" if goal is None else _said(share >= goal if goal > 0 else share <= -goal)
+    table.add(standard=standard, goal=words, reached=f"{hits}/{count} = {share:.1%}", count=count,
+              wilson=f"{low:.1%} to {high:.1%}", met=met)  # fmt: skip
+
+
+def _figure(table: Table, standard: str, goal: str, reached: str, count: int, met: bool) -> None:
+    table.add(standard=standard, goal=goal, reached=reached, count=count, wilson="", met=_said(met))
+
+
+def _said(met: bool) -> str:
+    return "yes" if met else "no"
+
+
+def _numbers(table: Table, results: Sequence[Result]) -> None:
+    """Errors and coverage of the numbers of what was named, where the form is the library's own."""
+    kinds = ("single", "value", "pair", "triple")
+    estimates = [one for result in results if result.case.kind in kinds for one in result.estimates]
+    if not estimates:
+        return
+    middle, tail = np.percentile([one.error for one in estimates], [50, 95])
+    _figure(table, "parameter error, median", "<= 0.5%", f"{middle:.2%}", len(estimates), middle <= 0.005)
+    _figure(table, "parameter error, 95th percentile", "<= 3%", f"{tail:.2%}", len(estimates), tail <= 0.03)
+    middle, tail = np.percentile([one.error_of_size for one in estimates], [50, 95])
+    table.add(standard="the same over the effect's size (of a ratio of 1.05, over 0.05)", goal="", met="", wilson="",
+              reached=f"median {middle:.2%}, p95 {tail:.2%}", count=len(estimates))  # fmt: skip
+    hits = sum(one.inside for one in estimates)
+    low, high = wilson(hits, len(estimates))
+    share = hits / len(estimates)
+    table.add(standard="95 % intervals that hold the truth", goal="92% to 98%", reached=f"{share:.1%}",
+              count=len(estimates), wilson=f"{low:.1%} to {high:.1%}", met=_said(0.92 <= share <= 0.98))  # fmt: skip
+
+
+def _fits(table: Table, results: Sequence[Result]) -> None:
+    """Held-out errors over the noise floor."""
+    over = [result.held_out for result in results if result.held_out is not None]
+    if not over:
+        return
+    middle, tail = np.percentile(over, [50, 95], method="higher")  # some may diverge
+    _figure(table, "held-out error over noise floor, median", "<= 1.03", f"{middle:.3f}", len(over), middle <= 1.03)
+    _figure(table, "held-out error over noise floor, 95th percentile", "<= 1.3", f"{tail:.3f}", len(over), tail <= 1.3)
+
+
+def _times(table: Table, results: Sequence[Result]) -> None:
+    wall = [float(result.answer["wall"]) for result in results]
+    cpu = [float(result.answer["cpu"]) for result in results]
+    _figure(table, "time per case, median", "<= 10 s", f"{np.median(wall):.1f} s ({np.median(cpu):.1f} s CPU)",
+            len(wall), float(np.median(wall)) <= 10.0)  # fmt: skip
+    _figure(table, "time per case, longest", "<= 60 s", f"{max(wall):.1f} s ({max(cpu):.1f} s CPU)", len(wall),
+            max(wall) <= 60.0)  # fmt: skip
+
+
+def confusion(results: Sequence[Result]) -> dict[str, dict[str, int]]:
+    """Counts of diagnosed against concealed causes, over cases with one concealed cause or none."""
+    matrix: dict[str, Counter[str]] = defaultdict(Counter)
+    for result in results:
+        names = [*result.case.effects, *result.case.outside] or ["nothing"]
+        if len(names) == 1 and result.case.kind != "faint":
+            matrix[names[0]].update(result.claimed or [result.verdict])
+    return {name: dict(counter) for name, counter in sorted(matrix.items())}
+
+
+def failures(results: Sequence[Result]) -> list[dict[str, Any]]:
+    """Cases that missed the requirement of their kind, with their diagnosis."""
+    return [
+        {
+            "case": result.case.name,
+            "kind": result.case.kind,
+            "noise": result.case.noise,
+            "truth": {**result.case.effects, **result.case.outside},
+            "verdict": result.verdict,
+            "claimed": {e["id"]: {n: p["value"] for n, p in e["parameters"].items()} for e in result.effects},
+            "places": result.places,
+            "why": result.answer["refused"] or "",
+        }
+        for result in results
+        if not result.passed
+    ]

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled functions of the effects: path memory, lags, splines, soft edges, means over substeps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.jit import njit
+from hydro_sim.model.tables import KNOTS
+
+
+@njit
+def along(position, stiffness, limit):
+    """Force at each of the positions, shape (n,), at rest at the first; `limit`: shape (n,), where it yields.
+
+    Within a sample the solution of dF/dx = stiffness (1 - F sign(dx)/limit) is exact. Source: Dahl 1968.
+    """
+    force = np.zeros(len(position))
+    for k in range(1, len(position)):
+        moved = position[k] - position[k - 1]
+        goal = limit[k] if moved > 0.0 else -limit[k]
+        fade = np.exp(-stiffness * abs(moved) / max(abs(limit[k]), 1e-6))
+        force[k] = goal + (force[k - 1] - goal) * fade
+    return force
+
+
+@njit
+def limited(signal, step, rate, rising, falling):
+    """Means over each step [s], shape (n,), of w' = (s - w) / T within +-rate, for a held signal; at rest first.
+
+    T is `rising` [s] while s is above w, `falling` while it is below.
+
+    Exact: w goes straight while it is further than rate times time from the signal, then exponentially.
+    """
+    mean = np.empty(len(signal))
+    now = signal[0]
+    for k in range(len(signal)):
+        off = signal[k] - now
+        distance = abs(off)
+        time = rising if off > 0.0 else falling
+        fast = min(max(distance / rate - time, 0.0), step)
+        near = distance - rate * fast
+        left = np.exp((fast - step) / time)
+        area = 0.5 * (distance + near) * fast + near * time * (1.0 - left)
+        mean[k] = signal[k] - np.sign(off) * area / step
+        now = signal[k] - np.sign(off) * near * left
+    return mean
+
+
+@njit
+def asymmetric_lag(signal, step, rising, falling):
+    """Lag w' = (s - w) / T of a signal that is straight between samples, shape (n,).
+
+    It begins at the signal. T is `rising` [s] while s is above w, `falling` while it is below: that of its middle is
+    taken for each of the parts of a sample, in which the lag is exact.
+    """
+    parts = 8
+    out = np.empty(len(signal))
+    now = signal[0]
+    out[0] = now
+    part = step / parts
+    up, down = np.exp(-part / rising), np.exp(-part / falling)
+    for k in range(1, len(signal)):
+        slope, begin = (signal[k] - signal[k - 1]) / step, signal[k - 1]
+        for _ in range(parts):
+            rises = begin + 0.5 * slope * part > now
+            time = rising if rises else falling
+            behind = (now - begin + slope * time) * (up if rises else down) - slope * time
+            begin += slope * part
+            now = begin + behind
+        out[k] = now
+    return out
+
+
+def held_lag(
+    signal: FloatArray, step: float, time: float, start: float, falling: float | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there.
+
+    `falling`: the time [s] while the signal is below what lags, if it is another than `time`.
+    """
+    decay, share = _held(step, time)
+    if falling is None:
+        begins, means = _lagged(np.ascontiguousarray(signal), decay, share, start)
+    else:
+        begins, means = _asymmetric_lag(np.ascontiguousarray(signal), decay, share, *_held(step, falling), start)
+    return begins, means
+
+
+def _held(step: float, time: float) -> tuple[float, float]:
+    """What a step leaves of a distance, and the share of it that is gone in the step's mean."""
+    decay = float(np.exp(-step / time))
+    return decay, 1.0 - (1.0 - decay) * time / step
+
+
+@njit
+def _lagged(signal, decay, share, now):
+    begins, means = np.empty(len(signal)), np.empty(len(signal))
+    for k in range(len(signal)):
+        begins[k] = now
+        means[k] = now + share * (signal[k] - now)
+        now = decay * now + (1.0 - decay) * signal[k]
+    return begins, means
+
+
+@njit
+def _asymmetric_lag(signal, up, share_up, down, share_down, now):
+    begins, means = np.empty(len(signal)), np.empty(len(signal))
+    for k in range(len(signal)):
+        rises = signal[k] > now
+        decay = up if rises else down
+        begins[k] = now
+        means[k] = now + (share_up if rises else share_down) * (signal[k] - now)
+        now = decay * now + (1.0 - decay) * signal[k]
+    return begins, means
+
+
+_LAST = KNOTS - 3
+"""Intervals between the peaks of the splines that a table's variable may lie in."""
+
+
+def splined(variable: FloatArray, low: float, high: float, values: FloatArray) -> FloatArray:
+    """Sum of cubic B-splines of these `values` (KNOTS,) over a variable between `low` and `high`, constant beyond."""
+    found = np.empty(variable.shape)
+    _splined(found.reshape(-1), np.ascontiguousarray(variable).reshape(-1), low, _LAST / (high - low), values)
+    return found
+
+
+@njit
+def _splined(found, variable, low, scale, values):
+    for k in range(len(variable)):
+        along = (variable[k] - low) * scale
+        if along != along:  # a simulation that has run away
+            found[k] = np.nan
+            continue
+        along = min(max(along, 0.0), float(_LAST))
+        at = min(int(along), _LAST - 1)
+        t = along - at
+        s = 1.0 - t
+        found[k] = (
+            s * s * s * values[at]
+            + (4.0 - 3.0 * t * t * (2.0 - t)) * values[at + 1]
+            + (4.0 - 3.0 * s * s * (2.0 - s)) * values[at + 2]
+            + t * t * t * values[at + 3]
+        ) / 6.0
+
+
+STRAIGHT = 40.0
+"""Argument beyond which a softplus is its argument, to the last bit."""
+
+
+def opened(current: FloatArray, width: float, soft: float) -> FloatArray:
+    """Current [A] that acts, of the same shape, behind an overlap of half `width` that opens over `soft` [A]."""
+    found = np.empty(current.shape)
+    _opened(found.reshape(-1), np.ascontiguousarray(current).reshape(-1), width / soft, soft)
+    return found
+
+
+@njit
+def _opened(found, current, edge, soft):
+    for k in range(len(found)):
+        if k > 0 and current[k] == current[k - 1]:  # held over a sample's substeps
+            found[k] = found[k - 1]
+        else:
+            ratio = current[k] / soft
+            found[k] = soft * (_softplus(ratio - edge) - _softplus(-ratio - edge))
+
+
+@njit
+def _softplus(over):
+    if over > STRAIGHT:
+        return over
+    return over + math.log1p(math.exp(-over)) if over > 0.0 else math.log1p(math.exp(over))
+
+
+def substep_mean(signal: FloatArray) -> FloatArray:
+    """Mean over the last axis: from shape (..., substeps) to (...)."""
+    return signal[..., 0] if signal.shape[-1] == 1 else _each(signal, _mean)
+
+
+def substep_mean_beyond(signal: FloatArray, sign: float) -> FloatArray:
+    """Mean over the last axis of what `sign` times the signal has above 0, shape (...)."""
+    return _each(sign * signal, _mean_above)
+
+
+def _each(signal: FloatArray, kernel: Callable[[FloatArray, FloatArray], None]) -> FloatArray:
+    found = np.empty(signal.shape[:-1])
+    kernel(found.reshape(-1), np.ascontiguousarray(signal).reshape(-1, signal.shape[-1]))
+    return found
+
+
+@njit
+def _mean(found, signal):
+    count = signal.shape[1]
+    for k in range(len(found)):
+        total = signal[k, 0]
+        for s in range(1, count):
+            total += signal[k, s]
+        found[k] = total / count
+
+
+@njit
+def _mean_above(found, signal):
+    count = signal.shape[1]
+    for k in range(len(found)):
+        total = 0.0
+        for s in range(count):
+            if signal[k, s] > 0.0:
+                total += signal[k, s]
+        found[k] = total / count

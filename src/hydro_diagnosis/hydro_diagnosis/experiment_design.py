@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice of the next recording, when the present ones do not separate the hypotheses.
+
+Every reference of a small catalog is simulated on the believed bench (`hydro_sim.model.plant.AnalyticPlant` with the
+box's own force law, which knows nothing of the effects). What matters is how much of one cause's signature the other
+cannot mimic by any values of its parameters: the distance of two fitted models, in BIC.
+
+A bench's physics is never exactly a law of the grammar: for a closure, a second law is taken for a rival already where
+it gains nearly as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
+from hydro_diagnosis.closure.candidates import laws
+from hydro_diagnosis.closure.evidence import has_identified_shapes
+from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.estimation.fit import Fit, fit, jacobian, score
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import InputError, RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.recording import Recording
+from hydro_diagnosis.selection.outcome import CLOSE, Outcome
+from hydro_diagnosis.selection.verdict import Assessment
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.laws import Law
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
+
+
+def rehearsal(
+    bench: Bench,
+    reference: ReferenceSignal,
+    *,
+    gains: tuple[float, float] = (60.0, 10.0),
+    seconds: float = 10.0,
+    noise: float = 1.0,
+    seed: int = 0,
+    truth: Bench | None = None,
+) -> Recording:
+    """One run under the box's force law.
+
+    Parameters
+    ----------
+    bench
+        What the box believes.
+    reference, gains, seconds
+        What is commanded: K_p [1/s], K_i [1/s^2], length [s].
+    noise, seed
+        Scale and seed of the sensors' noise.
+    truth
+        What is simulated, `bench` by default.
+    """
+    plant = AnalyticPlant(replace(truth or bench, effects=(), closures=()), noise=noise)
+    believed = replace(bench, effects=(), closures=())
+    states = simulate(plant, believed, Schedule(reference=reference, gains=gains, seconds=seconds), seed=seed)
+    columns = {name: states[name].copy() for name in STATE_FIELDS}
+    return checked(RawTable("rehearsal", states["time"].copy(), None, columns), believed)
+
+
+SECONDS = 10.0
+"""Length of a rehearsal; the proposal is for `PROPOSED`."""
+PROPOSED = 20.0
+
+
+def catalog() -> Iterator[ReferenceSignal]:
+    """References that the box can run, over the working range."""
+    for offset in (-120.0, 0.0, 120.0):
+        yield ReferenceSignal(waveform=Waveform.SINE, amplitude=150.0, offset=offset, frequency=0.3)
+        yield ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=170.0, offset=offset, frequency=0.7)
+    yield ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
+    yield ReferenceSignal(waveform=Waveform.SINE, amplitude=40.0, frequency=2.0)
+    yield ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=260.0, frequency=0.8)
+    yield ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=60.0, frequency=0.3)
+    yield ReferenceSignal(waveform=Waveform.HOLD, offset=200.0)
+
+
+def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -> dict[str, Any] | None:
+    """The recording that separates the closest pair of rivals; None if all are distinguished."""
+    pair = _closest(problem, outcome, assessment)
+    if pair is None:
+        return None
+    label, rival = pair
+    names = [label.split(":")[0], rival.claims[-1].effect.id]
+    alike = f"{names[0]} and {names[1]} explain these recordings alike"
+    return proposal(problem, assessment.fit, rival, names, alike)
+
+
+def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike: str) -> dict[str, Any]:
+    """The reference of the catalog on which two fits differ most; `alike`: how near they are, without a full stop."""
+    gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog()]
+    gain, reference = max(gains, key=lambda one: one[0])
+    if gain < CLOSE:
+        why = f"No reference tells {names[0]} from {names[1]} on this bench: another sensor or a known load would."
+        return {"why": why, "separates": names, "reference": None, "expected_gain": gain}
+    why = f"{alike}; on this reference they differ most, by {gain**0.5:.3g} standard deviations of the noise."
+    return {"why": why, "separates": names, "reference": _as_mapping(reference), "expected_gain": gain}
+
+
+def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
+    """BIC by which `PROPOSED` seconds of a reference would tell a fit from a rival to it."""
+    try:
+        recording = rehearsal(problem.bench, reference, seconds=SECONDS)
+    except InputError:
+        return 0.0
+    rehearsed = Problem(recording.segments, problem.bench, problem.baseline)
+    mimicked = rehearsed.residual(rival.claims)
+    apart = rehearsed.residual(claimed.claims) - mimicked
+    columns = jacobian(rehearsed, rival.claims, mimicked)
+    lengths = np.linalg.norm(columns, axis=0)
+    basis = np.linalg.qr(columns[:, lengths > 0.0] / lengths[lengths > 0.0])[0]
+    left = apart - basis @ (basis.T @ apart)
+    return float(left @ left) * PROPOSED / SECONDS
+
+
+def _closest(problem: Problem, outcome: Outcome, assessment: Assessment) -> tuple[str, Fit] | None:
+    close = []
+    for claim in assessment.fit.claims:
+        for rival in outcome.rivals.get(claim.effect.label, []):
+            distance = score(problem, rival) - score(problem, assessment.fit)
+            other = rival.claims[-1].effect
+            if distance < CLOSE and other.named and other.id != claim.effect.id:
+                close.append((distance, claim.effect.label, rival))
+    if not close:
+        return None
+    _, label, rival = min(close, key=lambda one: one[0])
+    return label, rival
+
+
+def _as_mapping(reference: ReferenceSignal) -> dict[str, Any]:
+    return {
+        "waveform": reference.waveform.name.lower(),
+        "amplitude": reference.amplitude,
+        "offset": reference.offset,
+        "frequency": reference.frequency,
+        "seconds": PROPOSED,
+    }
+
+
+NEARLY = 0.9
+"""Share of the deviance that a law gains from which another law is a rival to it."""
+TRIED = 3
+"""Laws that are fitted, the most promising first."""
+
+
+def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
+    """The recording that separates the weightiest law of a fit from its rival; None without a law or a rival."""
+    fits = {k: fit(problem, _others(found, k)) for k, claim in enumerate(found.claims) if _is_law(claim)}
+    if not fits:
+        return None
+    place = max(fits, key=lambda k: fits[k].deviance)
+    rival = rival_law(problem, found, place, fits[place], screen)
+    if rival is None:
+        return None
+    share = (fits[place].deviance - rival.deviance) / (fits[place].deviance - found.deviance)
+    names = [_name(found.claims[place]), _name(rival.claims[-1])]
+    alike = f"{names[1]} explains {100.0 * min(share, 1.0):.3g} % of what {names[0]} explains of these recordings"
+    return proposal(problem, found, rival, names, alike)
+
+
+def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Screen | None = None) -> Fit | None:
+    """The fit with the next best law, as the last claim, in the place of a law; None where none gains nearly as much.
+
+    `without`: the fit of all other claims. `screen`: of the laws of these recordings, computed here if there is none.
+    """
+    own = found.claims[place].effect.label
+    screen = screen or Screen(problem, without, laws(problem))
+    prospects, _there_is = screen.prospects(without, TRIED, {own})
+    enough = NEARLY * (without.deviance - found.deviance)
+    for prospect in prospects:
+        starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)
+        fitted = min(starts, key=lambda one: one.deviance)
+        if without.deviance - fitted.deviance >= enough and has_identified_shapes(problem, fitted, fitted.claims[-1]):
+            return fitted
+    return None
+
+
+def _others(found: Fit, place: int) -> tuple[Claim, ...]:
+    return tuple(claim for k, claim in enumerate(found.claims) if k != place)
+
+
+def _is_law(claim: Claim) -> bool:
+    return isinstance(claim.effect, Closure) and isinstance(claim.effect.law, Law)
+
+
+def _name(claim: Claim) -> str:
+    assert isinstance(claim.effect, Closure)
+    return f"{claim.effect.law.form} ({claim.effect.law.equation})"

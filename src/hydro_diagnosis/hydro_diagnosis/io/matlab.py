@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MATLAB files of any version, including exports of dSPACE ControlDesk, and HDF5 of any writer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from scipy.io import loadmat
+
+from hydro_bridge.signals import FloatArray
+from hydro_diagnosis.io.columns import Columns, known, unique, with_clocks_of_equal_length
+
+
+def matlab_columns(path: Path) -> Columns:
+    """Numbers of a .mat file; structs and cells are taken apart by dots, matrices into `name.0`, `name.1`.
+
+    Raises
+    ------
+    ValueError, OSError
+        If it cannot be read.
+    """
+    try:
+        content = loadmat(str(path), simplify_cells=True)
+    except (NotImplementedError, OSError):
+        raise
+    except Exception as error:  # of a damaged file scipy's reader stumbles over anything
+        raise ValueError(f"not a MATLAB file that can be read ({error})") from None
+    variables = {key: value for key, value in content.items() if not key.startswith("__")}
+    captures = [value for value in variables.values() if _is_capture(value)]
+    if len(captures) == 1 == len(variables):
+        return _capture(captures[0])
+    return leaves_as_columns(_leaves(variables), {})
+
+
+def leaves_as_columns(leaves: Iterator[tuple[str, Any]], units: Mapping[str, str]) -> Columns:
+    """Arrays, numbers and the rest by name as columns, single numbers and others."""
+    series: dict[str, FloatArray] = {}
+    constants: dict[str, float] = {}
+    other: list[str] = []
+    stated: dict[str, str] = {}
+    for name, value in leaves:
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub" or array.ndim > 2 or array.size == 0:
+            other.append(name)
+        elif array.size == 1:
+            constants[name] = float(array.reshape(()))
+        else:
+            columns = split(name, array.astype(np.float64))
+            series.update(columns)
+            stated.update({column: units[name] for column in columns if name in units})
+    return with_clocks_of_equal_length(series, constants, tuple(other), stated)
+
+
+def split(name: str, array: FloatArray) -> dict[str, FloatArray]:
+    """A matrix as columns `name.0`, `name.1`, ..., time along its longer side."""
+    if array.ndim == 1:
+        return {name: array}
+    upright = array if array.shape[0] >= array.shape[1] else array.T
+    if upright.shape[1] == 1:
+        return {name: upright[:, 0]}
+    return {f"{name}.{k}": upright[:, k] for k in range(upright.shape[1])}
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Structs and cells taken apart: `out.signals.0.values`."""
+    if isinstance(value, Mapping):
+        parts = [(str(key), one) for key, one in value.items()]
+    elif isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.dtype == object):
+        parts = [(str(k), one) for k, one in enumerate(value)]
+    else:
+        yield name, value
+        return
+    for key, one in parts:
+        yield from _leaves(one, f"{name}.{key}" if name else key)
+
+
+def _is_capture(value: Any) -> bool:
+    """Return whether a struct is what ControlDesk exports: axes X and signals Y, each with Name and Data."""
+    if not isinstance(value, Mapping) or not {"X", "Y"} <= set(value):
+        return False
+    return all({"Name", "Data"} <= set(one) for one in (*_listed(value["X"]), *_listed(value["Y"])))
+
+
+def _capture(content: Mapping[str, Any]) -> Columns:
+    """Signals of a ControlDesk export by their names; `XIndex` counts its axes from 1."""
+    series: dict[str, FloatArray] = {}
+    units: dict[str, str] = {}
+    clocks: dict[str, str] = {}
+    axes = []
+    for axis in _listed(content["X"]):
+        axes.append(_add(axis, "time", series, units))
+    for signal in _listed(content["Y"]):
+        name = _add(signal, str(signal["Name"]), series, units)
+        index = int(signal.get("XIndex", 1)) - 1
+        clocks[name] = axes[index if 0 <= index < len(axes) else 0]
+    lengths_fit = all(len(series[name]) == len(series[clock]) for name, clock in clocks.items())
+    if not lengths_fit:
+        raise ValueError("a signal and its axis have different lengths")
+    return Columns(series, units=units, clocks=clocks if len(axes) > 1 else {})
+
+
+def _add(entry: Mapping[str, Any], name: str, series: dict[str, FloatArray], units: dict[str, str]) -> str:
+    column = unique(name, series)
+    series[column] = np.asarray(entry["Data"], dtype=np.float64).reshape(-1)
+    unit = known(str(entry.get("Unit", "")))
+    if unit:
+        units[column] = unit
+    return column
+
+
+def _listed(value: Any) -> list[Mapping[str, Any]]:
+    entries = [value] if isinstance(value, Mapping) else list(np.atleast_1d(np.asarray(value, dtype=object)))
+    return [entry for entry in entries if isinstance(entry, Mapping)]
+
+
+_UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string")
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a file is HDF5, whatever its name; a MATLAB 7.3 file is, behind a header of 512 bytes."""
+    return bool(h5py.is_hdf5(str(path)))
+
+
+def hdf5_columns(path: Path) -> Columns:
+    """Numbers of an HDF5 file, groups by dots, matrices and the fields of tables into `name.0` and `name.field`.
+
+    Raises
+    ------
+    ValueError, OSError
+        If it cannot be read.
+    """
+    if not is_hdf5(path):
+        raise ValueError("not an HDF5 file that can be read")
+    units: dict[str, str] = {}
+    with h5py.File(path, "r") as file:
+        return leaves_as_columns(_hdf5_leaves(file, "", units), units)
+
+
+def _hdf5_leaves(group: h5py.Group, prefix: str, units: dict[str, str]) -> Iterator[tuple[str, Any]]:
+    for key, item in group.items():
+        if key.startswith("#"):  # where MATLAB keeps what its cells refer to
+            continue
+        name = f"{prefix}.{key}" if prefix else str(key)
+        if isinstance(item, h5py.Group):
+            yield from _hdf5_leaves(item, name, units)
+        elif isinstance(item, h5py.Dataset):
+            yield from _dataset(item, name, units)
+
+
+def _dataset(item: h5py.Dataset, name: str, units: dict[str, str]) -> Iterator[tuple[str, Any]]:
+    """One array, or the fields of a table; texts come as texts, which are no columns."""
+    unit = known(_text(next((item.attrs[key] for key in _UNIT_KEYS if key in item.attrs), "")))
+    if item.dtype.names:
+        yield from ((f"{name}.{field}", item[field]) for field in item.dtype.names)
+    elif _text(item.attrs.get("MATLAB_class", "")) in ("char", "cell") or item.dtype.kind not in "fiub":
+        yield name, ""
+    else:
+        if unit:
+            units[name] = unit
+        array = np.asarray(item[()])
+        yield name, array
+
+
+def _text(value: Any) -> str:
+    value = value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of other graphs: every topic of numbers as columns `/topic.field`, each with its own times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, objects, read_bag, stream_bag
+from hydro_bridge.signals import FloatArray
+from hydro_diagnosis.io.columns import Columns
+from hydro_diagnosis.recording import InputError
+
+_UNITS = {"sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa")}
+"""Units of message types that define one."""
+
+
+def has_states(path: Path) -> bool:
+    """Return whether a bag holds /hydro/state.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    try:
+        next(stream_bag(path), None)
+        return True
+    except RecordingError as error:
+        try:
+            there = read_bag(path, topics=()).topics
+        except RecordingError:
+            there = {STATE_TOPIC: ""}
+        if STATE_TOPIC in there or not there:
+            raise InputError(str(error)) from None
+        return False
+
+
+def topic_columns(path: Path) -> Columns:
+    """Numbers of all topics; times are the headers' stamps, or where a type has none, when the recorder got a message.
+
+    Raises
+    ------
+    InputError
+        If the bag cannot be read.
+    """
+    try:
+        bag = read_bag(path)
+        series: dict[str, FloatArray] = {}
+        clocks: dict[str, str] = {}
+        units: dict[str, str] = {}
+        other: list[str] = []
+        unstamped = []
+        for topic, type_name in sorted(bag.topics.items()):
+            table = bag.tables.get(topic)
+            if table is not None:
+                columns = {name: np.asarray(table[name], dtype=np.float64) for name in table.dtype.names or ()}
+                stamped = not type_name.startswith("std_msgs/")
+            else:
+                columns, stamped = _columns_of_objects(path, topic)
+            if len(columns) < 2:
+                other.append(topic)
+                continue
+            if not stamped:
+                unstamped.append(topic)
+            for name, values in columns.items():
+                series[f"{topic}.{name}"] = values
+                clocks[f"{topic}.{name}"] = f"{topic}.time"
+            units[f"{topic}.time"] = "s"
+            field, unit = _UNITS.get(type_name, ("", ""))
+            if field:
+                units[f"{topic}.{field}"] = unit
+    except RecordingError as error:
+        raise InputError(str(error)) from None
+    said = "messages on {} carry no time: taken is when the recorder got them"
+    return Columns(series, {}, tuple(other), units, clocks, (said.format(", ".join(unstamped)),) if unstamped else ())
+
+
+def _columns_of_objects(path: Path, topic: str) -> tuple[dict[str, FloatArray], bool]:
+    """Columns of a type with texts, lists or parts, its numbers by name and number, and whether it is stamped."""
+    times: list[float] = []
+    rows: list[dict[str, float]] = []
+    stamped = True
+    for received, message in objects(path, topic):
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        stamped = stamped and stamp is not None
+        times.append(received if stamp is None else stamp.sec + 1e-9 * stamp.nanosec)
+        rows.append(dict(_numbers(message, "")))
+    names = [name for name in (rows[0] if rows else ()) if all(name in row for row in rows)]
+    columns = {name: np.array([row[name] for row in rows]) for name in names}
+    return {"time": np.array(times), **columns}, stamped
+
+
+def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
+    if isinstance(value, (bool, int, float, np.number)):
+        yield name, float(value)
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        for k, one in enumerate(value):
+            yield from _numbers(one, f"{name}.{k}")
+    elif hasattr(value, "__dataclass_fields__"):
+        for key in value.__dataclass_fields__:
+            if not key.startswith("_") and key not in ("header", "__msgtype__"):
+                yield from _numbers(getattr(value, key), f"{name}.{key}" if name else key)

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Data sets: recordings are read in parallel, split into fitted and held-out parts, and trimmed.
+
+Of long recordings those windows are kept that together cover most of the state space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from hashlib import sha256
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, is_bag, read_table
+from hydro_diagnosis.io.topics import has_states
+from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SHORTEST
+from hydro_diagnosis.preprocessing.streaming import (
+    WINDOW,
+    Visits,
+    read_bag_within,
+    select_informative_windows,
+    table_within,
+)
+from hydro_diagnosis.recording import MEASURED, Recording, Segment
+from hydro_diagnosis.wiring import Doubt, doubts
+from hydro_sim.model.bench import Bench
+
+LONGEST = 100.0
+"""Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
+
+
+ENOUGH = 3.0
+"""Time [s] in which the piston must move."""
+STILL_FOR = 0.25
+"""Time [s] over which motion of the piston is judged."""
+
+
+def load_dataset(
+    recordings: Sequence[str | Path],
+    holdout: Sequence[str | Path],
+    bench: Bench,
+    columns: ColumnMap | None = None,
+    doubted: list[Doubt] | None = None,
+) -> tuple[list[Segment], list[Segment], list[str]]:
+    """Return segments to fit, segments held out, and notes on their quality; `column_map`: see `read_table`.
+
+    `doubted` is told of fields whose numbers they cannot have, of each recording, also where none can be diagnosed.
+
+    Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
+
+    Raises
+    ------
+    InputError
+        If none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
+    """
+    doubted = [] if doubted is None else doubted
+    to_fit, notes = _read(recordings, bench, columns, doubted)
+    to_check, more_notes = _read(holdout, bench, columns, doubted, spare=True)
+    _refuse_twice([*to_fit, *to_check])
+    fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
+    _refuse_too_little(fitted, bench, notes)
+    fitted = _informative(fitted, "fitted", bench, quality)
+    return fitted, _informative(held, "checked on", bench, quality), quality
+
+
+def _refuse_twice(recordings: list[Recording]) -> None:
+    """Refuse copies: a sensor's noise never repeats, so recordings that share a stretch of it are copies."""
+    for (one, first), (other, second) in combinations([(one, _contents(one)) for one in recordings], 2):
+        if first & second:
+            which = (
+                f"{one.name} was given twice"
+                if one.name == other.name
+                else f"{one.name} and {other.name} hold the same"
+            )
+            raise InputError(f"{which}: what is checked on must not be fitted, and nothing counts twice")
+
+
+def _contents(recording: Recording) -> set[str]:
+    """Digests of what each sensor that moves read in each segment; in single precision, as any file has it."""
+    return {
+        f"{name} {sha256(segment.channels[name].astype(np.float32).tobytes()).hexdigest()}"
+        for segment in recording.segments
+        for name in MEASURED
+        if name in segment.channels and np.ptp(segment.channels[name]) > 0.0
+    }
+
+
+def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
+    """Refuse too little motion: a bench that trips at once shows half a second, which any hypothesis explains.
+
+    `notes`: on what was discarded.
+    """
+    moving = 0.0
+    for segment in segments:
+        if "piston_position" not in segment.channels:
+            return
+        length = max(round(STILL_FOR / segment.step), 1)
+        position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
+        moving += STILL_FOR * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
+    if moving < ENOUGH:
+        why = "; ".join([*notes, *_saturation(segments, bench)]).replace(f"; {REMEDY}", "")
+        raise UnusableRecordingError(
+            f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
+            + (f" ({why})" if why else "")
+            + f"; {REMEDY}"
+        )
+
+
+def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
+    """A note if the valve stands at its limit in more than 1 % of what is left."""
+    currents = [segment.channels["valve_current"] for segment in segments if "valve_current" in segment.channels]
+    if not currents:
+        return []
+    share = float(np.mean(np.abs(np.concatenate(currents)) >= 0.999 * bench.valve_current_max))
+    return [f"the valve current is saturated in {100.0 * share:.0f} % of what is left"] if share > 0.01 else []
+
+
+def _read(
+    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, doubted: list[Doubt], *, spare: bool = False
+) -> tuple[list[Recording], list[str]]:
+    """Recordings with information, and a note on each without.
+
+    If none does, the first reason is raised, unless another recording can take their place (`spare`).
+    """
+    looked = Parallel()(delayed(_look)(path, bench, columns) for path in paths)
+    doubted += [doubt for _, found in looked for doubt in found]
+    recordings = [one for one, _ in looked if isinstance(one, Recording)]
+    refused = [one for one, _ in looked if not isinstance(one, Recording)]
+    if refused and not recordings and not spare:
+        raise refused[0]
+    notes = [f"{error}; it was left out" for error in refused]
+    return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
+
+
+def _look(
+    path: str | Path, bench: Bench, columns: ColumnMap | None
+) -> tuple[Recording | UnusableRecordingError, list[Doubt]]:
+    path, found = Path(path), list[Doubt]()
+
+    def inspected(table: RawTable) -> RawTable:
+        found.extend(doubts(table, bench))
+        return table
+
+    try:
+        if path.exists() and is_bag(path) and has_states(path):
+            return read_bag_within(path, bench, columns, inspected), found
+        return table_within(inspected(read_table(path, columns)), bench), found
+    except UnusableRecordingError as error:
+        return error, found
+
+
+def _split(
+    fitted: list[Recording], notes: list[str], held: list[Recording], held_notes: list[str]
+) -> tuple[list[Segment], list[Segment], list[str]]:
+    """Segments to fit, segments held out, and what was noted about all."""
+    if not fitted:
+        raise InputError("no recording was given")
+    quality = [*notes, *held_notes]
+    if not held and len(fitted) > 1:
+        held = [fitted.pop()]
+        quality.append(f"{held[0].name} was held back to check on")
+    first = [segment for recording in fitted for segment in recording.segments]
+    if held:
+        return first, [segment for recording in held for segment in recording.segments], quality
+    quality.append("the last third of the only recording was held back to check on")
+    return *_parted(first), quality
+
+
+def _parted(segments: list[Segment]) -> tuple[list[Segment], list[Segment]]:
+    """The first two thirds of what a recording's segments hold, and the last."""
+    border = sum(map(len, segments)) * 2 // 3
+    first, last = [], []
+    for segment in segments:
+        cut = min(max(border, 0), len(segment))
+        border -= len(segment)
+        if cut and (len(segment) == cut or cut * segment.step >= SHORTEST):
+            first.append(segment.cut(0, cut))
+        if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= SHORTEST):
+            last.append(segment.cut(cut, len(segment)))
+    return first, last
+
+
+def _informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
+    """The most informative windows, `LONGEST` seconds at most."""
+    total = sum(len(segment) * segment.step for segment in segments)
+    if total <= LONGEST:
+        return segments
+    pieces, visits = [], Visits(bench)
+    for segment in segments:
+        length = round(WINDOW / segment.step)
+        for at in range(0, max(len(segment) - length + 1, 1), length):
+            pieces.append(segment.cut(at, at + length))
+            visits.add(pieces[-1])
+    kept = select_informative_windows(visits, int(LONGEST / WINDOW))
+    quality.append(
+        f"of {total:.0f} s the {len(kept)} windows of {WINDOW:g} s were {what} which together visit most positions, "
+        "velocities, currents and pressures"
+    )
+    return [pieces[k] for k in kept]

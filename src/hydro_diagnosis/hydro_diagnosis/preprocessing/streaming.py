@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings too long for memory: read in stretches, of which only the informative windows are kept.
+
+A bag is read twice. First every window of 10 s is rated by the states that it visits, and released; then those that
+together visit most of position and velocity, of current and pressure, and of the recording's length, are read again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_bridge.bags.recording import RecordingError, stream_bag
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArray
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.table import RawTable, mapped
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.smoothing import kinematics
+from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRecordingError
+from hydro_sim.model.bench import Bench
+
+WINDOW = 10.0
+"""Length of a window [s]."""
+
+
+_SPEEDS = np.array([-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1])
+"""Edges of the velocity bins [m/s]: finer where friction changes most."""
+
+
+_OPENINGS = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
+"""Edges of the current bins, as shares of the largest current."""
+
+
+_PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
+"""Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
+
+
+_TIMES = 10
+"""Parts of the recordings that are distinguished, so that drift is seen."""
+
+
+_THINNED = 5
+"""Stride of the samples that are counted."""
+
+
+class Visits:
+    """Residence of each window: counts over cells of position by velocity and of current by pressures."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self._cells: list[FloatArray] = []
+        self._starts: list[float] = []
+
+    def add(self, window: Segment) -> None:
+        """Count one window."""
+        channels, bench = window.channels, self._bench
+        here: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
+        there: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
+        if "piston_position" in channels:
+            position, velocity, _ = kinematics(channels["piston_position"], window.step, window.spacing)
+            here = np.digitize(position / bench.stroke, _PLACES) * 9 + np.digitize(velocity, _SPEEDS)
+        if "valve_current" in channels:
+            there = np.digitize(channels["valve_current"] / bench.valve_current_max, _OPENINGS)
+        if {"pressure_a", "pressure_b"} <= channels.keys():
+            difference = channels["pressure_a"] - channels["pressure_b"]
+            there = there + 9 * np.digitize(0.5 * (1.0 + difference / bench.supply_pressure), _PLACES)
+        counts = [np.bincount(cells[::_THINNED], minlength=9 * 16) for cells in (here, there)]
+        self._cells.append(np.concatenate(counts).astype(np.float64))
+        self._starts.append(window.start)
+
+    def counts(self) -> FloatArray:
+        """Per window: samples in each cell, last those of its part of the length, shape (windows, cells)."""
+        starts = np.array(self._starts)
+        part = np.minimum((starts / max(float(starts.max()), 1e-9) * _TIMES).astype(np.int64), _TIMES - 1)
+        cells = np.array(self._cells)
+        return np.hstack([cells, np.eye(_TIMES)[part] * cells.sum(axis=1, keepdims=True) / 2.0])
+
+
+def select_informative_windows(visits: Visits, count: int, among: Sequence[int] | None = None) -> list[int]:
+    """Select at most `count` windows, each the one that most increases the sum of the roots of all cells' counts."""
+    cells = visits.counts()
+    open_ = list(range(len(cells)) if among is None else among)
+    chosen: list[int] = []
+    held = np.zeros(cells.shape[1])
+    while open_ and len(chosen) < count:
+        gains: npt.NDArray[np.float64] = np.sqrt(held + cells[open_]).sum(axis=1)
+        chosen.append(open_.pop(int(np.argmax(gains))))
+        held += cells[chosen[-1]]
+    return sorted(chosen)
+
+
+STRETCH = 60_000
+"""Samples read at a time."""
+WHOLE = 5
+"""Largest number of stretches that are held whole."""
+FITTED, HELD = 10, 5
+"""Windows kept of the first two thirds, and of the last, which is held out where no other recording is."""
+NOTES = 5
+"""Notes on the quality of single stretches that are passed on."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some samples of a recording."""
+
+    start: float
+    """s since the start of the recording."""
+    table: RawTable
+
+
+def read_bag_within(
+    path: Path,
+    bench: Bench,
+    columns: ColumnMap | None = None,
+    inspected: Callable[[RawTable], RawTable] = lambda table: table,
+) -> Recording:
+    """Read a recording that can be diagnosed, whole if it is short, else its informative windows.
+
+    `column_map` is applied to its fields (`table.mapped`); `inspected` sees its first stretches.
+
+    Raises
+    ------
+    InputError
+        In one sentence that names the path.
+    """
+    try:
+        stretches = _stretches(path, columns)
+        head = list(islice(stretches, WHOLE + 1))
+        if len(head) <= WHOLE:
+            return checked(inspected(_joined(path, head)), bench)
+        first = head[0].table
+        inspected(first)
+        del head, stretches, first
+        return _telling(path.name, bench, lambda: _stretches(path, columns))
+    except RecordingError as error:
+        raise InputError(str(error)) from None
+
+
+def table_within(table: RawTable, bench: Bench) -> Recording:
+    """As `read_bag_within`, for a table that is held in memory: what is checked and kept of it stays small.
+
+    Raises
+    ------
+    InputError
+        In one sentence that names the recording.
+    """
+    steps = np.diff(table.time)
+    step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else SAMPLE_PERIOD
+    rows = max(round(STRETCH * SAMPLE_PERIOD / step), STRETCH)
+    if len(table.time) <= WHOLE * rows:
+        return checked(table, bench)
+    return _telling(table.name, bench, lambda: _slices(table, rows))
+
+
+def _slices(table: RawTable, rows: int) -> Iterator[Stretch]:
+    """Views of a table, `STRETCH` rows each; its notes come with the first."""
+    for begin in range(0, len(table.time), rows):
+        part = slice(begin, begin + rows)
+        columns = {name: values[part] for name, values in table.columns.items()}
+        sample = None if table.sample is None else table.sample[part]
+        notes = table.notes if begin == 0 else ()
+        start = float(table.time[begin] - table.time[0])
+        yield Stretch(start, RawTable(table.name, table.time[part], sample, columns, notes))
+
+
+def _stretches(path: Path, columns: ColumnMap | None) -> Iterator[Stretch]:
+    """The recording in stretches; samples are numbered on from one to the next."""
+    first = last = number = None
+    for states in _pieces(path):
+        first = float(states["time"][0]) if first is None else first
+        counter = states["sequence"] if last is None else np.concatenate([last, states["sequence"]])
+        steps = np.diff(counter).view(np.int32).astype(np.float64)
+        samples = np.concatenate([[0.0], np.cumsum(steps)]) if number is None else number + np.cumsum(steps)
+        number, last = float(samples[-1]), states["sequence"][-1:].copy()
+        fields = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
+        table = RawTable(path.name, states["time"].copy(), samples, fields)
+        turned = table if columns is None else mapped(path, table, columns)
+        yield Stretch(float(states["time"][0]) - first, turned)
+
+
+def _pieces(path: Path) -> Iterator[StateArray]:
+    """`STRETCH` samples at a time; what is left comes last."""
+    parts: list[StateArray] = []
+    for block in stream_bag(path):
+        parts.append(block)
+        while sum(map(len, parts)) >= STRETCH:
+            states = np.concatenate(parts)
+            parts = [states[STRETCH:].copy()]
+            yield states[:STRETCH]
+    if any(map(len, parts)):
+        yield np.concatenate(parts)
+
+
+def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
+    if not stretches:
+        raise InputError(f"{path}: the recording is empty")
+    tables = [one.table for one in stretches]
+    columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
+    numbers = [table.sample for table in tables if table.sample is not None]
+    samples = np.concatenate(numbers) if len(numbers) == len(tables) else None
+    time = np.concatenate([table.time for table in tables])
+    return RawTable(path.name, time, samples, columns, tables[0].notes)
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Position of a window: its stretch, the segment in that, and the first sample."""
+
+    stretch: int
+    segment: int
+    begin: int
+    start: float
+    """s since the start of the recording."""
+
+
+def _surveyed(stretches: Iterator[Stretch], bench: Bench) -> tuple[list[_Window], Visits, list[str], float]:
+    """Every window with the states that it visits, notes, and the recording's length [s]; the samples are released."""
+    windows, visits, notes, reasons, idle, end = [], Visits(bench), [], [], 0, 0.0
+    for number, stretch in enumerate(stretches):
+        end = stretch.start + float(stretch.table.time[-1] - stretch.table.time[0])
+        try:
+            recording = checked(stretch.table, bench)
+        except UnusableRecordingError as error:
+            idle += 1
+            reasons.append(error)
+            continue
+        notes += [f"{note} (from {stretch.start:.0f} s on)" for note in recording.quality]
+        for index, segment in enumerate(recording.segments):
+            for begin, window in _cut(segment):
+                windows.append(_Window(number, index, begin, stretch.start + window.start))
+                visits.add(window)
+    if not windows:
+        raise reasons[0] if reasons else UnusableRecordingError("no window of the recording is long enough")
+    more = [f"{len(notes) - NOTES} more notes of this kind"] if len(notes) > NOTES else []
+    idled = [f"{idle} stretches of {STRETCH * 1e-3:.0f} s show nothing: {reasons[0]}"] if idle else []
+    return windows, visits, [*notes[:NOTES], *more, *idled], end
+
+
+def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
+    length = round(WINDOW / segment.step)
+    for begin in range(0, len(segment) - length + 1, length):
+        yield begin, segment.cut(begin, begin + length)
+
+
+def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
+    """The informative windows, found in a first pass and read again in a second."""
+    windows, visits, notes, seconds = _surveyed(stretches(), bench)
+    early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
+    late = [k for k in range(len(windows)) if k not in set(early)]
+    chosen = {*select_informative_windows(visits, FITTED, early), *select_informative_windows(visits, HELD, late)}
+    by_stretch: dict[int, list[_Window]] = {}
+    for k in sorted(chosen):
+        by_stretch.setdefault(windows[k].stretch, []).append(windows[k])
+    segments = []
+    for number, stretch in enumerate(stretches()):
+        found = checked(stretch.table, bench).segments if number in by_stretch else ()
+        for window in by_stretch.get(number, []):
+            segment = found[window.segment]
+            kept = segment.cut(window.begin, window.begin + round(WINDOW / segment.step))
+            channels = {name: values.copy() for name, values in kept.channels.items()}
+            segments.append(replace(kept, start=window.start, channels=channels))
+    notes.append(
+        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
+        "positions, velocities, currents and pressures; no other sample was judged"
+    )
+    return Recording(recording, tuple(segments), tuple(notes))

@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Held-out validation: the corrected model is simulated on recordings to which no parameter was fitted.
+
+Windows of 70 ms are simulated from the recorded valve current. Their four initial states are estimated from the
+window itself (multiple shooting): an encoder's step is finer than any estimate of the state before it could be. The
+free run, half a second, starts from the recording's smoothed state and is not touched again. Windows that the model
+itself cannot predict are listed and left out of the error that counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.findings import ChannelError, channel_errors
+from hydro_diagnosis.model.memory import Indices
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
+
+STANDS_OUT = 2.0
+"""Error of a window from which it is examined [noise floors, root mean square over channels]."""
+OF_THE_ERROR = 0.5
+"""Share of a window's error that the scatter of the model's own outcomes must reach."""
+UNSTEADY = 3.0
+"""Multiple of the median over the windows that it must reach, too: some scatter goes with the search for the start."""
+MOST = 0.25
+"""Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
+DRAWS = 8
+"""Starts per window."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of a held-out recording."""
+
+    recording: str
+    start: float
+    """s since the start of the recording."""
+
+
+def unpredictable(
+    plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float], apart: dict[str, FloatArray]
+) -> npt.NDArray[np.bool_]:
+    """Return whether the uncertainty of its start explains each window's error, shape (windows,).
+
+    `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
+    """
+    error = _size(apart, noise)
+    if not np.any(error > STANDS_OUT):
+        return np.zeros(len(begins), dtype=bool)
+    scatter = _scatter(plant, state, begins, length, noise)
+    enough = np.maximum(OF_THE_ERROR * error, UNSTEADY * np.nanmedian(scatter))
+    return np.asarray((error > STANDS_OUT) & (scatter >= enough))
+
+
+def _scatter(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
+    """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
+    moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * _doubt(plant, noise)[:, None]
+    starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
+    shown = plant.measurements(plant.run(starts, begins, length), begins)
+    each = {name: one.reshape(length, DRAWS + 1, len(begins)) for name, one in shown.items()}
+    return _size({name: (one[:, 1:] - one[:, :1]).reshape(-1, len(begins)) for name, one in each.items()}, noise)
+
+
+def _doubt(plant: Plant, noise: dict[str, float]) -> FloatArray:
+    """Standard deviation [m, m/s, Pa, Pa] of a state as the sensors give it at one instant, smoothed."""
+    position, step = noise.get("piston_position", 0.0), plant.model.step * plant.model.spacing
+    pressures = (TOTAL_NOISE_GAIN * noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
+    return np.array([POSITION_NOISE_GAIN * position, VELOCITY_NOISE_GAIN * position / step, *pressures])
+
+
+def _size(apart: dict[str, FloatArray], noise: dict[str, float]) -> FloatArray:
+    """Root mean square per window over time and channels, noise floors."""
+    squares = [np.mean(np.square(one / noise[name]), axis=0) for name, one in apart.items() if noise.get(name, 0.0)]
+    return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+
+
+HORIZON = 0.07
+"""Length of a window [s]."""
+FREE_RUN = 0.5
+"""Length of the free run [s]."""
+WINDOWS = 48
+"""Windows per horizon, spread evenly over the held-out recordings."""
+SHOTS = 6
+"""Steps of the search for a window's initial state."""
+SETTLED = 0.995
+"""Ratio of squared errors below which a window is given another step."""
+_TRIED = tuple(1e3 * sign * size for size in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
+"""Offsets [Pa] of pressure A that are tried."""
+_STATE_SCALE = np.array([1e-6, 1e-4, 1e3, 1e3])
+"""Steps of the finite differences in the state [m, m/s, Pa, Pa]."""
+_START_DOUBT = np.array([5e-6, 5e-3, 5e4, 5e4])
+"""Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Errors of two claim sets over the same windows."""
+
+    channels: dict[str, ChannelError]
+    windows: int
+    left_out: tuple[Window, ...]
+    """Windows that the second claim set cannot predict itself: not in `rmse_before` and `rmse_after`."""
+
+
+Simulated = tuple[FloatArray, dict[str, FloatArray]]
+"""States in which windows begin, shape (4, windows), and reading minus recording by channel, shape (rows, windows)."""
+Known = dict[tuple[Any, ...], Simulated]
+"""By recording, horizon and claims: what has been simulated already."""
+
+
+def errors(
+    plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
+) -> dict[str, FloatArray]:
+    """Reading minus recording, by channel, shape (recorded rows, windows)."""
+    return _simulated(plant, begins, length, noise, shooting=shooting)[1]
+
+
+def _simulated(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> Simulated:
+    state = begun(plant, begins, length, noise, shooting=shooting)
+    return state, _apart(plant, plant.run(state, begins, length), begins)
+
+
+def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> FloatArray:
+    """Initial states of windows, shape (4, windows)."""
+    state = plant.start(begins)
+    return _shoot(plant, state, begins, length, noise) if shooting else state
+
+
+def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
+    lanes = np.tile(begins, states.shape[2] // len(begins))
+    at = lanes[None, :] + np.arange(states.shape[0])[:, None]
+    apart = {name: shown - plant.channels[name][at] for name, shown in plant.measurements(states, begins).items()}
+    return {name: one[:: plant.model.spacing] for name, one in apart.items()}
+
+
+def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
+    """Initial states by least squares per window, near the recording's smoothed state as far as that is known.
+
+    Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
+    several forces are tried first, a step that makes it worse is halved, and the best state is kept.
+    """
+    aim = _Aim(plant, state.copy(), begins, length, noise)
+    if plant.sticks:
+        tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _TRIED]
+        costs = np.sum(np.square(aim.misses(np.concatenate(tries, axis=1))), axis=0)
+        first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
+        state = np.stack(tries)[first, :, np.arange(len(begins))].T
+    best, cost = state.copy(), np.full(len(begins), np.inf)
+    for _ in range(SHOTS):
+        moved = [state] + [state + _STATE_SCALE[:, None] * (np.arange(4) == j)[:, None] for j in range(4)]
+        misses = aim.misses(np.concatenate(moved, axis=1))
+        reached = np.sum(np.square(misses[:, 0]), axis=0)
+        gained = reached < cost
+        if not np.any(reached < SETTLED * cost):
+            break
+        best[:, gained], cost[gained] = state[:, gained], reached[gained]
+        state = 0.5 * (state + best)
+        for w in np.flatnonzero(gained):
+            slopes = misses[:, 1:, w] - misses[:, :1, w]
+            if np.all(np.isfinite(slopes)):
+                state[:, w] -= _STATE_SCALE * np.linalg.lstsq(slopes, misses[:, 0, w], rcond=1e-10)[0]
+    reached = np.sum(np.square(aim.misses(state)[:, 0]), axis=0)
+    return np.where(reached < cost, state, best)
+
+
+@dataclass(frozen=True)
+class _Aim:
+    """Target of the initial states."""
+
+    plant: Plant
+    recorded: FloatArray
+    begins: Indices
+    length: int
+    noise: dict[str, float]
+
+    def misses(self, states: FloatArray) -> FloatArray:
+        """Readings and initial state against the recording, in units of their doubt, shape (n, variants, windows)."""
+        apart = _apart(self.plant, self.plant.run(states, self.begins, self.length), self.begins)
+        parts = [apart[name] / self.noise[name] for name in apart if self.noise.get(name, 0.0) > 0.0]
+        variants = states.shape[1] // len(self.begins)
+        parts.append((states - np.tile(self.recorded, variants)) / _START_DOUBT[:, None])
+        stacked = np.concatenate(parts)
+        return stacked.reshape(len(stacked), variants, len(self.begins))
+
+
+def compare(
+    models: Sequence[SegmentModel], before: Sequence[Claim], after: Sequence[Claim], noise: dict[str, float], *,
+    seconds: float, windows: int, shooting: bool, known: Known | None = None,
+) -> Comparison:  # fmt: skip
+    """Errors of both claim sets over the same windows of held-out recordings; `known` is read and added to."""
+    seen: list[_Seen] = []
+    known = {} if known is None else known
+    each = max(windows // len(models), 1)
+    for number, model in enumerate(models):
+        length = round(seconds / model.step)
+        if len(model.segment) < model.settle + length + 50:
+            continue
+        begins = np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64)
+        begins = np.unique(begins - (begins - model.segment.phase) % model.spacing)
+        with np.errstate(all="ignore"):
+            found: list[Simulated] = []
+            for claims in (before, after):
+                plant, key = Plant.of(model, claims), (number, seconds, shooting, *_written(claims))
+                if key not in known:
+                    known[key] = _simulated(plant, begins, length, noise, shooting=shooting)
+                found.append(known[key])
+            (_, old), (state, new) = found
+            none = np.zeros(len(begins), dtype=bool)
+            left_out = unpredictable(plant, state, begins, length, noise, new) if shooting else none
+        seen.append(_Seen(model, begins, old, new, left_out))
+    count, out = sum(len(one.begins) for one in seen), sum(int(np.sum(one.left_out)) for one in seen)
+    if out > MOST * count:
+        seen = [replace(one, left_out=np.zeros_like(one.left_out)) for one in seen]
+    names = dict.fromkeys(name for one in seen for name in one.before)
+    channels = {name: _channel(name, [one for one in seen if name in one.before], noise) for name in names}
+    return Comparison(channels, count, tuple(window for one in seen for window in one.windows()))
+
+
+def _written(claims: Sequence[Claim]) -> tuple[Any, ...]:
+    return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A recording's windows, and reading minus recording in them, by channel, shape (recorded rows, windows)."""
+
+    model: SegmentModel
+    begins: Indices
+    before: dict[str, FloatArray]
+    after: dict[str, FloatArray]
+    left_out: npt.NDArray[np.bool_]
+
+    def windows(self) -> list[Window]:
+        """Those that are left out."""
+        segment = self.model.segment
+        starts = segment.start + segment.step * self.begins[self.left_out]
+        return [Window(segment.recording, round(float(start), 6)) for start in starts]
+
+
+def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> ChannelError:
+    before, after = [one.before[name] for one in seen], [one.after[name] for one in seen]
+    kept = [~one.left_out for one in seen]
+    return ChannelError(
+        unit=_UNITS[name],
+        rmse_before=_rms([part[:, keep] for part, keep in zip(before, kept, strict=True)]),
+        rmse_after=_rms([part[:, keep] for part, keep in zip(after, kept, strict=True)]),
+        noise_floor=noise.get(name, 0.0),
+        rmse_before_all=_rms(before),
+        rmse_after_all=_rms(after),
+    )
+
+
+def _rms(parts: list[FloatArray]) -> float:
+    with np.errstate(over="ignore"):  # a model that runs away
+        mean = float(np.mean(np.square(np.concatenate([part.ravel() for part in parts]))))
+    return float(np.sqrt(mean)) if np.isfinite(mean) else float("inf")
+
+
+_UNITS = {"hydraulic_force": "N", "load_force": "N", "pressure_a": "Pa", "pressure_b": "Pa", "piston_position": "m"}
+
+
+_SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
+"""Channels without which nothing can be simulated."""
+_MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hydraulic_force"}
+_EQUATION_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
+
+
+@dataclass(frozen=True)
+class EquationError:
+    """Weighted root mean square of one equation's residual, each residual weighted as in the fit."""
+
+    unit: str
+    rmse_before: float
+    rmse_after: float
+    noise_floor: float
+    signal: float
+    """Root mean square of the measured signal that the equation explains."""
+
+
+def held_out(
+    problem: Problem,
+    unseen: Problem,
+    claims: Sequence[Claim],
+    models: Sequence[SegmentModel],
+    known: Known | None = None,
+) -> dict[str, Any]:
+    """Errors of the baseline and of the corrected model as they stand in report.json under `fit`.
+
+    `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`. `known`:
+    what has been simulated of them already, added to.
+    """
+    equations = equations_told(unseen, claims)
+    if not models or not all(model.channels.keys() >= _SIMULATED for model in models) or MOTION not in problem.blocks:
+        why = "a forward simulation needs current, position and both pressures, and the moving mass"
+        return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
+    before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
+    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True, known=known)
+    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, known=known)
+    return {
+        "holdout": channel_errors(horizon.channels),
+        "horizon_s": HORIZON,
+        "unpredictable": _unpredictable(horizon),
+        "free_run": {"seconds": FREE_RUN, **channel_errors(free.channels)},
+        "equations": equations,
+    }
+
+
+def equations_told(unseen: Problem, claims: Sequence[Claim]) -> dict[str, Any]:
+    """`equation_errors` as they stand in report.json under `fit.equations`."""
+    return {name: asdict(error) for name, error in equation_errors(unseen, claims).items()}
+
+
+def _unpredictable(horizon: Comparison) -> dict[str, Any]:
+    """Windows that the corrected model itself cannot predict, and why in a sentence."""
+    left_out = [{"recording": window.recording, "start": window.start} for window in horizon.left_out]
+    why = (
+        f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
+        "cannot tell apart the model comes to outcomes as far from one another as from the recording (the piston "
+        "sticks or breaks loose). They are left out of the errors over 70 ms."
+    )
+    return {"windows": horizon.windows, "count": len(left_out), "left_out": left_out, "why": why if left_out else ""}
+
+
+def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, EquationError]:
+    """Errors on the recordings of `problem`, by channel of residuals, before and after the claims are added.
+
+    Weighted like the fit that the verdict rests on, by the inverse square of each residual's deviation under the
+    problem's doubt: where dry friction reverses, its sign is not known, and its level would stand
+    in every figure. `before` and `after` have the same weights.
+    """
+    before, after = problem.residual(()), problem.residual(claims)
+    return {
+        name: EquationError(
+            unit=_EQUATION_UNITS[name],
+            rmse_before=_weighted(problem, name, before),
+            rmse_after=_weighted(problem, name, after),
+            noise_floor=problem.noise[name],
+            signal=_signal(problem, name),
+        )
+        for name in (CHANNELS[index] for index in np.unique(problem.layout.channel))
+    }
+
+
+def _weighted(problem: Problem, name: str, residual: FloatArray) -> float:
+    """Root of the weighted mean square of a channel's residuals, physical unit; `residual` is over its deviations."""
+    layout = problem.layout
+    squares = weights = 0.0
+    for k in range(len(problem.models)):
+        own = residual[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)]
+        squares += float(np.sum(np.square(own)))
+        weights += float(np.sum(np.broadcast_to(np.square(1.0 / problem.deviation(name, k)), own.shape)))
+    return float(np.sqrt(squares / weights))
+
+
+def _signal(problem: Problem, name: str) -> float:
+    measured = _MEASURED.get(name, name)
+    parts = [model.smooth(model.channels[measured]) for model in problem.models if measured in model.channels]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(parts))))) if parts else float("nan")

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Possible mistakes in wiring, naming and scaling of channels, and the column map that corrects each.
+
+Channels are doubted that cannot hold what they are named: numbers far beyond the bench's, another sensor's noise, a
+velocity. Which of the repairs is right the evidence tells (`stages.hypotheses`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray
+from hydro_diagnosis.bench_numbers import UnknownNumberError, guarded
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.columns import QUANTITY, UNITS
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.recording import MEASURED
+from hydro_sim.model.bench import Bench
+
+Channels = Mapping[str, FloatArray]
+"""By BenchState field, SI units, equally spaced, each of shape (n,)."""
+
+
+@dataclass(frozen=True)
+class Repair:
+    """One mistake of one field and how to undo it."""
+
+    field: str
+    sentence: str
+    """Description of the mistake."""
+
+    def apply(self, channels: Channels, step: float) -> Channels:
+        """The channels as they would be without the mistake; `step` is the sampling time in s."""
+        raise NotImplementedError
+
+    def edit(self, columns: ColumnMap) -> ColumnMap:
+        """The map without the mistake."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Scale(Repair):
+    """A wrong sign, unit or count: the field is `factor` times what was read, plus `offset` in SI units."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    """The unit in which it was recorded, where it is one."""
+
+    def apply(self, channels: Channels, step: float) -> Channels:
+        """See `Repair`."""
+        return {**channels, self.field: self.factor * channels[self.field] + self.offset}
+
+    def edit(self, columns: ColumnMap) -> ColumnMap:
+        """See `Repair`."""
+        source = columns.sources[self.field]
+        si = UNITS.get(source.unit, 1.0)
+        if self.unit and QUANTITY.get(source.unit or self.unit) == QUANTITY[self.unit] and not self.offset:
+            return columns.changed(self.field, replace(source, unit=self.unit))
+        steps = list(source.steps)
+        if self.factor != 1.0:
+            steps.append(("*", self.factor))
+        if self.offset:
+            steps.append(("+" if self.offset > 0.0 else "-", abs(self.offset) / si))
+        return columns.changed(self.field, replace(source, steps=tuple(steps)))
+
+
+@dataclass(frozen=True)
+class Exchange(Repair):
+    """Two fields whose columns were exchanged."""
+
+    other: str = ""
+
+    def apply(self, channels: Channels, step: float) -> Channels:
+        """See `Repair`."""
+        return {**channels, self.field: channels[self.other], self.other: channels[self.field]}
+
+    def edit(self, columns: ColumnMap) -> ColumnMap:
+        """See `Repair`."""
+        here, there = columns.sources[self.field], columns.sources[self.other]
+        return columns.changed(self.field, there).changed(self.other, here)
+
+
+@dataclass(frozen=True)
+class Advance(Repair):
+    """A field that was recorded late (or early, if negative)."""
+
+    delay: float = 0.0
+    """s."""
+
+    def apply(self, channels: Channels, step: float) -> Channels:
+        """See `Repair`."""
+        at = np.arange(len(channels[self.field]), dtype=np.float64)
+        return {**channels, self.field: np.interp(at + self.delay / step, at, channels[self.field])}
+
+    def edit(self, columns: ColumnMap) -> ColumnMap:
+        """See `Repair`."""
+        source = columns.sources[self.field]
+        return columns.changed(self.field, replace(source, delay=source.delay + self.delay))
+
+
+@dataclass(frozen=True)
+class Rename(Repair):
+    """A column that holds another field than it was taken for, or none: `becomes` is then empty."""
+
+    becomes: str = ""
+
+    def apply(self, channels: Channels, step: float) -> Channels:
+        """See `Repair`."""
+        others = {name: values for name, values in channels.items() if name != self.field}
+        return {**others, self.becomes: channels[self.field]} if self.becomes else others
+
+    def edit(self, columns: ColumnMap) -> ColumnMap:
+        """See `Repair`."""
+        source = columns.sources[self.field]
+        without = columns.changed(self.field, None)
+        return without.changed(self.becomes, source) if self.becomes else without
+
+
+def reversed_sign(field: str) -> Scale:
+    """A field with the wrong sign."""
+    return Scale(field, f"{field} has the wrong sign", factor=-1.0)
+
+
+def in_unit(field: str, unit: str) -> Scale:
+    """A field that is not in the SI unit."""
+    return Scale(field, f"{field} is in {unit}", factor=UNITS[unit], unit=unit)
+
+
+LOOKED_AT = 200_000
+"""Number of samples examined, from the first."""
+PRESSURES = (0.05, 3.0)
+"""Range of the highest pressure, over that of the supply, that a bench can have."""
+BEYOND = 1.5
+"""Multiple of the stroke or largest current above which a number is in another unit."""
+MARGIN = 0.01
+"""Share of the stroke by which a position may lie outside of it."""
+SIZE = 3.0
+"""Times by which the spring's force may differ from the bench file's."""
+TOGETHER = 0.9
+"""Correlation above which a slope is one."""
+MEAN = 10
+"""Samples over which channels are averaged before they are compared."""
+
+Doubt = tuple[Repair, ...]
+"""Repairs of one field, one of which is needed, the likeliest first."""
+
+
+def doubts(table: RawTable, bench: Bench) -> list[Doubt]:
+    """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
+    channels = _whole({name: values[:LOOKED_AT] for name, values in table.columns.items()})
+    checks = (_copies(channels), _pressures(channels, bench), _position(channels, bench), _current(channels, bench))
+    return list(chain.from_iterable(_as_far_as_known(check) for check in checks))
+
+
+def _whole(columns: Channels) -> Channels:
+    """The rows that are numbers in all channels that mostly are."""
+    kept = {name: values for name, values in columns.items() if np.isfinite(values).sum() > 0.5 * len(values)}
+    rows = np.all([np.isfinite(values) for values in kept.values()], axis=0)
+    return {name: values[rows] for name, values in kept.items() if np.any(rows)}
+
+
+def _as_far_as_known(found: Iterator[Doubt]) -> Iterator[Doubt]:
+    with suppress(UnknownNumberError):
+        yield from (doubt for doubt in found if doubt)
+
+
+def _copies(channels: Channels) -> Iterator[Doubt]:
+    """Two sensors never have the same noise."""
+    sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
+    for one, other in combinations(sensors, 2):
+        if _line(channels[one], channels[other], 1)[1] < 1e-12:
+            pairs = [(other, one), (one, other)]
+            if one == "pressure_a" and _line(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0:
+                pairs.reverse()  # it falls as the force grows
+            yield tuple(
+                Rename(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out")
+                for wrong, right in pairs
+            )
+
+
+def _pressures(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+    supply = guarded(bench).supply_pressure
+    for name in ("pressure_a", "pressure_b"):
+        if name not in channels:
+            continue
+        share = float(np.quantile(channels[name], 0.99)) / supply
+        alive = float(np.quantile(channels[name], 0.05)) > -0.02 * share * supply
+        if alive and not PRESSURES[0] < share < PRESSURES[1]:
+            units = [in_unit(name, unit) for unit in ("bar", "kPa", "MPa", "psi", "hPa")]
+            fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
+            fitting.sort(key=lambda one: abs(float(np.log(one.factor * share / 0.6))))
+            yield tuple(fitting)
+
+
+def _position(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+    """The piston stays within the stroke, which begins at 0."""
+    if "piston_position" not in channels:
+        return
+    position, stroke = channels["piston_position"], guarded(bench).stroke
+    low, high = float(position.min()) / stroke, float(position.max()) / stroke
+    if low >= -MARGIN and high <= 1.0 + MARGIN:
+        return
+    factor, offset = _by_spring(channels, bench)
+    velocity = Rename("piston_position", "piston_position is the velocity", becomes="piston_velocity")
+    if max(-low, high) > BEYOND:
+        yield (velocity, *_lengths(factor, max(-low, high)))
+        return
+    zero = offset if factor else 0.5 * stroke - 0.5 * float(position.min() + position.max())
+    sign = -1.0 if factor < 0.0 else 1.0
+    judged = "the spring's force" if factor else "the middle of what it travels"
+    which = " and the wrong sign" if sign < 0.0 else ""
+    said = f"piston_position has its zero elsewhere{which} (judged by {judged}: write what was measured)"
+    yield velocity, Scale("piston_position", said, factor=sign, offset=float(f"{zero:.3g}"))
+
+
+def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
+    """Factor and offset [m] by which the position would compress the spring as the load's force says; else 0, 0."""
+    if "load_force" not in channels:
+        return 0.0, 0.0
+    known = guarded(bench)
+    slope, left = _line(channels["piston_position"], channels["load_force"])
+    if left > 1.0 - TOGETHER**2:
+        return 0.0, 0.0
+    factor = slope / known.spring_stiffness
+    rest = float(np.median(channels["load_force"] / known.spring_stiffness - factor * channels["piston_position"]))
+    return factor, known.spring_rest_position + rest
+
+
+def _lengths(factor: float, share: float) -> Iterator[Scale]:
+    """Units in which the position would lie in the stroke and go with the spring; else the size of one count."""
+    units = [in_unit("piston_position", unit) for unit in ("mm", "cm", "um", "in")]
+    for one in units:
+        if one.factor * share < 1.0 + MARGIN and (not factor or 1.0 / SIZE < abs(factor) / one.factor < SIZE):
+            yield one
+    if factor:
+        size = float(f"{abs(factor):.2g}")
+        yield Scale(
+            "piston_position",
+            f"piston_position is in counts of about {size:.2g} m (judged by the spring: write the encoder's own)",
+            factor=size,
+        )
+
+
+def _current(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+    if "valve_current" not in channels:
+        return
+    largest, limit = float(np.max(np.abs(channels["valve_current"]))), guarded(bench).valve_current_max
+    if largest > BEYOND * limit:
+        scales = (
+            in_unit("valve_current", "mA"),
+            Scale("valve_current", f"valve_current is in per cent of {limit:g} A", factor=limit / 100.0),
+            Scale("valve_current", f"valve_current is in volts, 10 V for {limit:g} A", factor=limit / 10.0),
+            Scale("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),
+        )
+        yield tuple(one for one in scales if one.factor * largest <= BEYOND * limit)
+
+
+def _line(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
+    """Least-squares slope of means over so many samples, and the share of the variance that it leaves; else 0, 1."""
+    count = len(on) // samples * samples
+    one, other = (values[:count].reshape(-1, samples).mean(axis=1) for values in (on, dependent))
+    one, other = one - one.mean(), other - other.mean()
+    size, power = float(one @ one), float(other @ other)
+    if not size * power > 0.0:
+        return 0.0, 1.0
+    slope = float(one @ other) / size
+    return slope, float(np.sum(np.square(other - slope * one))) / power
