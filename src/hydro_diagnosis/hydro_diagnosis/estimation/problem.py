@@ -284,7 +284,7 @@ class Problem:
         """The same problem from half of the rows where rows are missing; None where none are."""
         self.equations = EquationResiduals(self.models, self.blocks, self.baseline)
         self.columns = self.equations.columns
-        """Responses to terms that add, and derivatives of the residual (`fit.jacobian`), as computed."""
+        """Cached responses to additive terms, and derivatives of the residual (`fit.jacobian`)."""
         self.weights = self._weights(())
         self.layout = Layout.of(self.blocks, self.models)
         moves = MOTION in self.blocks
