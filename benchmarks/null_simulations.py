@@ -30,7 +30,7 @@ from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_diagnosis.blind_benchmark.blind import engine
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design import rehearsal
+from hydro_diagnosis.experiment_design import simulated_recording
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.outcome import SearchSettings
 from hydro_diagnosis.selection.search import Search
@@ -76,7 +76,7 @@ def trial(bench: Bench, seed: int) -> Trial:
             frequency=float(rng.uniform(0.4, 1.0)),
         )
         gains = float(rng.uniform(30.0, 90.0)), float(rng.uniform(5.0, 15.0))
-        recording = rehearsal(bench, reference, gains=gains, seconds=20.0, noise=noise, seed=seed * 10 + k)
+        recording = simulated_recording(bench, reference, gains=gains, seconds=20.0, noise=noise, seed=seed * 10 + k)
         segments += recording.segments
     settings = SearchSettings(threshold=-1e3, most=1)
     with threadpool_limits(1, "blas"):

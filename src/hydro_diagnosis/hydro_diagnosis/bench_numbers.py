@@ -253,6 +253,6 @@ def applies(effect: Effect, bench: Bench) -> bool:
     return True
 
 
-def rehearsable(bench: Bench) -> bool:
+def can_simulate(bench: Bench) -> bool:
     """Return whether a run of the bench can be simulated: all numbers are known, and it has a spring."""
     return not isinstance(bench, PartialBench) or (not bench.unknown and has_spring(bench))

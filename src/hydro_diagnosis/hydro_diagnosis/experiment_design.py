@@ -36,7 +36,7 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 
-def rehearsal(
+def simulated_recording(
     bench: Bench,
     reference: ReferenceSignal,
     *,
@@ -108,7 +108,7 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
 def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
     """BIC by which `PROPOSED` seconds of a reference would tell a fit from a rival to it."""
     try:
-        recording = rehearsal(problem.bench, reference, seconds=SECONDS)
+        recording = simulated_recording(problem.bench, reference, seconds=SECONDS)
     except InputError:
         return 0.0
     rehearsed = Problem(recording.segments, problem.bench, problem.baseline)

@@ -62,14 +62,14 @@ def unpredictable(
 
 def _scatter(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
     """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
-    moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * _doubt(plant, noise)[:, None]
+    moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * _state_uncertainty(plant, noise)[:, None]
     starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
     shown = plant.measurements(plant.run(starts, begins, length), begins)
     each = {name: one.reshape(length, DRAWS + 1, len(begins)) for name, one in shown.items()}
     return _size({name: (one[:, 1:] - one[:, :1]).reshape(-1, len(begins)) for name, one in each.items()}, noise)
 
 
-def _doubt(plant: Plant, noise: dict[str, float]) -> FloatArray:
+def _state_uncertainty(plant: Plant, noise: dict[str, float]) -> FloatArray:
     """Standard deviation [m, m/s, Pa, Pa] of a state as the sensors give it at one instant, smoothed."""
     position, step = noise.get("piston_position", 0.0), plant.model.step * plant.model.spacing
     pressures = (TOTAL_NOISE_GAIN * noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
@@ -96,7 +96,7 @@ _TRIED = tuple(1e3 * sign * size for size in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0
 """Offsets [Pa] of pressure A that are tried."""
 _STATE_SCALE = np.array([1e-6, 1e-4, 1e3, 1e3])
 """Steps of the finite differences in the state [m, m/s, Pa, Pa]."""
-_START_DOUBT = np.array([5e-6, 5e-3, 5e4, 5e4])
+_START_UNCERTAINTY = np.array([5e-6, 5e-3, 5e4, 5e4])
 """Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
 
 
@@ -124,17 +124,19 @@ def errors(
 
 
 def _simulated(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> Simulated:
-    state = begun(plant, begins, length, noise, shooting=shooting)
-    return state, _apart(plant, plant.run(state, begins, length), begins)
+    state = initial_states(plant, begins, length, noise, shooting=shooting)
+    return state, _deviations(plant, plant.run(state, begins, length), begins)
 
 
-def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> FloatArray:
+def initial_states(
+    plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
+) -> FloatArray:
     """Initial states of windows, shape (4, windows)."""
     state = plant.start(begins)
     return _shoot(plant, state, begins, length, noise) if shooting else state
 
 
-def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
+def _deviations(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
     lanes = np.tile(begins, states.shape[2] // len(begins))
     at = lanes[None, :] + np.arange(states.shape[0])[:, None]
     apart = {name: shown - plant.channels[name][at] for name, shown in plant.measurements(states, begins).items()}
@@ -147,7 +149,7 @@ def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise:
     Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
     several forces are tried first, a step that makes it worse is halved, and the best state is kept.
     """
-    aim = _Aim(plant, state.copy(), begins, length, noise)
+    aim = _ShootingTarget(plant, state.copy(), begins, length, noise)
     if plant.sticks:
         tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _TRIED]
         costs = np.sum(np.square(aim.misses(np.concatenate(tries, axis=1))), axis=0)
@@ -172,7 +174,7 @@ def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise:
 
 
 @dataclass(frozen=True)
-class _Aim:
+class _ShootingTarget:
     """Target of the initial states."""
 
     plant: Plant
@@ -183,10 +185,10 @@ class _Aim:
 
     def misses(self, states: FloatArray) -> FloatArray:
         """Readings and initial state against the recording, in units of their doubt, shape (n, variants, windows)."""
-        apart = _apart(self.plant, self.plant.run(states, self.begins, self.length), self.begins)
+        apart = _deviations(self.plant, self.plant.run(states, self.begins, self.length), self.begins)
         parts = [apart[name] / self.noise[name] for name in apart if self.noise.get(name, 0.0) > 0.0]
         variants = states.shape[1] // len(self.begins)
-        parts.append((states - np.tile(self.recorded, variants)) / _START_DOUBT[:, None])
+        parts.append((states - np.tile(self.recorded, variants)) / _START_UNCERTAINTY[:, None])
         stacked = np.concatenate(parts)
         return stacked.reshape(len(stacked), variants, len(self.begins))
 
@@ -297,7 +299,7 @@ def held_out(
     `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`. `known`:
     what has been simulated of them already, added to.
     """
-    equations = equations_told(unseen, claims)
+    equations = equation_report(unseen, claims)
     if not models or not all(model.channels.keys() >= _SIMULATED for model in models) or MOTION not in problem.blocks:
         why = "a forward simulation needs current, position and both pressures, and the moving mass"
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
@@ -313,7 +315,7 @@ def held_out(
     }
 
 
-def equations_told(unseen: Problem, claims: Sequence[Claim]) -> dict[str, Any]:
+def equation_report(unseen: Problem, claims: Sequence[Claim]) -> dict[str, Any]:
     """`equation_errors` as they stand in report.json under `fit.equations`."""
     return {name: asdict(error) for name, error in equation_errors(unseen, claims).items()}
 

@@ -49,11 +49,11 @@ def some(terms: list[Claim], random: np.random.Generator, count: int = 3) -> lis
 def test_residuals_of_terms_that_add_are_those_of_each_as_it_stands(problem: Problem, terms: list[Claim]) -> None:
     """Terms of every equation, drawn at random, beside a name."""
     random, spared = np.random.default_rng(0), 0
-    nothing = problem.equations.as_written(())
+    nothing = problem.equations.evaluated(())
     for _ in range(250):
         claims = some(terms, random)
         spared += len(split_cached(claims, ())[0])
-        by_sum, as_it_stands = problem.parts(claims), problem.equations.as_written(claims)
+        by_sum, as_it_stands = problem.parts(claims), problem.equations.evaluated(claims)
         for key, part in as_it_stands.items():
             np.testing.assert_allclose(by_sum[key] - part, 0.0, atol=1e-8 * np.abs(part - nothing[key]).max() + 1e-9)
     assert spared > 120

@@ -14,7 +14,7 @@ from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, eq
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.kernels import held_lag, limited, turning
+from hydro_diagnosis.effects.kernels import asymmetric_lag, held_lag, limited
 from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -65,7 +65,7 @@ def test_a_lag_that_turns_follows_a_ramp_by_its_time_late() -> None:
     seconds = step * np.arange(50)
     for sign, time in ((1.0, rising), (-1.0, falling)):
         wanted = sign * slope * (seconds - time * (1.0 - np.exp(-seconds / time)))
-        np.testing.assert_allclose(turning(sign * slope * seconds, step, rising, falling), wanted, atol=1e-12)
+        np.testing.assert_allclose(asymmetric_lag(sign * slope * seconds, step, rising, falling), wanted, atol=1e-12)
 
 
 def test_a_held_lag_of_two_times_is_that_of_its_differential_equation() -> None:

@@ -73,7 +73,9 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(dragged:
     assert values["friction_coulomb"]["force"] == pytest.approx(8.0, rel=0.05)
     assert values[DRAG]["coefficient"] == pytest.approx(600.0, rel=0.02)
     assert law.form == "law" and not noticeable(law.problem, law.fit.residual)
-    assert dragged.doubted != law.problem.doubted  # dry friction leaves its sign in doubt: there, not in the judgement
+    assert (
+        dragged.uncertainty != law.problem.uncertainty
+    )  # dry friction leaves its sign in doubt: there, not in the judgement
 
 
 @pytest.mark.study

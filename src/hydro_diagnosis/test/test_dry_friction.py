@@ -106,10 +106,10 @@ def test_rise_near_standstill_is_not_read_off_reversals() -> None:
         claim("friction_stribeck", breakaway_force=6.0, velocity=0.02),
     )
     assert model.reversals == 1
-    once, often = (model.friction_doubt([constant, rise], count) for count in (1, 100))
+    once, often = (model.friction_uncertainty([constant, rise], count) for count in (1, 100))
     assert often[200] > 2.0 * once[200]
     np.testing.assert_allclose(often[:185], once[:185], atol=1e-3)
-    level_alone = [model.friction_doubt([constant], count) for count in (1, 100)]  # known from every other sample
+    level_alone = [model.friction_uncertainty([constant], count) for count in (1, 100)]  # known from every other sample
     np.testing.assert_allclose(*level_alone)
     bristled = [constant, rise, claim("friction_presliding", stiffness=2e5)]  # force that builds up: nothing jumps
-    np.testing.assert_allclose(*(model.friction_doubt(bristled, count) for count in (1, 100)))
+    np.testing.assert_allclose(*(model.friction_uncertainty(bristled, count) for count in (1, 100)))

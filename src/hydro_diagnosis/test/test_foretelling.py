@@ -39,7 +39,7 @@ def claims(*names: str) -> list[Claim]:
 
 
 @pytest.mark.parametrize(
-    ("truth", "named", "foretold"),
+    ("truth", "named", "predicted"),
     [
         ({"effects": ({"id": "friction_viscous", "parameters": {"coefficient": 150.0}},)}, ["friction_viscous"], True),
         ({"closures": ({"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 1500.0}},)},

@@ -10,7 +10,7 @@ from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import Fit, fit, score
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design import catalog, expected_gain, rehearsal
+from hydro_diagnosis.experiment_design import catalog, expected_gain, simulated_recording
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -27,7 +27,7 @@ def fits(problem: Problem) -> tuple[Fit, Fit]:
 
 def told_apart(reference: ReferenceSignal, seed: int) -> float:
     """BIC by which a recording of a bench with a low supply pressure tells it from a low valve gain."""
-    recording = rehearsal(BENCH, reference, truth=TRUTH, seconds=6.0, seed=seed)
+    recording = simulated_recording(BENCH, reference, truth=TRUTH, seconds=6.0, seed=seed)
     problem = Problem(recording.segments, BENCH)
     true, rival = fits(problem)
     return score(problem, rival) - score(problem, true)
@@ -35,7 +35,7 @@ def told_apart(reference: ReferenceSignal, seed: int) -> float:
 
 @pytest.fixture(scope="module")
 def undecided() -> Problem:
-    return Problem(rehearsal(BENCH, STILL, truth=TRUTH, seconds=6.0, noise=4.0, seed=5).segments, BENCH)
+    return Problem(simulated_recording(BENCH, STILL, truth=TRUTH, seconds=6.0, noise=4.0, seed=5).segments, BENCH)
 
 
 def test_the_proposed_recording_settles_more_than_a_random_one(undecided: Problem) -> None:

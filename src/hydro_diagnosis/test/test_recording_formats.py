@@ -102,6 +102,10 @@ def test_every_format_is_diagnosed_as_the_bag(
     assert effect.parameters["force"].value == pytest.approx(same.parameters["force"].value, rel=1e-3)
 
 
+def test_fields_without_a_quantity_are_proposed_by_their_own_names(csv: Path) -> None:
+    assert {"reference_force_rate", "proportional_gain"} <= set(proposed(columns_of(csv), BENCH).sources)
+
+
 def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, states: StateArray) -> None:
     path = loggers.control_desk_csv(tmp_path, states[:3000])
     command = [sys.executable, "-m", "hydro_diagnosis.io.listing", str(path), "--write", str(tmp_path / "map.yaml")]

@@ -52,7 +52,7 @@ def driven(bench: Bench) -> tuple[Segment, FloatArray]:
 def apart(segment: Segment, states: FloatArray, claims: Sequence[Claim]) -> dict[str, float]:
     """Of the diagnosis' forward simulation under the same current from the same states, by channel."""
     plant = Plant.of(SegmentModel(segment, BENCH), claims)
-    readings = plant.readings(plant.run(states[BEGINS][:, [2, 3, 0, 1]].T.copy(), BEGINS, LENGTH), BEGINS)
+    readings = plant.measurements(plant.run(states[BEGINS][:, [2, 3, 0, 1]].T.copy(), BEGINS, LENGTH), BEGINS)
     at = BEGINS[None, :] + np.arange(LENGTH)[:, None]
     return {
         name: float(np.sqrt(np.mean((readings[name] - signal[at]) ** 2)) / np.ptp(signal))

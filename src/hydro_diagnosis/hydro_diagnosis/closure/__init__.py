@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closures model what no named cause explains: held-out evidence selects their terms, a forward simulation admits them.
-
-May import `estimation`, `selection` and `validation`.
-"""
+"""Closures model what no named cause explains: held-out evidence selects terms, a forward simulation admits them."""

@@ -24,7 +24,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.validation import Known, held_out
 from hydro_sim.model.laws import Law
 
-WORSE_WITH = 0.01
+HARMFUL_SHARE = 0.01
 """Share of what all claims explain of the held-out residual's square, by which it is smaller without a name."""
 
 
@@ -35,7 +35,7 @@ def without_harmful_names(closed: ClosureFit, holdout: Problem) -> ClosureFit:
         names = [claim for claim in closed.fit.removable if not isinstance(claim.effect, Closure)]
         fewer = [_without(problem, closed.fit, claim.effect.label) for claim in names]
         gains = [holdout_gain(holdout, one, closed.fit) for one in fewer]
-        if not gains or min(gains) >= -WORSE_WITH:
+        if not gains or min(gains) >= -HARMFUL_SHARE:
             break
         closed = replace(closed, fit=fewer[int(np.argmin(gains))])
     return closed
@@ -45,9 +45,9 @@ def _without(problem: Problem, found: Fit, label: str) -> Fit:
     return fit(problem, tuple(claim for claim in found.claims if claim.effect.label != label))
 
 
-WORSE = 1.02
+WORSE_RATIO = 1.02
 """Ratio to the error of the names alone above which a channel counts as worse: windows are few."""
-WORTH = 0.05
+LEAST_SHARE = 0.05
 """Share of the held-out gap that a closure must close."""
 
 
@@ -82,7 +82,7 @@ def admitted(
         held = held_out(problem, holdout, closed.fit.claims, models, known)
         share = share_closed(named, held) if harmless(named, held) else None
         errors[closed.form] = share
-        if share is not None and share > WORTH:
+        if share is not None and share > LEAST_SHARE:
             return Admitted(closed, _with_named(held, named), share, errors)
     return None
 
@@ -101,11 +101,11 @@ def _gaps(held: Mapping[str, Any]) -> dict[str, float]:
 
 
 def harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
-    """Return whether each held-out error is finite and at most `WORSE` times that of the names alone."""
+    """Return whether each held-out error is finite and at most `WORSE_RATIO` times that of the names alone."""
     for part in ("holdout", "equations"):
         for name, one in after.get(part, {}).items():
             for key in ("rmse_after", "rmse_after_all"):
-                if key in one and not one[key] <= WORSE * before[part][name][key]:
+                if key in one and not one[key] <= WORSE_RATIO * before[part][name][key]:
                     return False
     return True
 

@@ -35,11 +35,11 @@ from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 
 EDGE = 1e-3
-"""Share of a number's size or range, within which of a bound it stands there."""
+"""Distance to a bound, as a share of a parameter's size or range, below which it counts as at the bound."""
 UNSEEN = 1e-14
-"""Share of the largest information of any number, below which one is not seen at all."""
+"""Fisher information of a parameter, over the largest one, below which it is not observable."""
 VAGUE = 0.5
-"""95 % reach of a law's further number, over its size or its range, from which it says nothing."""
+"""Half-width of a shape parameter's 95 % interval, over its size or range, from which it is not identified."""
 
 
 class Blocks:
@@ -53,7 +53,7 @@ class Blocks:
         self._edges = np.searchsorted(group, np.arange(len(CHANNELS) * FOLDS + 1))
 
     def sorted(self, columns: FloatArray) -> FloatArray:
-        """Rows of an array, shape (n, columns), by channel and fold."""
+        """Rows of an array, shape (n, columns), sorted by channel and fold."""
         return columns[self._order]
 
     def products(self, one: FloatArray, other: FloatArray) -> FloatArray:
@@ -84,7 +84,7 @@ class HeldOutBlocks:
 
     @classmethod
     def of_products(cls, problem: Problem, found: Fit, products: Sequence[Sequence[FloatArray]]) -> HeldOutBlocks:
-        """The same from `Blocks.products` of residual and Jacobian, together, and of the candidates with each other."""
+        """The same from `Blocks.products` of residual, Jacobian and candidates with each other."""
         made = cls.__new__(cls)
         made._take(problem, found, products)
         return made
@@ -117,7 +117,7 @@ class HeldOutBlocks:
 
 
 def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
-    """Return whether each further number of a law is known, and off its bounds.
+    """Return whether each shape parameter of a law is identified, and off its bounds.
 
     Where one is not, the law is another in disguise: friction that warms over an endless path is dry friction.
     """
@@ -136,15 +136,15 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
 
 
 ALIKE = 0.8
-"""Share of a term's square, beside all that stands, from which it is the cause that accounts for it."""
+"""Share of a term's squared signature, orthogonal to the other columns, from which a cause is equivalent to it."""
 
 
 GOOD_PART = 0.25
-"""Share of what remains in its equations, noise taken off, from which a ruled-out cause bars laws from them."""
+"""Share of the remainder in its equations, noise subtracted, from which a ruled-out cause bars laws from them."""
 
 
 def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
-    """Blocks in which what remains beside a fit is to a good part what a ruled-out cause would do."""
+    """Return the blocks in which a ruled-out cause would explain a good part of the remainder of a fit."""
     blocks: set[str] = set()
     remaining = problem.layout.squares(found.residual) - problem.layout.count()
     left = _beside(found.jacobian, found.residual)
@@ -161,14 +161,14 @@ def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
 
 
 def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
-    """Whether one of the causes that are ruled out (`Problem.ruled_out`) does what this claim of a fit does."""
+    """Return whether a ruled-out cause (`Problem.ruled_out`) is equivalent to this claim of a fit."""
     return any(True for _ in equivalent_causes(problem, found, claim, problem.ruled_out))
 
 
 def equivalent_causes(
     problem: Problem, found: Fit, claim: Claim, causes: Sequence[Effect], alike: float = ALIKE
 ) -> Iterator[Claim]:
-    """Those of the causes, at the start of a fit, that do what this claim of a fit does, but for a share."""
+    """Yield the causes, at start values, whose signatures explain this claim's but for a share of 1 - `alike`."""
     if not causes:
         return
     others = tuple(one for one in found.claims if one is not claim)
@@ -190,7 +190,7 @@ def equivalent_causes(
 def _columns(
     problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect
 ) -> Iterator[tuple[Claim, FloatArray]]:
-    """What each number of a cause does to the residual, for each choice of start values of its shape: a start first."""
+    """Yield a start and the signatures of a cause's amplitudes there, for each choice of its shape parameters."""
     if not effect.blocks & set(problem.blocks):
         return
     amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
@@ -204,7 +204,7 @@ def _columns(
 
 
 def _beside(columns: FloatArray, shown: FloatArray) -> FloatArray:
-    """What columns do not account for."""
+    """Return the part of a vector that is orthogonal to columns."""
     if columns.shape[1] == 0:
         return shown
     lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -212,11 +212,14 @@ def _beside(columns: FloatArray, shown: FloatArray) -> FloatArray:
 
 
 THRESHOLD = 30.0
-"""Deviance that a term must gain on held-out blocks, and any claim in evidence."""
+"""Least gain of a term in held-out deviance, and of any claim in BIC."""
 
 
 def without_idle_terms(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
-    """The fit without claims that do not pay beside the others, the idlest dropped first; names, unless they stay."""
+    """Return the fit without insignificant claims, the least significant dropped first.
+
+    `names_stay`: names are not dropped.
+    """
     while True:
         open_ = [one for one in found.removable if not (names_stay and one.effect.named)]
         fewer = [(claim, fit(problem, _others(found, claim))) for claim in open_]
@@ -241,12 +244,12 @@ def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
 
 
 def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
-    """Deviance of held-out blocks that goes from one fit to another."""
+    """Return by how much the held-out deviance falls from one fit to another."""
     return HeldOutBlocks(problem, before, ()).deviance(()) - HeldOutBlocks(problem, after, ()).deviance(())
 
 
 def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
-    """Return whether the later fit explains no more, in any channel, than a form error of the earlier terms may.
+    """Return whether a form error of the earlier terms may explain the gain of the later fit, in every channel.
 
     Never so where something remains before and nothing after: a wrong form leaves a remainder under any name.
     """

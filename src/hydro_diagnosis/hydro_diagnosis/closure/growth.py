@@ -31,12 +31,12 @@ from hydro_sim.model.law_signals import SIGN_VELOCITY
 from hydro_sim.model.laws import REVERSING, TURN, Law, rounded
 
 START = 2.0 * SIGN_VELOCITY
-"""Value that it is fitted from [m/s]."""
+"""Start value of the reversal velocity [m/s]."""
 ITERATIONS = 12
 
 
 def with_reversal_velocity(problem: Problem, found: Fit) -> Fit:
-    """The fit with its laws reversing over a velocity of their own, where it pays.
+    """Return the fit with a reversal velocity as a parameter of each law for which that is significant.
 
     Also where nothing else remains: at each reversal there is little of it, and yet it moves a simulated piston.
     """
@@ -46,7 +46,7 @@ def with_reversal_velocity(problem: Problem, found: Fit) -> Fit:
 
 
 def with_newest_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit:
-    """The same of one claim alone, the newest."""
+    """Return the fit with a reversal velocity of one claim, the newest by default."""
     claim = found.claims[place]
     effect = claim.effect
     if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.reverses):
@@ -62,31 +62,31 @@ def with_newest_reversal_velocity(problem: Problem, found: Fit, place: int = -1)
 
 
 def plain(label: str) -> str:
-    """The label of a law, whether or not it has that number."""
+    """Return the label of a law without its reversal velocity."""
     return label.replace(f", {REVERSING}", "")
 
 
 LEAST = 0.02
-"""Share of the possible gain that a term must bring: less is mimicry of another form."""
+"""Least share of the possible gain that a term must bring: less may be a form error of another."""
 CONDENSED = 0.05
-"""Share of a smooth function's gain by which a law may fall short of it."""
+"""Share of a smooth function's gain that a law may lack and still be preferred."""
 FITTED = 5
-"""Laws that are fitted in each round, the best of the screen."""
+"""Number of laws that are fitted in each step, the best of the screen."""
 ALIKE = 0.8
-"""Share of the best's gain from which a law is fitted beside one that leaves nothing."""
+"""Share of the best gain from which a law is still fitted once another leaves no remainder."""
 PATIENCE = 24
-"""Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
+"""Maximum number of iterations of a fit: shape parameters start on a coarse grid."""
 
 
 class ForwardSelection:
-    """Rounds over a screen. Each is gone through once: growth with names and growth without them begin alike."""
+    """Steps of forward selection over a screen, cached: selection with names and without them starts alike."""
 
     def __init__(self, screen: Screen) -> None:
         self.screen = screen
         self._known: dict[tuple[Any, ...], tuple[Any, list[Fit], set[str]]] = {}
 
     def fits(self, problem: Problem, current: Fit, tried: set[str]) -> list[Fit]:
-        """Fits with one law more that pays, of the best that are not `tried`; they are `tried` then."""
+        """Return fits with one more significant law, of the best that are not in `tried`; adds them to `tried`."""
         key = id(problem.weights), values_key(current.claims), frozenset(tried)
         if key not in self._known:
             now = set(tried)
@@ -121,7 +121,7 @@ class ForwardSelection:
 
 
 def from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
-    """The fit with a term from the first start at which its further numbers come to be known, else from the best."""
+    """Return the fit from the first start at which the term's shape parameters are identified, else from the best."""
     fits = []
     for start in starts:
         fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
@@ -133,33 +133,33 @@ def from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
 TERMS = 3
 """Largest number of terms of a law."""
 NAMES = 3
-"""Names that are fitted in place of a law."""
+"""Number of names that are fitted in place of a law."""
 
 
 @dataclass(frozen=True)
 class ClosureFit:
-    """Names and closure estimated together."""
+    """Names and closure terms, estimated jointly."""
 
     fit: Fit
     form: str
     """law or smooth."""
     gain: float
-    """Held-out deviance that it gains over the names alone."""
+    """Gain in held-out deviance over the names alone."""
     problem: Problem
     """The problem with the weights of the fit."""
     screen: Screen | None = None
-    """Of the laws that were tried."""
+    """Screen of the laws that were tried."""
 
 
 def count_terms(found: Fit) -> int:
-    """Number of laws and tables of a fit."""
+    """Return the number of laws and tables of a fit."""
     return sum(isinstance(claim.effect, Closure) for claim in found.claims)
 
 
 def select_laws(problem: Problem, base: Fit, forward: ForwardSelection, names: Sequence[Effect] = ()) -> ClosureFit:
-    """The fit with the laws that pay, and with `names` that do as well; what does not pay beside the others goes.
+    """Return the fit with the significant laws, and with `names` that do as well; insignificant terms are dropped.
 
-    In each round the law with most evidence is taken, or a simpler one that has nearly as much.
+    In each step the law with most evidence is taken, or a simpler one that has nearly as much.
     """
     weighed = problem
     current, tried = base, set[str]()
@@ -188,7 +188,7 @@ def select_laws(problem: Problem, base: Fit, forward: ForwardSelection, names: S
 
 
 def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: Sequence[Effect]) -> Fit:
-    """The fit with another in place of a law that does better beside all that came after, or as well and is simpler.
+    """Return the fit with laws exchanged for others that do better beside the later terms, or as well and are simpler.
 
     A name gives way to another that does better, or as well with fewer numbers.
     """
@@ -204,7 +204,7 @@ def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: S
 
 
 def _fewest(problem: Problem, fits: Sequence[Fit]) -> Fit:
-    """Of the fits with nearly as much evidence as the best: that of the fewest numbers."""
+    """Return the fit of the fewest parameters among those with nearly as much evidence as the best."""
     best = min(score(problem, one) for one in fits)
     return min(
         (one for one in fits if score(problem, one) <= best + CHANCE), key=lambda one: (one.free, score(problem, one))
@@ -212,14 +212,14 @@ def _fewest(problem: Problem, fits: Sequence[Fit]) -> Fit:
 
 
 def _names_fitted(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
-    """Fits with one name more that pays."""
+    """Return fits with one more significant name."""
     fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:NAMES]]
     enough = score(problem, current) - CHANCE
     return [one for one in fits if score(problem, one) < enough and not within_form_error(problem, current, one)]
 
 
 def _simplest(problem: Problem, fits: Sequence[Fit], last: Claim | None = None) -> Fit:
-    """Of the fits with nearly as much evidence as the best: a name, else the law of the fewest numbers and signals.
+    """Return, of the fits with nearly the best evidence, a name, else the law of fewest parameters and signals.
 
     The claim in question is the newest, of the first fit `last`, if that is given.
     """

@@ -4,6 +4,10 @@
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
 each, all numbers, those of the names too, are estimated anew. Where such laws leave something, names and laws are
 searched together: names that the judgement dropped may come back, and names that it made may go.
+
+Three further searches mend what forward selection misses. `merged`: a name and a law, or two laws, may share what one
+law does alone (drag that fades is viscous friction less a stiffness that creeps). `renamed`: a cause that a law hid may
+be another term in disguise. `starting_points`: the names that explain most need not be those that are true.
 """
 
 from __future__ import annotations
@@ -49,11 +53,11 @@ from hydro_sim.model.effects.catalogue import CLOSURES
 from hydro_sim.model.tables import Table
 
 SETTINGS = SearchSettings(restarts=1, effort=1500)
-"""Less effort than for names alone: a missing law is found first."""
+"""Settings of the joint search: less effort than for names alone, since a missing law is found first."""
 
 
 def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
-    """Models of the remainder, the preferred first; none where no term holds on held-out blocks.
+    """Yield models of the remainder, the preferred first; none where no term holds on held-out blocks.
 
     `names`: causes that may stand beside a law though the judgement does not claim them. A smooth function is looked
     for only where laws leave something, or are refused.
@@ -72,12 +76,12 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
 
 
 def _open(terms: Sequence[Claim], closed: frozenset[str]) -> list[Claim]:
-    """Terms of equations other than these."""
+    """Return the terms that act in none of these blocks."""
     return [one for one in terms if not one.effect.blocks & closed]
 
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> ClosureFit:
-    """Laws and names that together leave nothing; else laws alone beside the names that stand."""
+    """Return laws and names that together leave no remainder, else laws alone beside the present names."""
     screen = Screen(problem, base, _open(laws(problem), closed))
     forward = ForwardSelection(screen)
     upon = _upon_others(problem, base, screen, forward, names)
@@ -100,7 +104,7 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
 
 
 def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> tuple[Problem, Fit]:
-    """Names and laws that account for the recordings together, and the problem with their weights."""
+    """Search names and laws jointly; return the fit, and the problem with its weights."""
     outcome = Search(problem, (*names, *laws), SETTINGS).run()
     problem, found = outcome.problem, outcome.fit
     while True:
@@ -114,7 +118,7 @@ def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) 
 def _upon_others(
     problem: Problem, base: Fit, screen: Screen, forward: ForwardSelection, names: Sequence[Effect]
 ) -> ClosureFit | None:
-    """A law upon other names than those that stand, if it leaves nothing and no single law beside these does."""
+    """Return a law beside other names than the present ones, if it leaves no remainder and no law beside these does."""
     first = [base, *forward.fits(problem, base, set())]
     if not all(noticeable(problem, one.residual) for one in first):
         return None
@@ -140,7 +144,7 @@ def _names(found: Fit) -> set[str]:
 
 
 def _by_table(below: ClosureFit, closed: frozenset[str]) -> ClosureFit:
-    """Tables upon names, and upon laws that leave something; laws that do not pay beside them go.
+    """Return tables beside names, and beside laws that leave a remainder; insignificant laws are dropped.
 
     Names stay: a table takes the form of any of them.
     """
@@ -156,7 +160,7 @@ def _by_table(below: ClosureFit, closed: frozenset[str]) -> ClosureFit:
 
 
 def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
-    """The fit with the tables that pay."""
+    """Return the fit with the significant tables."""
     current = base
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     taken = 0
@@ -179,17 +183,17 @@ def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
 
 _MECHANICAL = frozenset({MOTION, LOAD})
 NAMES = 3
-"""Names in one equation, beyond which no law takes the place of some."""
+"""Number of names in one equation beyond which none is replaced by a law."""
 LEFT = 0.6
-"""Share of what is left without any of them that a law and names may leave, to first order."""
+"""Share of the remainder without any of the claims that a law and names may leave, to first order."""
 LIKELY = 3
-"""Laws that are looked at beside each set of names."""
+"""Number of laws that are screened beside each set of names."""
 TRIED = 9
-"""Laws that are fitted, those beside the fewest claims first, of them those that would leave least."""
+"""Number of laws that are fitted, those beside the fewest claims first, then by predicted remainder."""
 
 
 def merged(closed: ClosureFit) -> ClosureFit:
-    """The model with fewer claims, where one law does as well as several; only where nothing remains."""
+    """Return the model with several claims replaced by one law that does as well; only where nothing remains."""
     problem, screen = closed.problem, closed.screen
     while screen is not None and not noticeable(problem, closed.fit.residual):
         better = next(_simpler(problem, closed.fit, screen), None)
@@ -200,7 +204,7 @@ def merged(closed: ClosureFit) -> ClosureFit:
 
 
 def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
-    """Fits with fewer claims and no less evidence that leave nothing."""
+    """Yield fits with fewer claims and no less evidence that leave no remainder."""
     terms = [claim for claim in found.judged if isinstance(claim.effect, Closure)]
     everything = frozenset(block for claim in found.judged for block in claim.effect.blocks)
     groups = [frozenset(term.effect.blocks) for term in terms]
@@ -225,12 +229,12 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
 
 
 def _complete(claims: Sequence[Claim]) -> bool:
-    """Whether each claim stands beside those that it needs."""
+    """Return whether each claim stands beside those that it needs."""
     return {name for claim in claims for name in claim.effect.needs} <= {claim.effect.id for claim in claims}
 
 
 def _beside_subsets(problem: Problem, screen: Screen, bases: list[tuple[Claim, ...]]) -> list[tuple[Fit, Prospect]]:
-    """Claims and a law beside them, the fewest claims first, of them those that would leave least."""
+    """Return subsets of the claims, each with a law beside it: the fewest claims first, then by predicted remainder."""
     found = []
     left = 0.0
     for claims in bases:
@@ -247,11 +251,11 @@ def _beside_subsets(problem: Problem, screen: Screen, bases: list[tuple[Claim, .
 
 
 ALIKE = 0.95
-"""Share of a term's square, beside all that stands, that a name must account for to be fitted in its place."""
+"""Share of a term's squared signature that a name must explain to be fitted in its place."""
 
 
 def renamed(closed: ClosureFit, names: Sequence[Effect]) -> ClosureFit:
-    """The model with a name for each law or smooth function, of several, that a name explains as well.
+    """Return the model with laws or smooth functions, of several, replaced by names that do as well.
 
     Only where nothing remains: else no name is forced.
     """
@@ -280,18 +284,17 @@ def renamed(closed: ClosureFit, names: Sequence[Effect]) -> ClosureFit:
 
 
 START_NAMES = 12
-"""Names that are looked at beside each set of names, the most promising first."""
+"""Number of names that are screened beside each set of names, the most promising first."""
 START_LEFT = 0.6
-"""Share of what is left without them that a name and a law may leave, to first order: once fitted, the right ones leave
-nothing, but further numbers begin on a coarse grid."""
+"""Share of the best remainder that a name and a law may leave, to first order: shapes start on a coarse grid."""
 START_FITS = 2
-"""Openings that are grown upon at most, the best first."""
+"""Maximum number of starting points, the best first."""
 
 
 def starting_points(
     problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect], left: float
 ) -> Iterator[tuple[Problem, Fit]]:
-    """Fits with a name more than a base, or a name alone, and the problem under their weights, the best first.
+    """Yield fits with one more name than a base, or a name alone, and the problem with their weights, the best first.
 
     `left`: deviance above the noise that the best model without them leaves.
     """

@@ -155,28 +155,28 @@ class Effect:
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
     additive: ClassVar[bool] = False
-    """Whether it adds to one equation in proportion to its amplitudes, whatever other effects do there."""
+    """Whether it adds to one equation in proportion to its amplitudes, independently of other effects."""
     bristles: ClassVar[bool] = False
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
 
     @property
     def lagged(self) -> str:
-        """Channel whose readings lose their kinks (where the current steps) by this effect."""
+        """Channel whose readings it low-passes; empty if none."""
         return ""
 
     @property
     def asymmetric(self) -> bool:
-        """Whether it rounds rises otherwise than falls: other channels cannot be delayed alike."""
+        """Whether it lags rises otherwise than falls: other channels cannot be delayed alike."""
         return False
 
     @property
     def breaks_superposition(self) -> bool:
-        """Whether what others do to a residual does not just add up behind it."""
+        """Whether the responses to other effects do not superpose behind it."""
         return self.lagged.startswith("pressure")
 
     @property
     def memoryless(self) -> bool:
-        """Whether a reading depends on the instant, on a path or on slow states alone: it may be curved then."""
+        """Whether a reading depends on the present signal, on a path or on slow states alone."""
         return False
 
     @property
@@ -186,12 +186,12 @@ class Effect:
 
     @property
     def places(self) -> bool:
-        """Whether the recorded position is not the piston's by this effect."""
+        """Whether the recorded position differs from the piston's by this effect."""
         return False
 
     @property
     def nonlinear_channel(self) -> str:
-        """Channel whose readings are no straight line of its signal by this effect."""
+        """Channel whose reading is a nonlinear function of its signal by this effect; empty if none."""
         return ""
 
     @property

@@ -21,6 +21,9 @@ SMALLEST = 0.01
 SYSTEMATIC = 0.01
 """Relative error of a law's further number that the residuals' own discretisation may cause."""
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
+_DELEGATED = ("equations", "blocks", "nonlinear_channel", "places", "memoryless", "uses_acceleration",
+              "breaks_superposition")  # fmt: skip
+"""Properties of the closure of a law that are the effect's."""
 _HOOKS = ("command", "inflows", "resistance", "load", "inertia", "trace", "measure", "unmeasure")
 
 
@@ -35,34 +38,6 @@ class Grown(Effect):
     def _law(self) -> NamedLaw:
         assert self.named_law is not None
         return self.named_law
-
-    @property
-    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
-        return self.term.equations
-
-    @property
-    def blocks(self) -> frozenset[str]:  # type: ignore[override]
-        return self.term.blocks
-
-    @property
-    def nonlinear_channel(self) -> str:
-        return self.term.nonlinear_channel
-
-    @property
-    def places(self) -> bool:
-        return self.term.places
-
-    @property
-    def memoryless(self) -> bool:
-        return self.term.memoryless
-
-    @property
-    def uses_acceleration(self) -> bool:
-        return self.term.uses_acceleration
-
-    @property
-    def breaks_superposition(self) -> bool:
-        return self.term.breaks_superposition
 
     @property
     def family(self) -> str:  # type: ignore[override]
@@ -101,6 +76,7 @@ def diagnosed(named: NamedLaw) -> Effect:
     term = replace(term, options={"id": named.id})  # what it remembers is kept under its own name
     acting = [hook for hook in _HOOKS if getattr(type(term), hook) is not getattr(Effect, hook)]
     about: dict[str, Any] = {hook: _handed(hook) for hook in acting}
+    about |= {name: getattr(term, name) for name in _DELEGATED}
     made = type(named.id, (Grown,), {**about, "id": named.id, "stage": term.stage, "__doc__": named.law.sentence})
     return made(named_law=named, term=term)
 

@@ -22,18 +22,18 @@ from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 ROOM = 96e6
-"""Bytes."""
+"""Memory limit of a cache [byte]."""
 
 
 class BoundedCache:
-    """Arrays, or sets of them, by key."""
+    """Arrays, or sets of them, by key, up to a total size; the least recently used go first."""
 
     def __init__(self) -> None:
         self._kept: dict[tuple[object, ...], tuple[Any, int]] = {}
         self._bytes = 0
 
     def get(self, key: tuple[object, ...]) -> Any:
-        """Return what was put under a key, None if it is not there (any more)."""
+        """Return the entry of a key, or None."""
         found = self._kept.pop(key, None)
         if found is None:
             return None
@@ -41,14 +41,14 @@ class BoundedCache:
         return found[0]
 
     def put(self, key: tuple[object, ...], what: Any, size: int) -> None:
-        """Keep something of a size in bytes."""
+        """Store an entry of a size in bytes."""
         self._kept[key] = what, size
         self._bytes += size
         while self._bytes > ROOM and len(self._kept) > 1:
             self._bytes -= self._kept.pop(next(iter(self._kept)))[1]
 
     def clear(self) -> None:
-        """Keep nothing."""
+        """Drop all entries."""
         self._kept.clear()
         self._bytes = 0
 
@@ -61,11 +61,11 @@ _BETWEEN = {
     LOAD: ("measure", "bench"),
     PRESSURE: ("measure", "unmeasure", "bench", "stiffness", "command"),
 }
-"""By block: hooks of effects that change what a term of its equation does to the residual."""
+"""By block: hooks of effects that change the response of the residual to an additive term."""
 
 
 def split_additive(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
-    """Claims that add, and the others; terms without amplitude are left out."""
+    """Split claims into additive ones and others; terms without amplitude are left out."""
     acting = [claim for claim in claims if is_active(claim)]
     bent: set[str] = set().union(*(one.effect.blocks for one in acting if one.effect.breaks_superposition))
     adding = [one for one in acting if one.effect.additive and not one.effect.blocks & bent]
@@ -73,7 +73,7 @@ def split_additive(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, .
 
 
 def split_cached(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
-    """Claims whose responses are worth keeping, and all others that act.
+    """Split active claims into those whose responses are cached, and the others.
 
     Behind a claim that is being fitted, whatever is not `known`, responses would change with each of its values.
     """
@@ -84,22 +84,22 @@ def split_cached(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list[
 
 
 def is_active(claim: Claim) -> bool:
-    """Whether a claim does anything: a term without a name and without amplitude does not."""
+    """Return whether a claim acts: a term without a name and without amplitude does not."""
     return claim.effect.named or any(amplitudes(claim)) or not any(one.smallest for one in claim.effect.parameters)
 
 
 def amplitudes(claim: Claim) -> list[float]:
-    """Values of a claim's amplitudes."""
+    """Return the values of a claim's amplitudes."""
     return [claim.values[one.name] for one in claim.effect.parameters if one.smallest > 0.0]
 
 
 def shapes(claim: Claim) -> list[float]:
-    """Values of a claim's further numbers."""
+    """Return the values of a claim's shape parameters."""
     return [claim.values[one.name] for one in claim.effect.parameters if one.smallest == 0.0]
 
 
 def intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Those of the other claims that change what a term does to the residual."""
+    """Return the other claims that change the response of the residual to a term."""
     hooks = {block: _BETWEEN[block] for block in claim.effect.blocks}
     return tuple(
         one for one in others
@@ -108,12 +108,12 @@ def intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
 
 
 def values_key(claims: Sequence[Claim]) -> Key:
-    """Key of claims with their values."""
+    """Return a cache key of claims with their values."""
     return tuple((one.effect.label, *one.values.values()) for one in claims)
 
 
 def responses(claim: Claim, compute: Callable[[Claim], ResidualParts]) -> ResidualParts:
-    """What each amplitude of a term does to the residual, per unit; `compute`: what the term does."""
+    """Return the response of the residual per unit of each amplitude; `compute`: response to a term."""
     neutral = {**claim.values, **{one.name: 0.0 for one in claim.effect.parameters if one.smallest > 0.0}}
     rows = []
     for one in claim.effect.parameters:
@@ -125,7 +125,7 @@ def responses(claim: Claim, compute: Callable[[Claim], ResidualParts]) -> Residu
 
 
 def direct_response(model: SegmentModel, claim: Claim, beside: Sequence[Claim]) -> dict[str, FloatArray] | None:
-    """By channel: change of the residual [physical unit] by a term beside other claims; None behind a changed sensor.
+    """Return the change of the residual by a term, by channel, physical unit; None behind a changed sensor.
 
     Raises
     ------
@@ -189,10 +189,10 @@ class EquationResiduals:
         self.evaluations = 0
         """Evaluations of all residuals so far (`Problem.evaluations`)."""
         self.columns = BoundedCache()
-        """Responses to terms that add, and derivatives of the residual (`fit.jacobian`), as computed."""
+        """Cached responses to additive terms, and derivatives of the residual (`fit.jacobian`)."""
 
     def parts(self, claims: Sequence[Claim]) -> ResidualParts:
-        """Residuals of the baseline and these claims by channel and segment in the order of `Layout`."""
+        """Return residuals of the baseline and these claims by channel and segment in the order of `Layout`."""
         adding, rest = split_cached((*self._baseline, *claims), self._baseline)
         parts = self.evaluated(rest)
         for claim in adding:
@@ -201,7 +201,7 @@ class EquationResiduals:
         return parts
 
     def _responses(self, claim: Claim) -> ResidualParts:
-        """What each amplitude of a term that adds does to the residual, shape (amplitudes, n)."""
+        """Return the response of the residual to each amplitude of an additive term, shape (amplitudes, n)."""
         beside = intervening(claim, self._baseline)
         limits = getattr(claim.effect, "limits", ())
         key = ("response", claim.effect.label, limits, *shapes(claim), values_key(beside))
@@ -212,7 +212,7 @@ class EquationResiduals:
         return found
 
     def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> ResidualParts:
-        """What a term that adds does to the residual beside others that stand between it and the sensors."""
+        """Return the response of the residual to an additive term beside the claims between it and the sensors."""
         touched = claim.effect.blocks & set(self._blocks)
         shown: ResidualParts = {}
         channels = {name for block in touched for name in BLOCKS[block]}
@@ -225,7 +225,7 @@ class EquationResiduals:
         return shown
 
     def evaluated(self, everything: Sequence[Claim], only: Collection[str] = ()) -> ResidualParts:
-        """Residuals of claims each as it stands; `only`: in these blocks, the arcs left out."""
+        """Return residuals of claims without superposition; `only`: in these blocks, the arcs left out."""
         blocks = only or self._blocks
         parts: ResidualParts = {}
         arcs: list[FloatArray] | None = None

@@ -91,7 +91,7 @@ def _key(problem: Problem, claims: Sequence[Claim], claim: Claim, parameter: Fit
     own = shapes(claim) if adds and parameter.smallest > 0.0 else [*claim.values.values()]
     rounded = tuple(one.effect.label for one in claims if one.effect.lagged)
     limits = getattr(claim.effect, "limits", ())
-    return problem.doubted, claim.effect.label, parameter.name, limits, *own, rounded, values_key(beside)
+    return problem.uncertainty, claim.effect.label, parameter.name, limits, *own, rounded, values_key(beside)
 
 
 def _present(claim: Claim) -> Claim:

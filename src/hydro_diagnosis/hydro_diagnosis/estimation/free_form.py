@@ -113,14 +113,14 @@ class Responses:
             shown["motion"] = model.kept_smooth(hidden)
             shown["hydraulic"] = means
         else:
-            shown[self.sensor] = model.kept_smooth(clear_caches(hidden, model.step)) * 1e4
+            shown[self.sensor] = model.kept_smooth(high_pass(hidden, model.step)) * 1e4
             share = 1.0 if self.sensor == "pressure_a" else -self._benches[k].area_ratio
             shown["hydraulic"] = -area * share * means * 1e4
         present = {CHANNELS[index] for index in np.unique(self.problem.layout.channel)}
         return {name: signal for name, signal in shown.items() if name in present}
 
 
-def clear_caches(signal: FloatArray, step: float) -> FloatArray:
+def high_pass(signal: FloatArray, step: float) -> FloatArray:
     """High-pass effect of a slow observer on a signal."""
     gain = step / OBSERVER_MEMORY
     followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], signal, zi=[signal[0]])

@@ -166,7 +166,7 @@ class Noise:
         self.models, self.blocks, self.sensors = models, blocks, sensors
         self.residuals = [residual_noise(sensors, bench, model.step * model.spacing) for model in models]
         """Of each segment's residuals by channel, physical units."""
-        self.flows = [model.observer.pressure_doubt(sensors) for model in models] if PRESSURE in blocks else []
+        self.flows = [model.observer.pressure_uncertainty(sensors) for model in models] if PRESSURE in blocks else []
         """Of each segment: what noise in the flows makes of the pressures' residuals."""
 
     def mass_attenuation(self, mass: float) -> float:
@@ -198,11 +198,11 @@ class Weights:
         doubt: list[FloatArray] = []
         if MOTION in noise.blocks:
             count = sum(model.reversals for model in noise.models)
-            doubt = [model.kept(model.friction_doubt(claims, count)) for model in noise.models]
+            doubt = [model.kept(model.friction_uncertainty(claims, count)) for model in noise.models]
         return cls(noise, doubt, {key: _level(noise.models[key[1]], change) for key, change in changes.items()})
 
     @property
-    def doubted(self) -> tuple[float, ...]:
+    def uncertainty(self) -> tuple[float, ...]:
         """What identifies them: the sum of all doubt per segment."""
         return tuple(float(np.sum(doubt)) for doubt in (*self.reversals, *self.unseen.values()))
 
@@ -284,7 +284,7 @@ class Problem:
         """The same problem from half of the rows where rows are missing; None where none are."""
         self.equations = EquationResiduals(self.models, self.blocks, self.baseline)
         self.columns = self.equations.columns
-        """Responses to terms that add, and derivatives of the residual (`fit.jacobian`), as computed."""
+        """Cached responses to additive terms, and derivatives of the residual (`fit.jacobian`)."""
         self.weights = self._weights(())
         self.layout = Layout.of(self.blocks, self.models)
         moves = MOTION in self.blocks
@@ -320,9 +320,9 @@ class Problem:
         return Weights.under((*self.baseline, *claims), self._noise, changes)
 
     @property
-    def doubted(self) -> tuple[float, ...]:
+    def uncertainty(self) -> tuple[float, ...]:
         """Sum of the uncertainty per segment, all zeros without any: identifies the weights."""
-        return self.weights.doubted
+        return self.weights.uncertainty
 
     @property
     def evaluations(self) -> int:

@@ -52,7 +52,7 @@ def estimable() -> dict[str, Effect]:
     return {name: found[name] for name in numbers() if name in found}
 
 
-def refuse_others(names: Collection[str]) -> None:
+def refuse_inestimable(names: Collection[str]) -> None:
     """Raise `InputError` if one of these is no number that can be estimated."""
     for name in names:
         if name not in estimable():
@@ -64,7 +64,7 @@ def refuse_others(names: Collection[str]) -> None:
             raise InputError(f"estimate: {name!r} {why}; those that can be are {', '.join(estimable())}")
 
 
-def standing(bench: Bench, names: Collection[str]) -> tuple[Claim, ...]:
+def estimated_claims(bench: Bench, names: Collection[str]) -> tuple[Claim, ...]:
     """The effects of these numbers relative to the bench, absent."""
     claims = []
     for name in names:
@@ -93,7 +93,7 @@ def _settled(
 ) -> tuple[Bench, Problem, Fit]:
     """The bench, problem and fit once the numbers stand still."""
     for _ in range(ROUNDS):
-        problem = Problem(segments, bench, baseline, estimated=standing(bench, names))
+        problem = Problem(segments, bench, baseline, estimated=estimated_claims(bench, names))
         found = fit(problem, tuple(_beside(problem, names)))
         before = np.array([getattr(bench, name) for name in names])
         for claim in found.claims:

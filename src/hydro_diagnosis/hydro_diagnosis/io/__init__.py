@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns as the bench's signals: column maps, proposals for them, clocks, tables, and what `inspect` lists.
-
-May import `formats` and `recording`.
-"""
+"""Recordings as tables: bags, files of any logger, column maps, clocks, and what `inspect` lists."""

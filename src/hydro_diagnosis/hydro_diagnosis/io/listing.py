@@ -109,7 +109,7 @@ def _own_name(name: str) -> str:
 
 def _unit(field: str, name: str, found: Columns, bench: Bench) -> str:
     """The unit that is stated, or the one in which the numbers are of the bench's size; empty for SI."""
-    quantity = _QUANTITY_OF[field]
+    quantity = _QUANTITY_OF.get(field, "")
     unit = found.units.get(name) or in_name(name)
     if unit:
         return unit if QUANTITY[unit] == quantity and UNITS[unit] != 1.0 else ""
@@ -131,7 +131,7 @@ def _fits(field: str, values: FloatArray, bench: Bench) -> bool:
         "current": 1e-3 < max(high, -low) / bench.valve_current_max <= 1.05,
         "force": 1e-3 * strength < max(high, -low) < 2.0 * strength,
         "velocity": max(high, -low) < 20.0 * bench.stroke,
-    }.get(_QUANTITY_OF[field], False)
+    }.get(_QUANTITY_OF.get(field, ""), False)
 
 
 def _time_unit(name: str, found: Columns) -> str:

@@ -31,7 +31,7 @@ from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
-VELOCITY_DOUBT = 1e-3
+VELOCITY_UNCERTAINTY = 1e-3
 """Uncertainty [m/s] of the velocity's zero."""
 _FAST = 1.0
 """Velocity [m/s] beyond which friction is that of sliding."""
@@ -96,7 +96,7 @@ class SegmentModel(SegmentRecord):
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
         return inertia + force + self.spring_force(bench, claims, self.kinematics)
 
-    def friction_doubt(self, claims: Sequence[Claim], reversals: int = 1) -> FloatArray:
+    def friction_uncertainty(self, claims: Sequence[Claim], reversals: int = 1) -> FloatArray:
         """Standard deviation [N] of the dry friction, because the velocity near standstill is only known so well.
 
         `reversals`: of all recordings; the same kernel misplaces the velocity alike at each of them, which does not
@@ -104,7 +104,7 @@ class SegmentModel(SegmentRecord):
         """
         level = self.dry_friction_level(claims)
         doubt = self._swing(
-            claims, VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.spacing * self.step, np.zeros_like(level)
+            claims, VELOCITY_UNCERTAINTY + 0.5 * np.abs(self.a) * self.spacing * self.step, np.zeros_like(level)
         )
         beyond = self.dry_friction_level(claims, np.full_like(self.v, _FAST))
         if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
@@ -131,7 +131,7 @@ class SegmentModel(SegmentRecord):
 
     @cached_property
     def _resting(self) -> npt.NDArray[np.bool_]:
-        resting = np.abs(self.v) < VELOCITY_DOUBT
+        resting = np.abs(self.v) < VELOCITY_UNCERTAINTY
         turns = self.v[:-1] * self.v[1:] <= 0.0
         resting[:-1] |= turns
         resting[1:] |= turns
@@ -147,7 +147,7 @@ class SegmentModel(SegmentRecord):
     def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:
         """Half of how far dry friction beyond a level `but` [N] changes between -/+ `velocity` around the recorded."""
         low, high = (
-            (self.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_DOUBT)
+            (self.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_UNCERTAINTY)
             for one in (self.v - velocity, self.v + velocity)
         )
         return np.asarray(np.abs(high - low) / 2.0)

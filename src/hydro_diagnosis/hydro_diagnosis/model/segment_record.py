@@ -17,10 +17,10 @@ from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.smoothing import (
     STRIDE,
-    bend,
     finish,
     finish_at,
     kinematics,
+    second_derivative,
     smooth,
     smooth_at,
     white_noise,
@@ -45,7 +45,7 @@ OBSERVER_MEMORY = 0.12
 """Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
 SLOPE_STEP = 1e3
 """Step [Pa] of the differences that give the slope of a curved reading."""
-TIMING_DOUBT = 3e-6
+TIMING_UNCERTAINTY = 3e-6
 """Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
 
 
@@ -77,7 +77,7 @@ class SegmentRecord:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
             pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
             self.kinematics = Kinematics(self.time, self.x, self.v, pressures, self.a)
-            bent = bend(channels["piston_position"], self.step)
+            bent = second_derivative(channels["piston_position"], self.step)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
         self.beside = self._beside()
         """What stands beside a sensor that is read, shape (n,) each."""
@@ -269,15 +269,17 @@ class ChamberObserver:
         above, below = (self._record.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
         return np.asarray((above - below) / (2.0 * SLOPE_STEP))
 
-    def pressure_doubt(self, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    def pressure_uncertainty(self, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.
 
         Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
         """
         bench = self._record.base
-        timing = self._stiffest(0) * bench.piston_area * TIMING_DOUBT * self._record.smooth(np.abs(self._record.v))
+        timing = (
+            self._stiffest(0) * bench.piston_area * TIMING_UNCERTAINTY * self._record.smooth(np.abs(self._record.v))
+        )
         a, b = (
-            self._record.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber])))
+            self._record.kept(np.hypot(timing, self._flow_uncertainty(chamber, noise["pressure_" + chamber])))
             for chamber in "ab"
         )
         return a, b
@@ -287,7 +289,7 @@ class ChamberObserver:
         bench, moduli = self._record.base, (self._record.base.bulk_modulus, self._record.base.bulk_modulus)
         return float(eq.stiffnesses(bench, moduli, 0.0 if chamber == 0 else bench.stroke)[chamber])
 
-    def _flow_doubt(self, chamber: str, noise: float) -> FloatArray:
+    def _flow_uncertainty(self, chamber: str, noise: float) -> FloatArray:
         """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
         bench, current = self._record.base, self._record.channels["valve_current"]
         pressure = chambers.middle(self._record.channels["pressure_" + chamber])

@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Preprocessing of recordings: quality checks, frozen sensors, time stamps, noise, smoothing.
-
-May import `io`.
-"""
+"""Tables as data sets for fit and hold-out: quality checks, time stamps, noise, smoothing, informative windows."""

@@ -65,7 +65,7 @@ def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[Flo
     return x, v / step, a / step**2
 
 
-def bend(position: FloatArray, step: float) -> FloatArray:
+def second_derivative(position: FloatArray, step: float) -> FloatArray:
     """Acceleration [m/s2] of a position as it was recorded, of fourth order in the `step` [s]; to be smoothed."""
     weights = (-1.0 / 12.0, 4.0 / 3.0, -5.0 / 2.0, 4.0 / 3.0, -1.0 / 12.0)
     return np.asarray(correlate1d(position, np.array(weights) / step**2, mode="nearest"))

@@ -31,8 +31,8 @@ class Diagnosis:
     @property
     def corrected(self) -> Bench:
         """The bench with what was found, as in corrected.yaml: an estimated number only if the recordings tell it."""
-        undetectable_causes = [one for one in self.report.estimated if one.ci95 is None]
-        given = {one.name: one.given for one in undetectable_causes if one.given is not None}
-        missing = frozenset(one.name for one in undetectable_causes if one.given is None)
+        unidentified = [one for one in self.report.estimated if one.ci95 is None]
+        given = {one.name: one.given for one in unidentified if one.given is not None}
+        missing = frozenset(one.name for one in unidentified if one.given is None)
         bench = replace(corrected_bench(self.bench, self.assessment.fit.claims), **given)  # type: ignore[arg-type]
         return replace(bench, unknown=bench.unknown | missing) if isinstance(bench, PartialBench) else bench

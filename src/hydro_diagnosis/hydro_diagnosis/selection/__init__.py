@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of hypotheses: search, significance, localisation, constancy, verdict, summary of each effect.
-
-May import `estimation` and `validation`.
-"""
+"""Selection of hypotheses: search, significance, localisation, constancy, verdict, summary of each effect."""

@@ -32,7 +32,7 @@ from hydro_diagnosis.selection.outcome import MINOR, Outcome, SearchSettings, St
 
 SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
-SAME_DOUBT = 1e-3
+SAME_UNCERTAINTY = 1e-3
 """Relative change of the doubt below which fits with other claims are not made anew."""
 
 
@@ -41,7 +41,7 @@ class _Screened:
     """Candidates beside a base that was looked at."""
 
     doubt: tuple[float, ...]
-    """`Problem.doubted` at that time."""
+    """`Problem.uncertainty` at that time."""
     waiting: list[Prospect]
     """Those that are not fitted yet."""
     fits: list[Fit] = field(default_factory=list)
@@ -76,10 +76,10 @@ class Shortlists:
         if screened is None:
             prospects = screen(problem, base, self._library, self._signatures)[: self._settings.shortlist]
             hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self._settings.threshold]
-            screened = self._screened[_labels(base)] = _Screened(problem.doubted, hopeful)
-        elif not np.allclose(screened.doubt, problem.doubted, rtol=SAME_DOUBT, atol=0.0):
+            screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, hopeful)
+        elif not np.allclose(screened.doubt, problem.uncertainty, rtol=SAME_UNCERTAINTY, atol=0.0):
             again = [Prospect(one.claims[-1], np.inf) for one in screened.fits]
-            screened = self._screened[_labels(base)] = _Screened(problem.doubted, [*again, *screened.waiting])
+            screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, [*again, *screened.waiting])
         now = [one for one in screened.waiting if one.gain >= promised and one.claim.effect.label != but]
         screened.waiting = [one for one in screened.waiting if one not in now]
         screened.fits += [with_one_more(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
@@ -203,9 +203,9 @@ class Search:
             best = score(problem, fits[0])
             self._shortlists.polish(problem, base, best + CONTENDING * (score(problem, base) - best), POLISHED)
         better = [one for one in self._shortlists.beside(problem, base, 0.0) if score(problem, one) <= enough]
-        worth = [one for one in better if all_significant(problem, one)]
-        mends = bool(worth) and form_error(problem, base, worth[0], self.settings.form_error)
-        return [] if mends else worth
+        evidence = [one for one in better if all_significant(problem, one)]
+        mends = bool(evidence) and form_error(problem, base, evidence[0], self.settings.form_error)
+        return [] if mends else evidence
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
@@ -221,10 +221,10 @@ class Search:
                 continue
             label, base = claim.effect.label, without_one(problem, outcome.fit, claim)
             present = score(problem, outcome.fit)
-            worth = max(score(problem, base) - present, 0.0)
-            self._shortlists.beside(problem, base, promising * worth, label)
-            self._shortlists.polish(problem, base, present + CONTENDING * worth)
-            fits = self._shortlists.beside(problem, base, promising * worth, label)
+            evidence = max(score(problem, base) - present, 0.0)
+            self._shortlists.beside(problem, base, promising * evidence, label)
+            self._shortlists.polish(problem, base, present + CONTENDING * evidence)
+            fits = self._shortlists.beside(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if self._pays_in_place(outcome, one, claim.effect)]
             if better and all_significant(problem, better[0]):
@@ -263,8 +263,8 @@ class Search:
         """The fit without a claim, in full where the claim may be worth little."""
         problem, found = outcome.problem, outcome.fit
         fewer = without_one(problem, found, claim)
-        worth = score(problem, fewer) - score(problem, found)
-        return fewer if worth > DOUBTFUL * self.settings.threshold else fit(problem, fewer.claims)
+        evidence = score(problem, fewer) - score(problem, found)
+        return fewer if evidence > DOUBTFUL * self.settings.threshold else fit(problem, fewer.claims)
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
         outcome.problem, outcome.fit = self._weighed(found)
@@ -280,7 +280,7 @@ class Search:
             before = pack(found.claims)[1]
             problem = self.problem.weighed(found.claims)
             found = fit(problem, found.claims)
-            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(problem.doubted):
+            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(problem.uncertainty):
                 break
         return problem, found
 

@@ -217,7 +217,7 @@ Repaired = tuple[tuple[Repair, ...], Case]
 
 
 @dataclass(frozen=True)
-class Explained:
+class SearchResult:
     """What the best causes leave of a reading of the recordings."""
 
     fitted: Left
@@ -250,17 +250,17 @@ def read_repaired(question: Question, progress: Progress) -> Case:
     if case is not None and (question.as_wired or not (doubted or _mismatch(case.problem))):
         return case
     readings = _plausible(question, doubted, progress) if doubted or case is None else [((), case)]
-    readings = [_freed(question, *one, progress) for one in readings]
+    readings = [_with_suspected_repairs(question, *one, progress) for one in readings]
     if not readings:
         return read(question, progress)
-    repairs, other = _least(readings, progress)
+    repairs, other = _best_reading(readings, progress)
     if not repairs:
         return other
     if any(isinstance(repair, Rename) and not repair.becomes for repair in repairs):
         refusal = "no two sensors have the same noise"
     if case is None or refusal:
         return replace(other, wiring=_told(repairs, other.question, f"as recorded: {refusal.split(' (')[0]}"))
-    return _decided(case, _tried(case, progress), repairs, other, progress)
+    return _choose(case, _searched(case, progress), repairs, other, progress)
 
 
 def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Case:
@@ -276,7 +276,7 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
         other = read(_repaired(case.question, repairs), progress)
     except InputError:
         return case
-    return _decided(case, _left(found.problem, found.holdout, claims), repairs, other, progress)
+    return _choose(case, _left(found.problem, found.holdout, claims), repairs, other, progress)
 
 
 def _mismatch(problem: Problem) -> bool:
@@ -289,12 +289,12 @@ def _plausible(question: Question, doubted: Iterable[Doubt], progress: Progress)
     One for each choice of channels that is left.
     """
     best: dict[frozenset[str], Repaired] = {}
-    for repairs in islice(product(*_merged(doubted)), MOST_READINGS):
+    for repairs in islice(product(*_one_per_field(doubted)), MOST_READINGS):
         further: list[Doubt] = []
         try:
             case = read(_repaired(question, repairs), progress, further)
             if further:  # in millimetres and from mid-stroke, for instance
-                repairs = (*repairs, *(doubt[-1] for doubt in _merged(further)))
+                repairs = (*repairs, *(doubt[-1] for doubt in _one_per_field(further)))
                 case = read(_repaired(question, repairs), progress)
         except InputError:
             continue
@@ -304,7 +304,9 @@ def _plausible(question: Question, doubted: Iterable[Doubt], progress: Progress)
     return list(best.values())
 
 
-def _freed(question: Question, repairs: tuple[Repair, ...], case: Case, progress: Progress) -> Repaired:
+def _with_suspected_repairs(
+    question: Question, repairs: tuple[Repair, ...], case: Case, progress: Progress
+) -> Repaired:
     """A reading without the mistakes that the model suspects in it too."""
     further = suspected(case.problem, (), case.held)
     if not further:
@@ -315,15 +317,15 @@ def _freed(question: Question, repairs: tuple[Repair, ...], case: Case, progress
         return repairs, case
 
 
-def _least(readings: Sequence[Repaired], progress: Progress) -> Repaired:
+def _best_reading(readings: Sequence[Repaired], progress: Progress) -> Repaired:
     """The reading of which the best causes leave least."""
     if len(readings) == 1:
         return readings[0]
-    explained = [_tried(case, progress) for _, case in readings]
+    explained = [_searched(case, progress) for _, case in readings]
     return readings[max(range(len(readings)), key=lambda k: gain(explained[0].fitted, explained[k].fitted))]
 
 
-def _merged(doubted: Iterable[Doubt]) -> list[Doubt]:
+def _one_per_field(doubted: Iterable[Doubt]) -> list[Doubt]:
     """One doubt of each field: of those of several recordings the one with the middle number."""
     groups: list[tuple[set[str], list[Doubt]]] = []
     for doubt in doubted:
@@ -348,7 +350,7 @@ def _repaired(question: Question, repairs: Sequence[Repair]) -> Question:
     return replace(question, columns=columns if whole else columns.corrections())
 
 
-def _tried(case: Case, progress: Progress) -> Explained:
+def _searched(case: Case, progress: Progress) -> SearchResult:
     """What is left after a small search for causes."""
     with threadpool_limits(1, "blas"):
         found = Search(case.problem, case.candidates, TRIAL, progress).run()
@@ -357,18 +359,18 @@ def _tried(case: Case, progress: Progress) -> Explained:
     return _left(problem, holdout.weighed(found.fit.claims), found.fit.claims)
 
 
-def _left(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> Explained:
-    return Explained(left(problem, claims), left(holdout, claims), tuple(claims))
+def _left(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> SearchResult:
+    return SearchResult(left(problem, claims), left(holdout, claims), tuple(claims))
 
 
-def _decided(case: Case, here: Explained, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
+def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
     """The better of the two, with a note on both."""
-    there = _tried(other, progress)
+    there = _searched(other, progress)
     again = retimed(other.problem, [claim for claim in there.claims if claim.effect.id not in LAGS], repairs)
     if again != tuple(repairs):
         with suppress(InputError):
             nearer = read(_repaired(case.question, again), progress)
-            closer = _tried(nearer, progress)
+            closer = _searched(nearer, progress)
             gained = gain(there.fitted, closer.fitted)
             if gained > ALIKE or (gained > -ALIKE and closer.numbers <= there.numbers):
                 repairs, other, there = again, nearer, closer

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.bench_numbers import rehearsable
+from hydro_diagnosis.bench_numbers import can_simulate
 from hydro_diagnosis.closure.admission import Admitted, admitted, reports, without_harmful_names
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.base import Effect
@@ -28,7 +28,7 @@ from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
 from hydro_diagnosis.stages.reading import Progress, StageResult
-from hydro_diagnosis.validation import Known, equations_told, held_out
+from hydro_diagnosis.validation import Known, equation_report, held_out
 
 
 def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
@@ -38,7 +38,7 @@ def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
     outcome = search.run()
     problem = outcome.problem
     progress(stage_bar.JUDGING)
-    assessment, bounds = _judged(problem, outcome)
+    assessment, bounds = _assess(problem, outcome)
     models = [SegmentModel(segment, problem.bench) for segment in held]
     progress(stage_bar.CHECKING)
     holdout = Problem(held, problem.bench, problem.baseline, noise=problem.sensor_noise)
@@ -50,8 +50,8 @@ def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
         simulated=simulated, proof=proof,
     )  # fmt: skip
     if assessment.verdict == "explained" and (worse := made_worse(proof)):
-        return _withdrawn(found, worse)
-    return replace(found, next_recording=_ahead(found))
+        return _withdraw(found, worse)
+    return replace(found, next_recording=_next_recording(found))
 
 
 def withdraw_if_worse(found: StageResult, names: StageResult) -> StageResult:
@@ -60,10 +60,10 @@ def withdraw_if_worse(found: StageResult, names: StageResult) -> StageResult:
     `names`: the same before closures.
     """
     worse = made_worse_in_all(found.proof) if found.names else ""
-    return _withdrawn(names, worse) if worse else found
+    return _withdraw(names, worse) if worse else found
 
 
-def _withdrawn(found: StageResult, worse: str) -> StageResult:
+def _withdraw(found: StageResult, worse: str) -> StageResult:
     """The bench file again, with a note on the names: `worse` of the held-out recordings."""
     problem, nothing = found.problem, found.outcome.nothing
     assessment = refuted(problem, found.assessment, nothing)
@@ -76,16 +76,16 @@ def _withdrawn(found: StageResult, worse: str) -> StageResult:
         proof=held_out(problem, holdout, assessment.fit.claims, found.models, found.simulated),
         withdrawn=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder),
     )
-    return replace(bare, next_recording=_ahead(bare))
+    return replace(bare, next_recording=_next_recording(bare))
 
 
-def _ahead(found: StageResult) -> dict[str, Any] | None:
+def _next_recording(found: StageResult) -> dict[str, Any] | None:
     """The next recording; None where the bench file is not known enough to rehearse one."""
     problem = found.problem
-    return next_recording(problem, found.outcome, found.assessment) if rehearsable(problem.bench) else None
+    return next_recording(problem, found.outcome, found.assessment) if can_simulate(problem.bench) else None
 
 
-def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
+def _assess(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
     """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged anew."""
     assessment = assess(problem, outcome.fit, outcome.nothing)
     while True:
@@ -115,10 +115,10 @@ def model_remainder(names: StageResult, library: Sequence[Effect], progress: Pro
         closures=reports(found, bounds),
     )
     ahead = names.next_recording if beside.names == names.names else None  # it would tell apart what is not claimed
-    if ahead is None and rehearsable(problem.bench):
+    if ahead is None and can_simulate(problem.bench):
         ahead = next_for_law(beside.problem, found.closed.fit, found.closed.screen)
     holdout = holdout.weighed(found.closed.fit.claims)
-    proof = {**found.held, "equations": equations_told(holdout, found.closed.fit.claims)}
+    proof = {**found.held, "equations": equation_report(holdout, found.closed.fit.claims)}
     return replace(beside, holdout=holdout, proof=proof, next_recording=ahead)
 
 

@@ -25,7 +25,7 @@ from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.unknown_numbers import refuse_others, standing, starting_bench
+from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
 from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import is_bag
@@ -214,7 +214,7 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         If a recording cannot be diagnosed, or numbers are missing that it needs, in one sentence.
     """
     estimate = tuple(dict.fromkeys(question.estimate))
-    refuse_others(estimate)
+    refuse_inestimable(estimate)
     base = baseline(question.bench, question.model, estimate)
     given = base.bench
     unruled = _candidates(question.without)
@@ -232,7 +232,7 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
     ruled_out = [effect for effect in CANDIDATES if effect not in unruled and effect.named]
     problem = Problem(
         fitted, believed, baseline_claims,
-        estimated=standing(believed, estimate), ruled_out=_acting(ruled_out, believed),
+        estimated=estimated_claims(believed, estimate), ruled_out=_acting(ruled_out, believed),
     )  # fmt: skip
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
