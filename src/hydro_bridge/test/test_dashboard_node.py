@@ -21,7 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from hydro_bridge.ros import executable_path
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.slow
 
 ALONE = {**os.environ, "ROS_DOMAIN_ID": str(1 + (os.getpid() + 50) % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 

@@ -18,7 +18,7 @@ pytest.importorskip("rclpy")
 from hydro_bridge.ros import executable_path
 from hydro_bridge.ros.network import PROFILES, RANGE
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.slow
 
 LOOPBACK = "127.0.0.1"
 

@@ -70,6 +70,12 @@ def test_a_state_that_is_not_finite_gives_no_correction(still: FloatArray, index
     assert FILTER.correct(at(still, 100.0, -40.0)).status is CorrectionStatus.MODIFIED  # and harms nothing after it
 
 
+def test_a_law_that_is_not_finite_gives_no_correction(still: FloatArray) -> None:
+    for field in ("nominal_current", "reference_force", "proportional_gain"):
+        result = FILTER.correct(at(still, 100.0, -40.0)._replace(**{field: nan}))
+        assert (result.delta_u, result.status) == (0.0, CorrectionStatus.NAN)
+
+
 @given(
     values=st.lists(st.floats(width=64), min_size=8, max_size=8),
     current=st.floats(width=64),
