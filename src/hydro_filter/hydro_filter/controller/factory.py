@@ -24,7 +24,7 @@ import numpy as np
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_filter.certificate.qp import QpCounts
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
-from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import learned as learned_metric
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.bench_loop import effects_to_compile
@@ -154,7 +154,7 @@ class FilterChoice:
             return ContractionFilter.for_bench(self.bench, settings)
         files = self.files
         metric, model = LearnedMetric.load(files["metric"]), load_model(files["model"])
-        return LoopFilter(loop_parts(metric, model, self.bench, settings), settings)
+        return loop_filter(metric, model, self.bench, settings)
 
 
 def warm_up(contraction_filter: Filter, bench: Bench) -> None:
