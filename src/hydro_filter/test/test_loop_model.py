@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hydro_filter.model.force_law import PAPER_SCALES
 from hydro_filter.model.loop_model import LoopModel, linearize, loop_model, loop_step
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
@@ -18,7 +19,7 @@ def loop(bench: Bench) -> LoopModel:
 
 def test_a_spool_that_passes_zero_is_linearized_on_the_side_it_comes_from(loop: LoopModel) -> None:
     x, step = np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9.9e6, 0.04, 0.0]), loop_step()
-    linearize(loop, np.array([1e-5, 0.0, 0.0]), x, 1e-5, 1e-5, 90.0, step)
+    linearize(loop, np.array([1e-5, 0.0, 0.0]), x, 1e-5, 1e-5, 90.0, PAPER_SCALES, step)
     still = step.transition.copy()
-    linearize(loop, np.array([1e-5, -0.1, 0.0]), x, 1e-5, -3e-3, 90.0, step)
+    linearize(loop, np.array([1e-5, -0.1, 0.0]), x, 1e-5, -3e-3, 90.0, PAPER_SCALES, step)
     np.testing.assert_allclose(step.transition, still, rtol=1e-3, atol=1e-4)
