@@ -74,11 +74,11 @@ def bench_file(config: TruthConfig, path: Path) -> Path:
     return path
 
 
-def made_for(name: str, config: TruthConfig, folder: Path) -> tuple[LoopFilter, LearnedMetric, Path]:
+def made_for(name: str, config: TruthConfig, folder: Path, law: str) -> tuple[LoopFilter, LearnedMetric, Path]:
     """The filter on a truth's own bench file; files that are there already are taken (raises ValueError: has none)."""
     model, made = folder / f"{name}.yaml", folder / f"{name}.safetensors"
     if not made.exists():
-        metric(bench_file(config, model), folder)
+        metric(bench_file(config, model), folder, law)
     return loaded(made, model), LearnedMetric.load(made), model
 
 
@@ -192,6 +192,10 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True, help="of bench files and metrics; those there are taken")
     parser.add_argument("--draw", type=int, default=12, metavar="COUNT", help="drawn truths; default: %(default)s")
     parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
+    parser.add_argument(
+        "--law", choices=("both", "compensated"), default="both",
+        help="of the metrics (`learn_metric --law`); without the paper's the filter corrects all gains at C_1 = 1",
+    )  # fmt: skip
     parser.add_argument("--parts", nargs="+", choices=("law", "gains"), default=["law", "gains"])
     add_json_argument(parser)
     asked = parser.parse_args()
@@ -202,7 +206,7 @@ def main() -> None:
     shipped, rows = default_filter(), {part: list[dict[str, Any]]() for part in asked.parts}
     for name, config in progress(truths.items(), total=len(truths), label="truths", unit="truth"):
         try:
-            own, metrics, model = made_for(name, config, asked.folder)
+            own, metrics, model = made_for(name, config, asked.folder, asked.law)
         except ValueError as error:
             print(f"{name}: no filter: {error}", file=sys.stderr)
             own, metrics, model = None, None, None

@@ -25,7 +25,7 @@ from hydro_bridge.signals import (
 from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_decision import certified_gain, feedforward_excess, integral_term
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter, loop_parts
-from hydro_filter.metric.design import MetricDesign, lyapunov, rest_loop
+from hydro_filter.metric.design import lyapunov, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.bench_loop import bench_loop
 from hydro_filter.model.sample import Sample
@@ -40,21 +40,6 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 SHAPED = LawCommand(
     law=Law.COMPENSATED, coefficients=(1.02, 0.03, 2e-4, -3.0), velocity_compensation=C_1, valve_gain_scale=1.0
 )
-
-
-@pytest.fixture(scope="module")
-def model(bench: Bench) -> Bench:
-    return replace(bench, effects=FOUND)
-
-
-@pytest.fixture(scope="module")
-def metric(bench: Bench, model: Bench) -> LearnedMetric:
-    """Solved for both laws, without rollouts."""
-    loop = bench_loop(model, bench)
-    shaped = MetricDesign(velocity_compensation=C_1, gain_low=15.0, gain_high=400.0)
-    solved = (LearnedMetric.designed(loop, bench, design) for design in (MetricDesign(gain_high=70.0), shaped))
-    paper, other = (replace(one, low=np.full(8, -1e9), high=np.full(8, 1e9)) for one in solved)
-    return replace(paper, another=other)
 
 
 @pytest.fixture(scope="module")

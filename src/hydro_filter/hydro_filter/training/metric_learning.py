@@ -89,8 +89,8 @@ def learn(options: argparse.Namespace) -> None:
     loop = loop_of(model, bench)
     if free_plant(model) is not None:
         _say(OVERLAP_TOLD)
-    laws = [(data, settings)]
-    if isinstance(model, Bench):  # the others keep to the paper's law
+    laws = [(data, settings)] if options.law != "compensated" or not isinstance(model, Bench) else []
+    if isinstance(model, Bench) and options.law != "paper":  # learned benches keep to the paper's law
         shaped = DataSettings.under(BoxConfig().compensated, rollouts=data.rollouts // 2, seed=data.seed)
         laws.append((shaped, replace(settings, epochs=0)))
     found: list[tuple[LearnedMetric, Table]] = []
