@@ -60,7 +60,7 @@ from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
 from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
 from hydro_sim.files.pairing import MadeFor  # noqa: E402
-from hydro_sim.learned.any_model import digest  # noqa: E402
+from hydro_sim.learned.any_model import digest as digest_of  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
 from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
@@ -229,7 +229,7 @@ def beside_the_law(started: Callable[..., Source], model: Bench, metric: Learned
     """A filter that is made for both laws."""
     file, of = tmp_path / "metric.safetensors", tmp_path / "model.yaml"
     of.write_text(yaml.safe_dump(model.to_mapping()))
-    replace(metric, made=MadeFor(box=Bench.nominal().digest, model=digest(of))).save(file)
+    replace(metric, made=MadeFor(box=Bench.nominal().digest, model=digest_of(of))).save(file)
     return started("--metric", str(file), "--model", str(of), *PATIENT)
 
 
