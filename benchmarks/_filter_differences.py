@@ -31,7 +31,7 @@ CURRENT_STEP = 1e-6
 
 
 @njit
-def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace):
+def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, law, workspace):
     """`loop_decision.build_problem` by differences."""
     loop, value, step = parts.loop, workspace.value, workspace.step
     displacement.settle(loop, memory, x, current, reference_rate)
@@ -41,9 +41,7 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     _metric(parts.metric, x, step.state_rate, gain, value)
     outside = network.uncertified(parts.metric, gain)
     rate = parts.foreign_rate if outside else parts.rate
-    term, law_gain = loop_decision.integral_term(
-        loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain
-    )
+    term, law_gain = loop_decision.integral_term(loop.bench[0], loop.gain_floor, x, nominal, gain, law)
     asked = sampled.excess_integral(term, parts.integral_allowance) / law_gain
     bent, slope, level, size = sampled.quadratic(
         step, value, workspace.v, current - nominal + asked, asked, rate, workspace.next_v, workspace.after_v
@@ -162,12 +160,12 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
 
 
 @njit
-def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
-    """`loop_filter.propose` by differences; nothing watches the model."""
+def propose(box, memory, x, nominal, current, reference, reference_rate, gain, law):
+    """`loop_filter.propose` by differences, of the paper's law; nothing watches the model."""
     parts, workspace, _, _ = box[0]
-    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
+    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain, law):
         return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    p = build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, workspace)
+    p = build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, law, workspace)
     return FITS, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best, p.applied
 
 

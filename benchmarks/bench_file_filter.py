@@ -127,17 +127,18 @@ def bench_file(case: Case, path: Path) -> Path:
     return path
 
 
-def metric(model: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
+def metric(model: Path, folder: Path, law: str = "paper") -> tuple[Path, dict[str, Any]]:
     """The metric of a bench file, and what is said of it (raises ValueError with the command's own words)."""
     out, table = folder / f"{model.stem}.safetensors", folder / f"{model.stem}.json"
     began = time.monotonic()
-    words = ["--out", str(out), "--model", str(model), "--epochs", "0", "--json", str(table)]
+    words = ["--out", str(out), "--model", str(model), "--epochs", "0", "--law", law, "--json", str(table)]
     code = "from hydro_filter.training.learn_metric import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise ValueError(done.stderr.strip().splitlines()[-1].removeprefix("error: "))
     rows = yaml.safe_load(table.read_text(encoding="utf-8"))["rows"]
-    violated = next(row["violated"] for row in rows if row["metric"] == "solved" and row["gains"] == "certified")
+    solved = (row for row in rows if row["metric"].startswith("solved"))
+    violated = next(row["violated"] for row in solved if row["gains"] == "certified")
     span = done.stderr.rpartition("certified range: K_p ")[2].split(" 1/s")[0]
     return out, {"range": span, "violated": violated, "made_in": time.monotonic() - began}
 

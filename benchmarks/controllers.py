@@ -42,6 +42,7 @@ from hydro_bridge.settings import SettingsError, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.envs import vector_runs
+from hydro_policy.envs.vector_filter import FleetFilter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import load_initial_agent
@@ -105,10 +106,11 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 
 def measure(
-    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, seed: int = 0
-) -> list[dict[str, Any]]:
+    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, seed: int = 0,
+    box: BoxConfig | None = None, filters: FleetFilter | None = None,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Run every case on this truth; one row of figures for each (see `outcome`)."""
-    fleet = truth_fleet(len(cases), config)
+    fleet = truth_fleet(len(cases), config, box, filters)
     sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
     for step in vector_runs.run(fleet, cases, choose, SETTINGS, seed, compensator):

@@ -26,7 +26,7 @@ from hydro_bridge.ros import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import CONSTANT, LEARNED, Filter, FilterChoice, warm_up
 from hydro_filter.controller.filter import ContractionFilter
-from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilter, loop_filter
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model import analytic_kernels
 from hydro_filter.model.dynamics import AnalyticDynamics, Linearization
@@ -180,7 +180,7 @@ def main(arguments: list[str] | None = None) -> int:
     slow = DifferencedLoopFilter(learned.parts, learned.settings)
     filters = {"learned": learned, "learned, differences": slow, "constant": constant}
     filters["constant, differences"] = differenced(bench)
-    filters[BENCH_FILE] = LoopFilter(loop_parts(LearnedMetric.load(), replace(bench, effects=FOUND), bench))
+    filters[BENCH_FILE] = loop_filter(LearnedMetric.load(), replace(bench, effects=FOUND), bench)
     for each in filters.values():
         warm_up(each, bench)
     samples = runs(bench, learned, asked.samples)

@@ -136,11 +136,18 @@ def edges(parts: LoopParts) -> FloatArray:
     return np.array(rows)
 
 
+def law(row: FloatArray) -> tuple[float, float, float, float]:
+    """The paper's law of a row, as `decide` has it."""
+    _, _, reference, reference_rate, _ = row[PLACES].tolist()
+    return reference, reference_rate, 1.0, 1.0
+
+
 def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:
     """The same by the compiled Python; what is not finite as 0, as C tells it."""
     memory, space = memories(parts.loop), loop_decision.workspace(parts)
     made = [
-        loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], bool(row[WIDTH]), space) for row in rows
+        loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], law(row), bool(row[WIDTH]), space)
+        for row in rows
     ]
     return np.nan_to_num(np.array(made), posinf=0.0, neginf=0.0)
 
@@ -170,7 +177,7 @@ def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
         armed = bool(int(sample["flags"]) & Flag.ARMED)
         row = np.array([float(sample[name]) for name in STATE_FIELDS] + [float(armed)])
         rows.append(row)
-        delta_u = loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], armed, space)[0]
+        delta_u = loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], law(row), armed, space)[0]
         x = plant.step(float(sample["valve_current"]))
     return np.array(rows)
 

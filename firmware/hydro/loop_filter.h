@@ -10,6 +10,9 @@
  * NAN, and the memory begins anew. A correction acts one sample after its own. `ros2 run hydro_filter filter_header
  * --metric learned` writes HYDRO_LOOP_FILTER.
  *
+ * It knows the paper's law alone: under the compensated one (HYDRO_COMPENSATED) apply no correction, and begin with a
+ * memory of zeros behind it.
+ *
  * Nothing here sees that the model is no longer the bench's. The graph's filter does (MISMATCH): let it run beside, and
  * apply no correction of this one while the newest command has filter_fresh 0.
  */

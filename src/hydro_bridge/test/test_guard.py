@@ -305,10 +305,12 @@ def test_the_compensated_law_goes_through_with_its_own_gains_and_without_a_filte
     assert (command.delta_kp, command.delta_ki, command.delta_u) == (-100.0, 5.0, 0.0) and command.filter_fresh
 
 
-def test_no_correction_acts_under_the_compensated_law():
+def test_a_correction_acts_under_the_compensated_law_as_long_as_under_the_papers_and_no_bypass_does():
     guard = compensated()
     guard.set_correction(0.01, CorrectionStatus.MODIFIED, 77, 0.0)
-    assert guard.command(0.001).delta_u == 0.0
+    assert [guard.command(age).delta_u for age in (0.001, 0.01)] == [0.01, 0.0]
+    guard.set_correction(0.01, CorrectionStatus.BYPASSED, 78, 0.01)
+    assert guard.command(0.011).delta_u == 0.0
 
 
 @pytest.mark.parametrize("silent", ["gains", "law"])

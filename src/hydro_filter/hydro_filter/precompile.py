@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hydro_filter.controller.factory import CONSTANT, LEARNED, FilterChoice, warm_up
-from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
+from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.design import rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop import Loop, loop_of
@@ -41,7 +41,7 @@ def _filter(metric: str) -> None:
 def _bench_file() -> None:
     """Compile the filter on a bench file: the general kernels, and the models with these effects and without any."""
     for effects in (FOUND, ()):
-        made = LoopFilter(loop_parts(LearnedMetric.load(), _with(effects), Bench.nominal()))
+        made = loop_filter(LearnedMetric.load(), _with(effects), Bench.nominal())
         warm_up(made, Bench.nominal())
 
 

@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared: the nominal bench and random states within what its sensors can show."""
+"""Shared: the nominal bench, random states within what its sensors can show, and a bench file with its metric."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
+from hydro_filter.metric.design import MetricDesign
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.bench_loop import bench_loop
 from hydro_filter.model.state import STATES
+from hydro_filter.precompile import FOUND
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
 LOW = np.array([-800.0, -2e4, -800.0, -2e4, 1e6, 1e6, 0.005, -0.4])
@@ -23,3 +30,19 @@ def bench() -> Bench:
 def states() -> FloatArray:
     """200 states, shape (200, 8), SI units."""
     return LOW + (HIGH - LOW) * np.random.default_rng(7).random((200, STATES))
+
+
+@pytest.fixture(scope="session")
+def model(bench: Bench) -> Bench:
+    """A bench file of what a diagnosis finds on most benches."""
+    return replace(bench, effects=FOUND)
+
+
+@pytest.fixture(scope="session")
+def metric(bench: Bench, model: Bench) -> LearnedMetric:
+    """Its metric for both laws, solved at rest, without rollouts."""
+    loop, c_1 = bench_loop(model, bench), BoxConfig().compensated.velocity_compensation
+    shaped = MetricDesign(velocity_compensation=c_1, gain_low=15.0, gain_high=400.0)
+    solved = (LearnedMetric.designed(loop, bench, design) for design in (MetricDesign(gain_high=70.0), shaped))
+    paper, other = (replace(one, low=np.full(8, -1e9), high=np.full(8, 1e9)) for one in solved)
+    return replace(paper, another=other)

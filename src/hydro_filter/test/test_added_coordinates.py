@@ -193,7 +193,7 @@ def test_the_certificate_foretells_how_twin_runs_of_the_whole_bench_part(case: s
         nominal, current, _, rate, _ = first.law[k]
         settle(loop, memory, first.x[k], current, rate)
         if k >= 510:
-            linearize(loop, memory["hidden"], first.x[k], nominal, current, gain, step)
+            linearize(loop, memory["hidden"], first.x[k], nominal, current, gain, (1.0, 1.0), step)
             matrix = metric.matrix(first.x[k], gain)
             slopes = slopes_of(loop, memory, first.x[k])
             now, then = (nudge(loop, slopes, first, second, at) for at in (k, k + 1))

@@ -6,10 +6,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 pytestmark = pytest.mark.graph
 pytest.importorskip("hydro_msgs.msg", reason="source install/setup.bash")
@@ -31,21 +34,30 @@ from hydro_bridge.ros import (  # noqa: E402
     STATE_QOS,
     Companion,
     StateMessage,
+    fill_law_state,
 )
 from hydro_bridge.signals import (  # noqa: E402
     PLANT_FIELDS,
     STATE_FIELDS,
+    Command,
     CorrectionStatus,
+    Flag,
     FloatArray,
+    Law,
     ReferenceSignal,
     Waveform,
 )
 from hydro_filter.controller.factory import FilterChoice  # noqa: E402
 from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
-from hydro_filter.controller.loop_filter import LoopFilterSettings  # noqa: E402
+from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter  # noqa: E402
+from hydro_filter.metric.learned import LearnedMetric  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
 from hydro_filter.validation.plants import ChangingPlant, modified_truth  # noqa: E402
-from hydro_msgs.msg import BoxInfo, Correction, LawState  # noqa: E402
+from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
+from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
+from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
+from hydro_sim.files.pairing import MadeFor  # noqa: E402
+from hydro_sim.learned.any_model import digest as digest_of  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
 from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
@@ -179,16 +191,27 @@ def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[.
     assert source.corrections[0].delta_u > 0.0
 
 
-def test_under_the_compensated_law_every_answer_is_bypassed_and_under_the_papers_as_ever(
+def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
+    source = started("--bypass", *CONSTANT)
+    source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
+    source.wait(lambda: bool(source.corrections))
+    assert source.corrections[0].status == CorrectionStatus.BYPASSED
+    assert source.corrections[0].delta_u == 0.0
+    assert source.corrections[0].certificate_before > 0.0
+    source.wait(lambda: any("BYPASSED" in status.message for status in source.diagnostics))
+    assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+
+
+def test_a_metric_of_the_papers_law_bypasses_the_compensated_one_and_answers_the_papers_as_ever(
     started: Callable[..., Source], still: FloatArray
 ) -> None:
     source = started(*CONSTANT)
-    laws = source.node.create_publisher(LawState, LAW_STATE, LAW_STATE_QOS)
+    laws = source.node.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
     source.wait(lambda: laws.get_subscription_count() > 0)
     sample = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
     for sequence in range(200):
         if 20 <= sequence < 60:
-            laws.publish(LawState(sequence=sequence, law=1))
+            laws.publish(LawStateMessage(sequence=sequence, law=1))
             source.executor.spin_once(timeout_sec=0.002)  # before the sample, as a plant does
         source.publish(sequence, sample)
         source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
@@ -196,6 +219,96 @@ def test_under_the_compensated_law_every_answer_is_bypassed_and_under_the_papers
     assert set(statuses[:20]) == {CorrectionStatus.MODIFIED} == set(statuses[120:])
     assert set(statuses[25:100]) == {CorrectionStatus.BYPASSED}
     assert all(message.delta_u == 0.0 for message in source.corrections[25:100])
+
+
+@pytest.fixture
+def beside_the_law(started: Callable[..., Source], model: Bench, metric: LearnedMetric, tmp_path: Path) -> Source:
+    """A filter that is made for both laws."""
+    file, of = tmp_path / "metric.safetensors", tmp_path / "model.yaml"
+    of.write_text(yaml.safe_dump(model.to_mapping()))
+    replace(metric, made=MadeFor(box=Bench.nominal().digest, model=digest_of(of))).save(file)
+    return started("--metric", str(file), "--model", str(of), *PATIENT)
+
+
+def shaken(model: Bench, answer: Callable[[Sample, LawStateMessage], float]) -> tuple[list[Sample], bool]:
+    """The compensated law at C_1 = 1 on a bench, K_p 150 to 300 drawn a hundred times a second; whether it tripped."""
+    usual = BoxConfig()
+    law = replace(usual.compensated, velocity_compensation=1.0, velocity_compensation_max=1.0)
+    box, plant, rng = (
+        Box(Bench.nominal(), replace(usual, compensated=law)),
+        AnalyticPlant(model),
+        np.random.default_rng(1),
+    )
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+    x, delta_u, told = plant.reset(1), 0.0, LawStateMessage()
+    box.receive(Command(law=Law.COMPENSATED), 0.0)
+    samples = []
+    for k in range(1500):
+        if k % 10 == 0:
+            delta_kp = rng.uniform(150.0, 300.0) - law.base_kp
+        command = Command(arm=True, law=Law.COMPENSATED, reference=signal, delta_kp=delta_kp, delta_u=delta_u)
+        box.receive(command, 1e-3 * k)
+        record = box.tick(x, 1e-3 * k)
+        samples.append(Sample.of(record, law_state(box.state[0])))
+        if int(record["flags"]) & Flag.TRIPPED:
+            return samples, True
+        delta_u = answer(samples[-1], fill_law_state(told, 0, k, law_state(box.state[0])))
+        x = plant.step(samples[-1].valve_current)
+    return samples, False
+
+
+def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
+    beside_the_law: Source, model: Bench, metric: LearnedMetric
+) -> None:
+    source, core = beside_the_law, loop_filter(metric, model, Bench.nominal())
+    laws = source.node.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
+    source.wait(lambda: laws.get_subscription_count() > 0)
+    assert shaken(model, lambda sample, told: 0.0)[1], "without a filter the box trips"
+    expected: list[float] = []
+
+    def answer(sample: Sample, told: LawStateMessage) -> float:
+        """The law before its sample, or behind it: the sample waits for it."""
+        sequence = told.sequence
+        if sequence % 2:
+            laws.publish(told)
+            source.publish(sequence, sample)
+        else:
+            source.publish(sequence, sample)
+            laws.publish(told)
+        source.wait(lambda: len(source.corrections) > sequence, timeout=5.0)
+        expected.append(core.correct(sample).delta_u)
+        return source.corrections[-1].delta_u
+
+    assert not shaken(model, answer)[1]
+    source.wait(lambda: "1/s at C_1 = 0.3" in dict_of(source.diagnostics[-1])["certified"])
+    assert [message.sequence for message in source.corrections] == list(range(1500))
+    statuses = {message.status for message in source.corrections}
+    assert CorrectionStatus.MODIFIED in statuses and CorrectionStatus.BYPASSED not in statuses
+    assert [message.delta_u for message in source.corrections] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still: FloatArray) -> None:
+    source = beside_the_law
+    laws = source.node.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
+    source.wait(lambda: laws.get_subscription_count() > 0)
+    sample = samples(still, 1)[0]._replace(proportional_gain=90.0, nominal_current=0.0)
+    for sequence in range(10):
+        if sequence != 5:
+            laws.publish(LawStateMessage(sequence=sequence, law=1, velocity_compensation=0.3, valve_gain_scale=1.0))
+        source.publish(sequence, sample)
+        if sequence != 5:
+            source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
+    statuses = [message.status for message in source.corrections]
+    assert statuses[5] == CorrectionStatus.STALE and statuses.count(CorrectionStatus.STALE) == 1
+
+
+def test_every_tenth_sample_is_a_hundred_hertz(started: Callable[..., Source], still: FloatArray) -> None:
+    source = started("--every", "10", *CONSTANT)
+    for k in range(35):
+        source.publish(k, samples(still, 1)[0])
+    source.wait(lambda: len(source.corrections) >= 4)
+    source.wait(lambda: len(source.diagnostics) > 1)
+    assert [message.sequence for message in source.corrections] == [0, 10, 20, 30]
 
 
 def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:

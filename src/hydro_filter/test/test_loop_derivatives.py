@@ -13,6 +13,7 @@ from hydro_filter.metric.design import MetricDesign
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import ENTRIES, GAIN_UNIT, INPUTS
 from hydro_filter.model import loop_model, structured_kernels
+from hydro_filter.model.force_law import PAPER_SCALES
 from hydro_filter.model.loop_model import LOOP, LoopModel, hydraulic_slopes, shares
 from hydro_sim.box import force_law
 from hydro_sim.learned.model import Learned
@@ -104,7 +105,7 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(
 ) -> None:
     step, free = loop_model.loop_step(), loop.free[0]
     for x, hidden, current in cases:
-        loop_model.linearize(loop, hidden, x, current, current, 60.0, step)
+        loop_model.linearize(loop, hidden, x, current, current, 60.0, PAPER_SCALES, step)
         full = np.empty(FULL)
         structured_kernels.full_state(loop.model[0], x, hidden, full)
         after = advanced(model, free, full, current)
@@ -125,17 +126,19 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(
         assert np.abs(exact - numeric).max() <= LIMIT * np.abs(exact).max()
 
 
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (0.3, 1.0), (0.0, 2.5)])
 def test_k_is_the_derivative_of_the_boxs_law(
-    loop: LoopModel, cases: list[tuple[FloatArray, FloatArray, float]]
+    loop: LoopModel, cases: list[tuple[FloatArray, FloatArray, float]], scales: tuple[float, float]
 ) -> None:
     """With what f_h is made of, and on the spool's side of zero."""
     step, bench = loop_model.loop_step(), loop.bench[0]
     for x, hidden, current in cases:
         side = np.copysign(current, hidden[0] + loop.model[0][OFFSET])
-        loop_model.linearize(loop, hidden, x, current, current, -35.0, step)
-        g = hydraulics.input_gain(bench, x[6], x[4], x[5], side)
+        loop_model.linearize(loop, hidden, x, current, current, -35.0, scales, step)
+        g = scales[1] * hydraulics.input_gain(bench, x[6], x[4], x[5], side)
         driven = max(g, loop.gain_floor) * side
-        wanted = driven + hydraulics.velocity_term(bench, x[6], x[7]) + 35.0 * 110.0  # f_r' that gives this current
+        # the f_c' that gives this current
+        wanted = driven + scales[0] * hydraulics.velocity_term(bench, x[6], x[7]) + 35.0 * 110.0
 
         def law(q: FloatArray, x: FloatArray = x, wanted: float = wanted) -> float:
             moved, change = x.copy(), q * loop.scale
@@ -146,7 +149,8 @@ def test_k_is_the_derivative_of_the_boxs_law(
             moved[6] += change[5]
             moved[7] += change[7]
             force = x[2] + 110.0
-            return float(force_law.nominal_current(bench, moved, force - moved[2], 0.0, wanted, -35.0, loop.gain_floor))
+            known = force - moved[2], 0.0, wanted, -35.0, loop.gain_floor
+            return float(force_law.nominal_current(bench, moved, *known, *scales))
 
         numeric, width = np.zeros(LOOP), 1e-4
         for k in range(LOOP):

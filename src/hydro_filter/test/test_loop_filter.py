@@ -50,7 +50,7 @@ def test_the_compiled_call_decides_as_the_filter_does(bench: Bench, states: Stat
         signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate
         result = one.correct(sample)
         made = loop_decision.decide(
-            parts, memory[0], sample.state, *signals, sample.proportional_gain, sample.armed, workspace
+            parts, memory[0], sample.state, *signals, sample.proportional_gain, sample.followed, sample.armed, workspace
         )
         delta_u, before, _, status = made
         np.testing.assert_allclose(delta_u, result.delta_u, rtol=1e-5, atol=1e-9)  # OSQP beside its closed form

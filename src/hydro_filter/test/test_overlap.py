@@ -87,7 +87,9 @@ def test_the_correction_is_the_smallest_that_restores_the_certificate_across_the
     for k, record in enumerate(done.states):
         one = Sample.of(record)
         signals = one.nominal_current, one.valve_current, one.reference_force, one.reference_rate
-        problem = loop_decision.build_problem(parts, memory[0], one.state, *signals, one.proportional_gain, space)
+        problem = loop_decision.build_problem(
+            parts, memory[0], one.state, *signals, one.proportional_gain, one.followed, space
+        )
         if k % 20 or done.results[k].status is not CorrectionStatus.MODIFIED:
             continue
         after = [loop_decision.certificate_before_after(parts.overlap, problem, each)[1] for each in changes]

@@ -77,6 +77,25 @@ def test_each_run_begins_with_neutral_coefficients() -> None:
     assert len(returns) == 1, "from the first run's coefficients to the second's, once"
 
 
+class Late(Heard):
+    """Its law is not commanded in time, once it is armed."""
+
+    def sample(self):
+        output = super().sample()
+        if self.time > 0.6 and output["flags"] & Flag.ARMED:
+            output["flags"] |= Flag.FILTER_STALE
+        return output
+
+
+def test_a_law_that_is_commanded_late_is_not_blamed_on_corrections() -> None:
+    graph, live = Late(), LiveCompensation(LAW)
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    session = EvaluationSession(settings, [Compensated(live)], graph, compensation=live, retries=0)
+    graph.run(session, 20.0, compensation=live)
+    assert session.finished and len(session.warnings) == 1
+    assert "commands of the law came late" in session.warnings[0]
+
+
 def pairs(live: LiveCompensation, steps: range, *, lost: int = -1, flags: int = int(Flag.ARMED)) -> None:
     """Samples of a bench that lags 20 ms behind, both messages of each but of one that is lost."""
     for sequence in range(10 * steps.start + 1, 10 * steps.stop + 1):

@@ -9,7 +9,7 @@ from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.arming import HOW_TO_ARM
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, UNWATCHED, PlantSupervisor
 from hydro_policy.supervision.requirements import COMPILES, NO_FILTER
 
 ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
@@ -222,6 +222,14 @@ def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_dis
     assert not watch.calming
     assert watch.may_begin(3.6) != rearm, "armed anew where no person is needed for it"
     assert heard.armings == ([False, True, False] if rearm else [])
+
+
+def test_a_filter_that_decides_nothing_any_more_does_not_say_that_its_model_fits() -> None:
+    heard = Heard()
+    watch = PlantSupervisor(heard, rearm=True)
+    watch.on_correction(CorrectionStatus.MISMATCH)
+    watch.on_correction(CorrectionStatus.BYPASSED)
+    assert heard.said == [MISMATCH, UNWATCHED] and not watch.mismatched
 
 
 def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:

@@ -139,7 +139,7 @@ def compiled_learned() -> Callable[[Sample], float]:
 
     def correct(sample: Sample) -> float:
         signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate
-        at = *signals, sample.proportional_gain, sample.armed
+        at = *signals, sample.proportional_gain, sample.followed, sample.armed
         return float(loop_decision.decide(parts, memory[0], sample.state, *at, workspace)[0])
 
     return correct

@@ -148,3 +148,10 @@ def fill_law_state(message: LawStateMessage, stamp_ns: int, sequence: int, state
     message.a_0, message.a_1, message.a_2, message.a_3 = state.coefficients
     message.velocity_compensation, message.valve_gain_scale = state.velocity_compensation, state.valve_gain_scale
     return message
+
+
+def law_state_from_message(message: LawStateMessage) -> LawState:
+    """Return the force law of a sample (raises ValueError for an unknown law)."""
+    followed = message.compensated_reference, message.compensated_reference_rate
+    coefficients = message.a_0, message.a_1, message.a_2, message.a_3
+    return LawState(Law(message.law), *followed, coefficients, message.velocity_compensation, message.valve_gain_scale)

@@ -7,8 +7,8 @@ safe value (base gains, no correction); each case is counted, and each change is
 gains within the narrow range. If no gains arrive any more it gives the plant up: reference 0 N, disarmed. Source:
 failure table of failures.md.
 
-The compensated law has limits and a safe record of its own (`BoxLaw`), and no filter knows it: its gains pass without
-one, and no correction does. It is taken up and left only while the plant is disarmed.
+The compensated law has limits and a safe record of its own (`BoxLaw`): its gains pass without a filter, and the
+corrections of one that is made for it pass, too. It is taken up and left only while the plant is disarmed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NOT_OFFERED = (
 )
 KEPT_WHILE_ARMED = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
 UNFILTERED_LAW = (
-    "compensated law: its gains pass without the filter, which does not know it, within the law's own limits "
+    "compensated law: its gains pass within the law's own limits, whether or not the filter decides "
     "(guard.require_filter is about the paper's law)"
 )
 UNSOUND_LAW = "the box tells limits of its compensated law that are no limits: that law is not used"
@@ -302,7 +302,7 @@ class CommandGuard:
     def correction_fresh(self, now: float) -> bool:
         """Return whether the filter decided within `correction_age_max`, and its model is this bench's.
 
-        Under the compensated law, which has no filter: whether the law is commanded. Otherwise FILTER_STALE is shown.
+        Under the compensated law, which needs none: whether the law is commanded. Otherwise FILTER_STALE is shown.
         """
         return self.law_fresh(now) if self.compensated else self._answered(now) and not self._mismatched
 
@@ -369,6 +369,7 @@ class CommandGuard:
             arm=self._arm,
             delta_kp=gains[0],
             delta_ki=gains[1],
+            delta_u=self._delta_u if self._acts(now) else 0.0,
             reference=self._reference,
             corrects=self._corrects,
             filter_fresh=fresh,

@@ -24,7 +24,7 @@ import numpy as np
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_filter.certificate.qp import QpCounts
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
-from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import learned as learned_metric
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.bench_loop import effects_to_compile
@@ -73,10 +73,13 @@ class FilterChoice:
         return {"metric": metric, "model": self.model or weights.shipped()}
 
     def describe(self) -> dict[str, str]:
-        """Return its description with the files' digests, for logs and /diagnostics."""
+        """Return its description with the files' digests and certified gains, for logs and /diagnostics."""
         if self.constant:
             return {"metric": "constant, solved for the bench file", "model": "analytic, the bench file"}
-        return {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
+        told = {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
+        ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.certificates)
+        certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
+        return {**told, "certified": ", ".join(certified)}
 
     def trouble(self, box: BoxIdentity | None = None) -> str:
         """Return why metric, model and bench do not belong together, in one sentence; empty if they do.
@@ -154,7 +157,7 @@ class FilterChoice:
             return ContractionFilter.for_bench(self.bench, settings)
         files = self.files
         metric, model = LearnedMetric.load(files["metric"]), load_model(files["model"])
-        return LoopFilter(loop_parts(metric, model, self.bench, settings), settings)
+        return loop_filter(metric, model, self.bench, settings)
 
 
 def warm_up(contraction_filter: Filter, bench: Bench) -> None:

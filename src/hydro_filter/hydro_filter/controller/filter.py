@@ -63,6 +63,11 @@ class ContractionFilter:
         Only age and bypass are used here; the others are part of the certificate.
     """
 
+    @staticmethod
+    def unknown(*, compensated: bool) -> str:
+        """See `LoopFilter.unknown`."""
+        return "the constant metric is for the paper's law" if compensated else ""
+
     mismatch = ""
     """It has no model to watch but the bench file's; see `LoopFilter.mismatch`."""
 
@@ -96,6 +101,8 @@ class ContractionFilter:
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide the correction of a sample that is `age` [s] old."""
+        if sample.compensated:
+            return Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
         if self.settings.bypass:
             before = -self.certificate.evaluate(sample).b
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)

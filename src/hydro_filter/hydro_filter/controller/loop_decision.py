@@ -7,6 +7,10 @@
                        metric network ──> M, M' ────────────┼──> quadratic in du ──> half-line ──> smallest du
                        law's integral ──> w ────────────────┘
 
+The law is known by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.followed`). v is from f_r whatever the law
+follows. A loop that decays does so whatever it follows; where the correction closes the loop, what the law asks for
+beyond the trajectory of f_r is a known disturbance beside w.
+
 Where the valve has an overlap, du is counted as what of it passes (`overlap`), and the half-line as the current that
 makes this.
 
@@ -27,10 +31,14 @@ from hydro_filter.metric import network
 from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
 from hydro_filter.model import displacement, overlap
 from hydro_filter.model.loop import Loop, Step, displace, follow, linearize, settle, step_of
+from hydro_filter.model.loop_model import Q_VELOCITY
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.jit import njit
 from hydro_sim.model.hydraulics import input_gain, velocity_term
+
+SAME = 1e-3
+"""Difference of C_1 that is none: the box tells it in single precision."""
 
 
 class LoopParts(NamedTuple):
@@ -50,6 +58,8 @@ class LoopParts(NamedTuple):
     """Allowance of the law's integral I [N/s]: its share for disturbances on stable runs."""
     overlap: Overlap = Overlap()
     """Of the model's valve."""
+    velocity_compensation: float = 1.0
+    """C_1 of the law that the metric is made for, at C_2 = 1."""
 
 
 class Workspace(NamedTuple):
@@ -98,27 +108,55 @@ def workspace(parts: LoopParts) -> Workspace:
 
 
 @njit(inline="always")
-def integral_term(bench, gain_floor, x, nominal_current, reference, reference_rate, proportional_gain):
-    """Return I [N/s] of `hydro_sim.box.force_law`, of either form, and g [N/s/A], from the law's current."""
+def integral_term(bench, gain_floor, x, nominal_current, proportional_gain, law):
+    """Return I [N/s] of `hydro_sim.box.force_law`, of either form, and C_2 g [N/s/A], from the law's current.
+
+    `law`: f_c [N], f_c' [N/s], C_1, C_2.
+    """
+    followed, followed_rate, c_1, c_2 = law
     position = min(max(x[POSITION], 0.0), bench.stroke)
-    gain = max(input_gain(bench, position, x[PRESSURE_A], x[PRESSURE_B], nominal_current), gain_floor)
-    driven = nominal_current * gain + velocity_term(bench, position, x[VELOCITY])
-    return driven - reference_rate - proportional_gain * (reference - x[LOAD_FORCE]), gain
+    gain = max(c_2 * input_gain(bench, position, x[PRESSURE_A], x[PRESSURE_B], nominal_current), gain_floor)
+    driven = nominal_current * gain + c_1 * velocity_term(bench, position, x[VELOCITY])
+    return driven - followed_rate - proportional_gain * (followed - x[LOAD_FORCE]), gain
 
 
 @njit(inline="always")
-def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace):
+def feedforward_excess(bench, x, velocity, reference, reference_rate, proportional_gain, law):
+    """Return what the law asks for on the reference's trajectory beyond what that needs [N/s]; the paper's law: zero.
+
+    There, at the reference's `velocity` [m/s], the law gives f_c' + K_p (f_c - f_r) - C_1 h, and the bench needs
+    C_2 (f_r' - h).
+    """
+    followed, followed_rate, c_1, c_2 = law
+    moving = velocity_term(bench, min(max(x[POSITION], 0.0), bench.stroke), velocity)
+    given = followed_rate + proportional_gain * (followed - reference) - c_1 * moving
+    return given - c_2 * (reference_rate - moving)
+
+
+@njit(inline="always")
+def certified_gain(parts, gain, law):
+    """Return the K_p [1/s] at C_2 = 1 of the same loop; infinite if C_1 is another than the metric is made for."""
+    c_1, c_2 = law[2], law[3]
+    return gain / c_2 if abs(c_1 - c_2 * parts.velocity_compensation) <= SAME * c_2 else math.inf
+
+
+@njit(inline="always")
+def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, law, workspace):
     """Build the QP of one finite sample of an armed bench, and advance the memory."""
     loop, value, step = parts.loop, workspace.value, workspace.step
     settle(loop, memory, x, current, reference_rate)
-    linearize(loop, memory.hidden, x, nominal, current, gain, step)
+    linearize(loop, memory.hidden, x, nominal, current, gain, (law[2], law[3]), step)
     displace(loop, memory, x, reference, reference_rate, workspace.v)
     follow(loop, memory, x, current, reference_rate)
-    network.evaluate(parts.metric, x, step.state_rate, gain, value)
-    outside = network.uncertified(parts.metric, gain)
+    known = certified_gain(parts, gain, law)
+    network.evaluate(parts.metric, x, step.state_rate, known, value)
+    outside = network.uncertified(parts.metric, known)
     rate = parts.foreign_rate if outside else parts.rate
-    term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain)
+    term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, gain, law)
     asked = sampled.excess_integral(term, parts.integral_allowance) / law_gain
+    if outside:
+        velocity = x[VELOCITY] - loop.scale[Q_VELOCITY] * workspace.v[Q_VELOCITY]
+        asked += feedforward_excess(loop.bench[0], x, velocity, reference, reference_rate, gain, law) / law_gain
     limit = loop.current_max
     applied = min(max(nominal, -limit), limit)
     bent, slope, level, size = sampled.quadratic(
@@ -160,17 +198,19 @@ def least_violation(of, problem):
 
 
 @njit
-def finite(x, nominal, current, reference, reference_rate, gain):
-    """Return whether all inputs of a decision are finite."""
+def finite(x, nominal, current, reference, reference_rate, gain, law):
+    """Return whether all inputs of a decision are finite, and C_2 above 0."""
     good = math.isfinite(nominal) and math.isfinite(current) and math.isfinite(reference)
-    good = good and math.isfinite(reference_rate) and math.isfinite(gain)
+    good = good and math.isfinite(reference_rate) and math.isfinite(gain) and law[3] > 0.0
+    for each in law:
+        good = good and math.isfinite(each)
     for i in range(STATES):
         good = good and math.isfinite(x[i])
     return good
 
 
 @njit(inline="always")
-def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, armed, workspace):
+def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, law, armed, workspace):
     """Decide the correction of one sample.
 
     Parameters
@@ -187,13 +227,15 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
         f_r [N], f_r' [N/s].
     gain
         K_p + delta K_p [1/s].
+    law
+        f_c [N], f_c' [N/s], C_1, C_2; of the paper's law f_r, f_r', 1.0, 1.0.
     armed
         Whether the valve follows the law; if not, no correction is made.
     """
-    if not finite(x, nominal, current, reference, reference_rate, gain):
+    if not finite(x, nominal, current, reference, reference_rate, gain, law):
         displacement.reset(memory)
         return Decision(0.0, math.nan, math.nan, qp.NAN)
-    problem = build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace)
+    problem = build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, law, workspace)
     if not armed:
         return Decision(0.0, 0.0, 0.0, qp.PASS)
     if math.isnan(problem.a) and math.isfinite(problem.best):

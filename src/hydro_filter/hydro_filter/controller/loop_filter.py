@@ -16,6 +16,7 @@ without a correction. A compiled loop does not: its benches are simulated, by th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -81,17 +82,26 @@ def packed(parts, workspace, monitor, limit):
 
 
 @njit
-def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
+def propose(box, memory, x, nominal, current, reference, reference_rate, gain, law):
     """Return the validity of a sample and its `Problem`; advances the memory, shape (1,), and the monitor."""
     parts, workspace, monitor, limit = box[0]
-    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
+    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain, law):
         displacement.reset(memory[0])
         innovations.reset(monitor[0])
         return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     innovations.update(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
-    p = loop_decision.build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, workspace)
+    p = loop_decision.build_problem(
+        parts, memory[0], x, nominal, current, reference, reference_rate, gain, law, workspace
+    )
     state = BROKEN if monitor[0].broken != 0 else FITS
     return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best, p.applied
+
+
+NO_CERTIFICATE = {
+    True: "its metric is not made for the compensated law; one of a bench file is (`learn_metric --model FILE.yaml`)",
+    False: "its metric is not made for the paper's law, whose loop decays at no gain on this bench",
+}
+"""Why there is none, by whether the compensated law acts."""
 
 
 class LoopFilter:
@@ -103,22 +113,33 @@ class LoopFilter:
         Of `loop_parts`.
     settings
         Only age, bypass and `innovation_limit` are used here; the others are part of `parts`.
+    others
+        The same for other C_1.
     """
 
     _propose = staticmethod(propose)
 
-    def __init__(self, parts: LoopParts, settings: LoopFilterSettings | None = None) -> None:
+    def __init__(
+        self, parts: LoopParts, settings: LoopFilterSettings | None = None, others: Sequence[LoopParts] = ()
+    ) -> None:
         self.parts = parts
         self.settings = settings or LoopFilterSettings()
         self.qp = QpFilter()
         self.memory = memories(parts.loop)
         self.monitor = innovations.monitor_of(parts.loop)
-        self._box = packed(parts, loop_decision.workspace(parts), self.monitor, self.settings.innovation_limit)
+        workspace, limit = loop_decision.workspace(parts), self.settings.innovation_limit
+        every = (parts, *others)
+        self._boxes = [(each.velocity_compensation, packed(each, workspace, self.monitor, limit)) for each in every]
+        self._unknown = [not any((c_1 == 1.0) is paper for c_1, _ in self._boxes) for paper in (True, False)]
 
     @property
     def mismatch(self) -> str:
         """Why the model does not fit this bench, as text; empty while it does."""
         return innovations.sentence(self.monitor[0])
+
+    def unknown(self, *, compensated: bool) -> str:
+        """Return why it has no certificate under the compensated law, or the paper's; empty if it has."""
+        return NO_CERTIFICATE[compensated] if self._unknown[compensated] else ""
 
     def reset(self) -> None:
         """Reset to the initial state."""
@@ -132,9 +153,16 @@ class LoopFilter:
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide the correction of a sample that is `age` [s] old."""
-        x, nominal = np.ascontiguousarray(sample.state), sample.nominal_current
+        if self._unknown[sample.compensated]:
+            self.skip()
+            return Result(0.0, math.nan, math.nan, CorrectionStatus.BYPASSED)
+        x, nominal, law = np.ascontiguousarray(sample.state), sample.nominal_current, sample.followed
         signals = nominal, sample.valve_current, sample.reference_force, sample.reference_rate
-        state, *numbers = self._propose(self._box, self.memory, x, *signals, sample.proportional_gain)
+        box = self._boxes[0][1]
+        for c_1, each in self._boxes[1:]:
+            if abs(law[2] - law[3] * c_1) <= loop_decision.SAME * law[3]:
+                box = each
+        state, *numbers = self._propose(box, self.memory, x, *signals, sample.proportional_gain, law)
         if state == NOT_FINITE:
             status = CorrectionStatus.BYPASSED if self.settings.bypass else CorrectionStatus.NAN
             return Result(0.0, math.nan, math.nan, status)
@@ -156,6 +184,14 @@ class LoopFilter:
         before, after = certificate_before_after(self.parts.overlap, problem, change)
         delta_u = correction_of(nominal, change, self.parts.loop.current_max)
         return Result(delta_u, before, after, status)
+
+
+def loop_filter(
+    metric: LearnedMetric, model: StructuredModel | Bench, bench: Bench, settings: LoopFilterSettings | None = None
+) -> LoopFilter:
+    """Return the filter of a metric's file, with all its certificates (raises as `loop_parts`)."""
+    first, *others = (loop_parts(each, model, bench, settings) for each in metric.certificates)
+    return LoopFilter(first, settings, others)
 
 
 def loop_parts(
@@ -183,6 +219,7 @@ def loop_parts(
         foreign_noise_size=chosen.noise_share * levels.foreign_noise_size,
         integral_allowance=levels.integral_allowance,
         overlap=overlap_of(model) if isinstance(model, Bench) else Overlap(),
+        velocity_compensation=metric.velocity_compensation,
     )
 
 
@@ -196,5 +233,4 @@ def default_filter(bench: Bench | None = None, settings: LoopFilterSettings | No
     """
     model = Learned.load().model
     assert isinstance(model, StructuredModel)
-    parts = loop_parts(LearnedMetric.load(), model, bench or Bench.nominal(), settings)
-    return LoopFilter(parts, settings)
+    return loop_filter(LearnedMetric.load(), model, bench or Bench.nominal(), settings)

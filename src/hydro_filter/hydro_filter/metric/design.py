@@ -31,12 +31,14 @@ class MetricDesign:
 
     gain_low: Annotated[float, quantity("1/s", 1.0, 100.0)] = 10.0
     """The certified range's lower end."""
-    gain_high: Annotated[float, quantity("1/s", 1.0, 200.0)] = 95.0
+    gain_high: Annotated[float, quantity("1/s", 1.0, 1000.0)] = 95.0
     """The certified range's upper end: the rollouts turn unstable some 20 1/s above."""
     gain_share: Annotated[float, quantity("-", 0.1, 1.0)] = 0.8
     """The upper end is at most this share of the gain at which the loop at rest decays no more."""
     gain_step: Annotated[float, quantity("1/s", 0.5, 50.0)] = 5.0
     """Step between the table's gains."""
+    velocity_compensation: Annotated[float, quantity("-", 0.0, 1.0)] = 1.0
+    """C_1 of the law, at C_2 = 1."""
     own_decay: Annotated[float, quantity("-", 0.0, 0.95)] = 0.3
     """Share of a loop's own decay that its metric is solved for."""
     foreign_weights: tuple[Annotated[float, quantity("-", 1e-9, 1e9)], ...] = (
@@ -63,7 +65,9 @@ class Table(NamedTuple):
     floor: float
 
 
-def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def rest_loop(
+    loop: Loop, proportional_gain: float, velocity_compensation: float = 1.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return F, G, K of the bench at rest, about a closed valve; for a bench file, as its sensors show it."""
     x: FloatArray = np.zeros(8)
     step, memory, closing = step_of(loop), memories(loop)[0], closing_current(loop)
@@ -72,7 +76,8 @@ def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatAr
         settle(loop, memory, x, closing, 0.0)
     else:
         x[4:7] = rest_state(loop.bench[0])[:3]
-    linearize(loop, memory["hidden"], x, 1e-9, closing, float(proportional_gain), step)
+    scales = float(velocity_compensation), 1.0
+    linearize(loop, memory["hidden"], x, 1e-9, closing, float(proportional_gain), scales, step)
     return step.transition.copy(), step.push.copy(), step.feedback.copy()
 
 
@@ -91,9 +96,10 @@ def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> Float
     return np.asarray(solve_discrete_lyapunov(sped.T, np.diag(weights)))
 
 
-def require_decay(loop: Loop) -> None:
+def require_decay(loop: Loop, velocity_compensation: float = 1.0) -> None:
     """Raise ValueError if the loop at rest decays at no gain: no metric of it exists, whatever its rollouts do."""
-    if any(float(np.abs(np.linalg.eigvals(_closed(loop, gain))).max()) < 1.0 for gain in ANY_GAIN):
+    closed = (_closed(loop, gain, velocity_compensation) for gain in ANY_GAIN)
+    if any(float(np.abs(np.linalg.eigvals(each)).max()) < 1.0 for each in closed):
         return
     late = ""
     if isinstance(loop, BenchLoop):
@@ -118,7 +124,7 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     """
     low, share = design.gain_low, design.gain_share
     for gain in np.arange(low, design.gain_high / share, 1.0):
-        if float(np.abs(np.linalg.eigvals(_closed(loop, float(gain)))).max()) >= 1.0:
+        if float(np.abs(np.linalg.eigvals(_closed(loop, float(gain), design.velocity_compensation))).max()) >= 1.0:
             break
     else:
         return design
@@ -146,7 +152,8 @@ def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: flo
 def design_table(loop: Loop, design: MetricDesign) -> Table:
     """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`)."""
     gains = _gains(design)
-    rows = [lyapunov(_closed(loop, gain), np.ones(len(loop.scale)), design.own_decay) for gain in gains]
+    closed = [_closed(loop, gain, design.velocity_compensation) for gain in gains]
+    rows = [lyapunov(each, np.ones(len(loop.scale)), design.own_decay) for each in closed]
     free, push, _ = rest_loop(loop, float(gains[0]))
     unit = 0.14 * loop.current_max
     rows.append(riccati(free, unit * push, _foreign_weights(loop, design), design.effort)[0])
@@ -170,9 +177,9 @@ def _gains(design: MetricDesign) -> FloatArray:
     return np.asarray(np.arange(design.gain_low, last, design.gain_step), np.float64)
 
 
-def _closed(loop: Loop, proportional_gain: float) -> FloatArray:
+def _closed(loop: Loop, proportional_gain: float, velocity_compensation: float) -> FloatArray:
     """F + G K at rest."""
-    free, push, feedback = rest_loop(loop, float(proportional_gain))
+    free, push, feedback = rest_loop(loop, float(proportional_gain), velocity_compensation)
     return free + np.outer(push, feedback)
 
 

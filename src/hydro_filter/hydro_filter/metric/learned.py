@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learned metric as an object, its thresholds, and its file (safetensors).
 
-M(x, K_p) is that of `metric.network`. Its thresholds were measured with it on held-out runs: the noise level of a
-displacement, the law's integral on stable runs, and the contraction rate of the training.
+M(x, K_p) is that of `metric.network`, for a law with one C_1; a file has one or two. Its thresholds were measured with
+it on held-out runs: the noise level of a displacement, the law's integral on stable runs, and the contraction rate of
+the training.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ from hydro_sim.neural import mlp
 
 STRUCTURE = "metric"
 ARRAYS = ("center", "scale", "low", "high", "gains", "table")
+ANOTHER = "another"
+"""Header entry, and prefix of the tensors, of a file's second metric."""
 UNFIT = 10.0
 """%, held-out samples that do not decay, beyond which the filter refuses a metric: sound ones have up to 3.2."""
 
@@ -76,6 +79,15 @@ class LearnedMetric:
     """Command, settings, losses reached, digest of the model that it was trained on."""
     made: MadeFor | None = None
     """Bench and model that it is for; None: not recorded in the file."""
+    velocity_compensation: float = 1.0
+    """C_1 of the law whose loop decays, at C_2 = 1; 1: the paper's."""
+    another: LearnedMetric | None = None
+    """The one for another C_1 in the same file."""
+
+    @property
+    def certificates(self) -> tuple[LearnedMetric, ...]:
+        """The metric, and the other one in its file."""
+        return (self,) if self.another is None else (self, self.another)
 
     @classmethod
     def designed(
@@ -90,6 +102,7 @@ class LearnedMetric:
             flat=flat, hidden=hidden, center=center, scale=state_scale(bench),
             low=np.full(STATES, -np.inf), high=np.full(STATES, np.inf),
             gains=solved.gains, table=solved.table, floor=solved.floor, coordinates=coordinates_of(loop),
+            velocity_compensation=design.velocity_compensation,
         )  # fmt: skip
 
     def unfit(self, name: str) -> str:
@@ -130,14 +143,22 @@ class LearnedMetric:
 
     def save(self, path: str | Path) -> None:
         """Write a weights file."""
+        tensors, header = self._contents()
+        if self.another is not None:
+            others, header[ANOTHER] = self.another._contents()
+            tensors |= {f"{ANOTHER}.{name}": tensor for name, tensor in others.items()}
+        weights.save(path, tensors, {"structure": STRUCTURE, **header}, self.made)
+
+    def _contents(self) -> tuple[weights.Tensors, dict[str, Any]]:
         views = mlp.layers(self.flat, INPUTS, self.hidden, self.table.shape[1])._asdict()
         arrays = {name: getattr(self, name) for name in ARRAYS}
         header = {
-            "structure": STRUCTURE, "hidden": list(self.hidden), "activation": "relu", "floor": self.floor,
+            "hidden": list(self.hidden), "activation": "relu", "floor": self.floor,
             "coordinates": list(self.coordinates), "thresholds": asdict(self.thresholds), "training": self.training,
             "normalization": "(x - center) / scale, K_p / 100 or 0, foreign 0 or 1; out: Cholesky factor by rows",
+            "velocity_compensation": self.velocity_compensation,
         }  # fmt: skip
-        weights.save(path, {**views, **arrays}, header, self.made)
+        return {**views, **arrays}, header
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> LearnedMetric:
@@ -149,24 +170,36 @@ class LearnedMetric:
                 f"{path} has structure {header['structure']!r}, not a metric's: `learn_metric` makes one"
             )
         try:
-            hidden = (int(header["hidden"][0]), int(header["hidden"][1]))
-            flat = np.concatenate([np.asarray(tensors[name], np.float64).ravel() for name in mlp.Layers._fields])
-            arrays = {name: np.asarray(tensors[name], np.float64) for name in ARRAYS}
-            coordinates = tuple(str(name) for name in header.get("coordinates", LOOP_FIELDS))
-            entries = len(coordinates) * (len(coordinates) + 1) // 2
-            width_of(entries)
-            mlp.layers(flat, INPUTS, hidden, entries)
-            _check(arrays, entries, float(header["floor"]), Thresholds(**header["thresholds"]))
-            return cls(
-                flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
-                coordinates=coordinates, training=header.get("training", {}), made=made_for(header), **arrays,
-            )  # fmt: skip
-        except (KeyError, ValueError, IndexError, TypeError) as error:
+            made, other = made_for(header), header.get(ANOTHER)
+            another = None if other is None else cls._of(tensors, other, made, f"{ANOTHER}.")
+            return replace(cls._of(tensors, header, made), another=another)
+        except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
 
+    @classmethod
+    def _of(
+        cls, tensors: weights.Tensors, header: Mapping[str, Any], made: MadeFor | None, prefix: str = ""
+    ) -> LearnedMetric:
+        hidden = (int(header["hidden"][0]), int(header["hidden"][1]))
+        flat = np.concatenate([np.asarray(tensors[prefix + name], np.float64).ravel() for name in mlp.Layers._fields])
+        arrays = {name: np.asarray(tensors[prefix + name], np.float64) for name in ARRAYS}
+        coordinates = tuple(str(name) for name in header.get("coordinates", LOOP_FIELDS))
+        entries = len(coordinates) * (len(coordinates) + 1) // 2
+        width_of(entries)
+        mlp.layers(flat, INPUTS, hidden, entries)
+        c_1 = float(header.get("velocity_compensation", 1.0))
+        _check(arrays, entries, float(header["floor"]), Thresholds(**header["thresholds"]), c_1)
+        return cls(
+            flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
+            coordinates=coordinates, training=dict(header.get("training", {})), made=made,
+            velocity_compensation=c_1, another=None, **arrays,
+        )  # fmt: skip
 
-def _check(arrays: Mapping[str, FloatArray], entries: int, floor: float, thresholds: Thresholds) -> None:
+
+def _check(arrays: Mapping[str, FloatArray], entries: int, floor: float, thresholds: Thresholds, c_1: float) -> None:
     """Raise ValueError if these do not form a metric."""
+    if not 0.0 <= c_1 <= 1.0:
+        raise UnsoundError(f"velocity_compensation is {c_1:g}: it is a share")
     gains = arrays["gains"]
     state, table = (STATES,), (len(gains) + 1, entries)
     check_shapes(arrays, {"center": state, "scale": state, "low": state, "high": state, "table": table})

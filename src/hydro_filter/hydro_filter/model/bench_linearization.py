@@ -38,8 +38,8 @@ from hydro_sim.model import machine_code
 
 
 @njit
-def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    """Linearize at x (8,) and the simulated states, for the nominal current and the applied one [A], into `step`."""
+def linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
+    """Linearize at x (8,) and the simulated states into `step`, for nominal and actual current [A], K_p, (C_1, C_2)."""
     p, scale, n, whole = loop.model, loop.scale, len(loop.model.from_whole), len(loop.model.rest)
     model_state(p, hidden, x, step.whole, True)
     for i in range(n):
@@ -66,7 +66,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
                     step.moved[i, c] += step.by_state[i, j] * nudge
     _read(p, scale, gain, later, step)
     felt_a, felt_b = p.direct[0] * share_a, p.direct[1] * share_b
-    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, felt_a, felt_b, step)
+    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, scales, felt_a, felt_b, step)
     for i in range(len(p.lagging)):  # the law reads what the sensor shows
         chamber, column = p.lagging[i, 2], LOOP + 2 * i
         step.feedback[column] = step.law[PRESSURE_A + chamber] * p.gain[2 + chamber] * scale[column]

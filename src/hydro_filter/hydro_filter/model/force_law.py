@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Feedback gain K = du/dx of the force law (paper eq. fl_rl), in closed form.
 
-    u = (f_r' + K_p (f_r - f_l) + I - h) / g        g = g(x_p, p_a, p_b), h = h(x_p, x_p')
+    u = (f_c' + K_p (f_c - f_l) + I - C_1 h) / (C_2 g)        g = g(x_p, p_a, p_b), h = h(x_p, x_p')
 
-    du/df_l  = -K_p / g                  du/dx_p  = -(dh/dx_p + u dg/dx_p) / g
-    du/dx_p' = -(dh/dx_p') / g           du/dp_a  = -u (dg/dp_a) / g,  the same for p_b
+    du/df_l  = -K_p / (C_2 g)            du/dx_p  = -(C_1 dh/dx_p + C_2 u dg/dx_p) / (C_2 g)
+    du/dx_p' = -C_1 (dh/dx_p') / (C_2 g) du/dp_a  = -u (dg/dp_a) / g,  the same for p_b
 
-With F(x, u) = h + g u the right side of eq. q13, dh/dx + u dg/dx is dF/dx at held u, so K = -(dF/dx)/g except along
-f_l. As in `hydro_sim.box.force_law`, g is no less than a floor (there dg/dx = 0) and the position is one within the
-stroke. The integral I, of either form, is the law's own memory and no function of x: K_i has no place in K, and the
-certificate does not see it.
+The paper's law has f_c = f_r and C_1 = C_2 = 1. K does not depend on f_c: a reference that is shaped leaves the loop
+alone. With F(x, u) = h + g u the right side of eq. q13, and h linear in the velocity, C_1 h + C_2 g u is F at C_1 x_p'
+and C_2 u: K is its slope at held u over -C_2 g, except along f_l. As in `hydro_sim.box.force_law`, C_2 g is no less
+than a floor (there dg/dx = 0) and the position is one within the stroke. The integral I, of either form, is the law's
+own memory and no function of x: K_i has no place in K, and the certificate does not see it.
 
 K is that of the law before the valve's limit. Beyond the limit the valve passes none of it on: the remaining authority
 of the correction is in the QP's bounds (`filter`, `loop_decision`), not in K.
@@ -29,6 +30,9 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import input_gain
+
+PAPER_SCALES = (1.0, 1.0)
+"""C_1 and C_2 of the paper's law."""
 
 
 class Controller(Protocol):
@@ -69,16 +73,18 @@ class ForceLaw:
 
 
 @njit
-def gradient(constants, state, current, proportional_gain, gain_floor, out):
-    """Write K, shape (8,), for the law's own current [A] and gain [1/s]; `constants` of shape (1,)."""
-    bench = constants[0]
-    gain = input_gain(bench, state[POSITION], state[PRESSURE_A], state[PRESSURE_B], current)
-    felt = current if gain > gain_floor else 0.0  # at the floor the law does not depend on changes of g
+def gradient(constants, state, current, proportional_gain, gain_floor, out, scales=PAPER_SCALES):
+    """Write K, shape (8,), for the law's own current [A], K_p [1/s] and (C_1, C_2); `constants` of shape (1,)."""
+    bench, (c_1, c_2) = constants[0], scales
+    gain = c_2 * input_gain(bench, state[POSITION], state[PRESSURE_A], state[PRESSURE_B], current)
+    felt = c_2 * current if gain > gain_floor else 0.0  # at the floor the law does not depend on changes of g
     gain = max(gain, gain_floor)
-    by_position, by_velocity, by_a, by_b = force_rate_slopes(bench, state, felt)
+    out[:] = state
+    out[VELOCITY] *= c_1
+    by_position, by_velocity, by_a, by_b = force_rate_slopes(bench, out, felt)
     out[:] = 0.0
     out[LOAD_FORCE] = -proportional_gain / gain
     out[PRESSURE_A] = -by_a / gain
     out[PRESSURE_B] = -by_b / gain
     out[POSITION] = -by_position / gain if 0.0 <= state[POSITION] <= bench.stroke else 0.0
-    out[VELOCITY] = -by_velocity / gain
+    out[VELOCITY] = -c_1 * by_velocity / gain

@@ -80,7 +80,7 @@ def _displace(loop, memory, x, reference, reference_rate, v):
     raise NotImplementedError("compiled code only")
 
 
-def _linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
+def _linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
     raise NotImplementedError("compiled code only")
 
 
@@ -111,12 +111,12 @@ def _displace_of(loop, memory, x, reference, reference_rate, v):
     return _bench_displace if is_bench_file_loop(loop) else displacement.displace.py_func
 
 
-def _bench_linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    bench_linearization.linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)
+def _bench_linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
+    bench_linearization.linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step)
 
 
 @overload(_linearize, inline="always")
-def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, step):
+def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
     return _bench_linearize if is_bench_file_loop(loop) else loop_model.linearize.py_func
 
 
@@ -139,6 +139,6 @@ def displace(loop, memory, x, reference, reference_rate, v):
 
 
 @njit(inline="always")
-def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    """Fill `step` at x, shape (8,), and a memory's `hidden`, for a nominal current and the valve's [A], and K_p."""
-    _linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)
+def linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
+    """Fill `step` at x (8,) and a memory's `hidden`, for the nominal and the valve's current [A], K_p, (C_1, C_2)."""
+    _linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step)

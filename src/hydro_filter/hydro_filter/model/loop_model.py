@@ -153,8 +153,8 @@ def least_gain(area, stiffness_a, valve_gain, supply):
 
 
 @njit(inline="always")
-def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    """Fill `step` at x (8,), hidden states (3,), for a nominal current and the one that the valve got [A]."""
+def linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
+    """Fill `step` at x (8,), hidden states (3,), for the nominal and the valve's current [A], K_p and (C_1, C_2)."""
     c, scale = loop.model[0], loop.scale
     structured_kernels.full_state(c, x, hidden, step.full)
     before, after = step.full, step.after
@@ -174,14 +174,14 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     gain = hydraulic_slopes(c, after[0], after[1], after[2], hidden[SPOOL])[0]
     _read(c, scale, gain, step.nudges, step.rates, step.transition, step.push)
     step.transition[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = loop.model[4][1]  # the differentiator's memory
-    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, share_a, share_b, step)
+    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, scales, share_a, share_b, step)
 
 
 @njit(inline="always")
-def law_feedback(loop, x, nominal_current, proportional_gain, share_a, share_b, step):
+def law_feedback(loop, x, nominal_current, proportional_gain, scales, share_a, share_b, step):
     """Feedback K [A] of the force law into `step`; a change of f_h is `share_a`, `share_b` of the pressures [Pa/N]."""
     law, feedback, scale = step.law, step.feedback, loop.scale
-    force_law.gradient(loop.bench, x, nominal_current, proportional_gain, loop.gain_floor, law)
+    force_law.gradient(loop.bench, x, nominal_current, proportional_gain, loop.gain_floor, law, scales)
     feedback[:] = 0.0
     feedback[Q_HYDRAULIC] = (law[PRESSURE_A] * share_a + law[PRESSURE_B] * share_b) * scale[Q_HYDRAULIC]
     feedback[Q_LOAD] = law[LOAD_FORCE] * scale[Q_LOAD]

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray
+from hydro_bridge.serial.frames import LawState
+from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, Law
 
 
 class Sample(NamedTuple):
@@ -27,12 +28,29 @@ class Sample(NamedTuple):
     """f_r' [N/s]."""
     armed: bool = True
     """Whether the valve follows the law at all."""
+    law: LawState | None = None
+    """Force law as it acted; None: the paper's."""
+
+    @property
+    def compensated(self) -> bool:
+        """Whether the compensated law acts."""
+        return self.law is not None and self.law.law is Law.COMPENSATED
+
+    @property
+    def followed(self) -> tuple[float, float, float, float]:
+        """f_c [N], f_c' [N/s], C_1, C_2 of the law; of the paper's f_r, f_r', 1, 1."""
+        if self.law is None:
+            return self.reference_force, self.reference_rate, 1.0, 1.0
+        return (
+            self.law.compensated_reference, self.law.compensated_reference_rate,
+            self.law.velocity_compensation, self.law.valve_gain_scale,
+        )  # fmt: skip
 
     @classmethod
-    def of(cls, record: np.void) -> Sample:
-        """From a record of `hydro_bridge.signals.STATE_DTYPE`."""
+    def of(cls, record: np.void, law: LawState | None = None) -> Sample:
+        """From a record of `hydro_bridge.signals.STATE_DTYPE` and the law of the same sample."""
         state = np.array([record[name] for name in PLANT_FIELDS], dtype=np.float64)
         gain, force = float(record["proportional_gain"]), float(record["reference_force"])
         current, rate = float(record["valve_current"]), float(record["reference_force_rate"])
         armed = bool(int(record["flags"]) & Flag.ARMED)
-        return cls(state, float(record["nominal_valve_current"]), force, gain, current, rate, armed)
+        return cls(state, float(record["nominal_valve_current"]), force, gain, current, rate, armed, law)

@@ -12,7 +12,8 @@ Where the model is not this bench's every answer is MISMATCH: nothing is correct
 Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
 the filter was started for (/hydro/box).
 
-While the box runs the compensated law (/hydro/law_state), which no metric is made for, every answer is BYPASSED.
+While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
+without. Where the metric is not made for the law that runs, every answer is BYPASSED.
 
 Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
 """
@@ -46,6 +47,7 @@ from hydro_bridge.ros import (
     Level,
     Status,
     declare_parameters,
+    law_state_from_message,
     listen_to_box,
     publisher_conflicts,
     request_realtime,
@@ -56,7 +58,7 @@ from hydro_bridge.ros import (
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.settings import check
-from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag
+from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
 from hydro_filter.controller.factory import Filter, FilterChoice, Settings, warm_up
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
@@ -77,6 +79,7 @@ ANOTHER_LAW = 50
 """Samples for which a message of another law than the paper's holds: one of them may be lost."""
 
 BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
+STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
 MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
 
 REMEDY = "start it with --model and --metric of this bench (`learn`, `learn_metric`), or with --metric constant"
@@ -103,6 +106,7 @@ class FilterNode(Node):
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
         self.filter = self._compiled(choice)
+        self._unknown = self.filter.unknown(compensated=True)
         self.tally = FilterStatistics()
         self.foreign = ""
         """Why its files do not fit this bench, by the plant's description; empty: they do."""
@@ -125,7 +129,8 @@ class FilterNode(Node):
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
         self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._other_law: int | None = None  # the last sample under another law than the paper's
+        self._law: LawState | None = None  # the last one, while another law than the paper's acts
+        self._waiting: BenchState | None = None  # for its law
         self._laws = self.create_subscription(LawState, LAW_STATE, self._on_law_state, LAW_STATE_QOS)
         # last: states are queued from now on
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
@@ -170,36 +175,57 @@ class FilterNode(Node):
     def _on_state(self, message: BenchState) -> None:
         if self._states.get_publisher_count() > 1:
             return  # which of them is the plant's? The plant holds its base gains, and disarms
+        if self._waiting is not None:  # its law never came
+            waiting, self._waiting = self._waiting, None
+            self._answer(waiting)
+        law = self._law_near(message.sequence)
+        if law is None or law.sequence == message.sequence or not message.flags & Flag.ARMED or self._bypasses(law):
+            self._answer(message)
+        else:
+            self._waiting = message
+
+    def _answer(self, message: BenchState) -> None:
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
             self.filter.skip()
         stamp = seconds(message.header.stamp)
         self._age = self._now() - stamp
-        if self._paper_law(message.sequence):
-            result = self._fitting(self.filter.correct(sample_of(message), self._age))
-        else:
+        law = self._law_near(message.sequence)
+        if law is not None and self._bypasses(law):
             result = BYPASSED
+        elif law is not None and law.sequence != message.sequence and message.flags & Flag.ARMED:
+            self.filter.skip()
+            result = STALE
+        else:
+            result = self.filter.correct(sample_of(message, law), self._age)
+        result = self._fitting(result)
         if message.sequence % self._every:
             return
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
 
     def _on_law_state(self, message: LawState) -> None:
-        if self._other_law is None:
-            self.get_logger().warning("the box runs the compensated law, which this filter does not know: BYPASSED")
-            self._mismatch = ""
-        self._other_law = message.sequence
+        if self._law is None:
+            why = self._bypasses(message)
+            say = self.get_logger().warning if why else self.get_logger().info
+            say("the box runs the compensated law" + (f": BYPASSED, {why}" if why else ""))
+        self._law = message
+        if self._waiting is not None and self._waiting.sequence == message.sequence:
+            waiting, self._waiting = self._waiting, None
+            self._answer(waiting)
 
-    def _paper_law(self, sequence: int) -> bool:
-        """Return whether the paper's law acts, the only one that the metric is made for; if again, begin anew."""
-        if self._other_law is None:
-            return True
-        if (sequence - self._other_law + ANOTHER_LAW) & 0xFFFFFFFF < 2 * ANOTHER_LAW:
-            return False
-        self._other_law = None
+    def _bypasses(self, law: LawState) -> str:
+        """Return why nothing is decided under this law; empty: the metric is made for it."""
+        return self._unknown if law.law == Law.COMPENSATED else f"law {law.law} is unknown"
+
+    def _law_near(self, sequence: int) -> LawState | None:
+        """Return the last law that is not the paper's; None if the paper's acts: the filter begins anew with it."""
+        if self._law is None or (sequence - self._law.sequence + ANOTHER_LAW) & 0xFFFFFFFF < 2 * ANOTHER_LAW:
+            return self._law
+        self._law = None
         self.filter.reset()
         self.get_logger().info("the box runs the paper's law again: the filter begins anew")
-        return True
+        return None
 
     def _on_box(self, box: KnownBox) -> None:
         """Process a box's description, which may announce another bench from now on."""
@@ -215,7 +241,10 @@ class FilterNode(Node):
 
     def _fitting(self, result: Result) -> Result:
         """Return the result, or MISMATCH if the model does not fit; a change of this is reported at once."""
-        if self.foreign and result.status not in (CorrectionStatus.NAN, CorrectionStatus.BYPASSED):
+        if result.status is CorrectionStatus.BYPASSED:
+            self._mismatch = ""  # nothing is known of it
+            return result
+        if self.foreign and result.status is not CorrectionStatus.NAN:
             result = MISMATCHED
         if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
             seen = self.filter.mismatch
@@ -267,8 +296,8 @@ class FilterNode(Node):
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
-        elif self._other_law is not None:
-            level, told = Level.OK, f"BYPASSED, the box runs the compensated law; {told}"
+        elif self._law is not None and (why := self._bypasses(self._law)):
+            level, told = Level.OK, f"BYPASSED, the box runs the compensated law: {why}; {told}"
         if self._mismatch:
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}
@@ -279,12 +308,13 @@ class FilterNode(Node):
         return with_publisher_conflicts(Status(level=level, message=told, values=values), crowd)
 
 
-def sample_of(message: BenchState) -> Sample:
-    """Convert a BenchState to the filter's input."""
+def sample_of(message: BenchState, law: LawState | None = None) -> Sample:
+    """Convert a BenchState, and the law of the same sample, to the filter's input; None: the paper's."""
     state = np.array([getattr(message, name) for name in PLANT_FIELDS])
     return Sample(
         state, message.nominal_valve_current, message.reference_force, message.proportional_gain,
         message.valve_current, message.reference_force_rate, bool(message.flags & Flag.ARMED),
+        None if law is None else law_state_from_message(law),
     )  # fmt: skip
 
 

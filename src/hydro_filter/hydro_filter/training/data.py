@@ -18,17 +18,19 @@ once per epoch.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import quantity
-from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
+from hydro_bridge.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, matrix
 from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
 from hydro_filter.model.state import STATES
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.excitation import drawn
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
@@ -60,12 +62,37 @@ class DataSettings:
     """Successive samples of a window (Table training_metric)."""
     gain_min: Annotated[float, quantity("1/s", -40.0, 0.0)] = -40.0
     """Smallest K_p."""
-    gain_max: Annotated[float, quantity("1/s", 1.0, 300.0)] = 300.0
+    gain_max: Annotated[float, quantity("1/s", 1.0, 1000.0)] = 300.0
     """Largest K_p."""
+    integral_gain_min: Annotated[float, quantity("1/s^2", -5.0, 100.0)] = -5.0
+    """Smallest K_i."""
     integral_gain_max: Annotated[float, quantity("1/s^2", 0.0, 100.0)] = 30.0
-    """Largest K_i; the smallest is -5."""
+    """Largest K_i."""
     seed: Annotated[int, quantity("-", 0, 9e15)] = 0
     """Of gains, references and noise."""
+    law: Law = Law.PAPER
+    """Force law of the rollouts."""
+
+    @classmethod
+    def under(cls, law: BoxLaw, **settings: int) -> DataSettings:
+        """Settings of the compensated law: gains from none to a quarter above those that it admits."""
+        return cls(
+            law=Law.COMPENSATED, gain_min=0.0, gain_max=1.25 * (law.base_kp + law.delta_kp_max),
+            integral_gain_min=law.base_ki + law.delta_ki_min, integral_gain_max=law.base_ki + law.delta_ki_max,
+            **settings,
+        )  # fmt: skip
+
+    @property
+    def box(self) -> BoxConfig:
+        """A box that admits all gains of the rollouts."""
+        own = BoxConfig()
+        wide = replace(own.compensated, delta_kp_min=-own.compensated.base_kp, delta_kp_max=self.gain_max)
+        return replace(own, compensated=wide)
+
+    @property
+    def velocity_compensation(self) -> float:
+        """C_1 of the law."""
+        return self.box.compensated.velocity_compensation if self.law is Law.COMPENSATED else 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,29 +139,26 @@ def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, fre
     """Run rollout number `index`, reproducible for equal settings; `free`: the plant without its overlap."""
     rng = np.random.default_rng((settings.seed, index))
     low, high = settings.gain_min, settings.gain_max
-    edges = ((low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high))
-    gains = float(rng.uniform(*edges[index % 4])), float(rng.uniform(-5.0, settings.integral_gain_max))
+    edges = [(low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high)][0 if low < 0.0 else 1 :]
+    integral_gains = settings.integral_gain_min, settings.integral_gain_max
+    gains = float(rng.uniform(*edges[index % len(edges)])), float(rng.uniform(*integral_gains))
     reference, seed = _reference(rng), int(rng.integers(2**31))
-    plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds)
-    first, second = _twins(plant, bench, plan, seed)
+    plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds, law=settings.law)
+    first, second = _twins(plant, bench, plan, settings.box, seed)
     label = label_of(first, second)
     if free is not None:
-        label = label_of_both(label, label_of(*_twins(free, bench, plan, seed)))
+        label = label_of_both(label, label_of(*_twins(free, bench, plan, settings.box, seed)))
     trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
     kept = first[: trips[0]] if len(trips) else first
     return Rollout(states=kept, gains=gains, label=label)
 
 
-def _twins(plant: Plant, bench: Bench, plan: Schedule, seed: int) -> tuple[StateArray, StateArray]:
+def _twins(plant: Plant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int) -> tuple[StateArray, StateArray]:
     """Run twice with the same noise, the second time with the pulse."""
     pulse = np.zeros(plan.samples)
-    first = simulate(plant, bench, _corrected(plan, pulse), seed=seed)
+    first = simulate(plant, bench, replace(plan, correction=pulse.copy()), config=box, seed=seed)
     pulse[PULSE_AT : PULSE_AT + 10] = PULSE
-    return first, simulate(plant, bench, _corrected(plan, pulse), seed=seed)
-
-
-def _corrected(plan: Schedule, correction: FloatArray) -> Schedule:
-    return Schedule(reference=plan.reference, gains=plan.gains, seconds=plan.seconds, correction=correction)
+    return first, simulate(plant, bench, replace(plan, correction=pulse), config=box, seed=seed)
 
 
 def _reference(rng: np.random.Generator) -> ReferenceSignal:
@@ -171,8 +195,9 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
         transition=np.empty((*shape, width, width)), push=np.empty((*shape, width)), feedback=np.empty((*shape, width)),
         gain=np.full(len(starts), rollout.gains[0]), label=np.full(len(starts), rollout.label),
     )  # fmt: skip
+    scales = settings.velocity_compensation, 1.0
     _follow(
-        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, memories(loop), step_of(loop),
+        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, scales, memories(loop), step_of(loop),
         made.x, made.state_rate, made.v, made.transition, made.push, made.feedback,
     )  # fmt: skip
     return made
@@ -194,7 +219,7 @@ def _between_stops(
 
 
 @njit
-def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, pushes, feedbacks):
+def _follow(loop, x, signals, starts, scales, memory, step, xs, rates, vs, transitions, pushes, feedbacks):
     """Follow a run with the filter's memory and record the samples of every window."""
     span = xs.shape[1]
     for k in range(len(x)):
@@ -203,7 +228,7 @@ def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, 
         for n in range(len(starts)):
             h = k - starts[n]
             if 0 <= h < span:
-                linearize(loop, memory[0].hidden, x[k], nominal, current, gain, step)
+                linearize(loop, memory[0].hidden, x[k], nominal, current, gain, scales, step)
                 displace(loop, memory[0], x[k], reference, reference_rate, vs[n, h])
                 xs[n, h], rates[n, h], transitions[n, h] = x[k], step.state_rate, step.transition
                 pushes[n, h], feedbacks[n, h] = step.push, step.feedback

@@ -12,10 +12,11 @@ from itertools import product
 
 import numpy as np
 
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray, Law, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop import Loop, closing_current, displace, follow, linearize, memories, settle, step_of
+from hydro_filter.training.data import DataSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -25,13 +26,13 @@ QUANTILE = 0.99
 """Quantile of the noise's v'Mv that is treated as noise."""
 
 
-def displacements(loop: Loop, plant: Plant, gain: float, seed: int) -> FloatArray:
+def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0) -> FloatArray:
     """v_1 of a still bench, its valve closed, shape (samples, coordinates)."""
     x, memory, step, closing = plant.reset(seed), memories(loop), step_of(loop), closing_current(loop)
-    out = np.empty((SAMPLES, len(loop.scale)))
+    out, scales = np.empty((SAMPLES, len(loop.scale))), (velocity_compensation, 1.0)
     for k in range(SAMPLES):
         settle(loop, memory[0], x, closing, 0.0)
-        linearize(loop, memory[0]["hidden"], x, 1e-9, closing, gain, step)
+        linearize(loop, memory[0]["hidden"], x, 1e-9, closing, gain, scales, step)
         displace(loop, memory[0], x, 0.0, 0.0, out[k])
         out[k] = (step.transition + np.outer(step.push, step.feedback)) @ out[k]
         follow(loop, memory[0], x, closing, 0.0)
@@ -44,19 +45,21 @@ def noise_sizes(metric: LearnedMetric, loop: Loop, noisy: Plant, clean: Plant, s
     x, sizes = clean.reset(seed), []
     for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
         law = float(min(gain, metric.gains[-1]))
-        v = displacements(loop, noisy, law, seed) - displacements(loop, clean, law, seed)
+        v, still = (displacements(loop, each, law, seed, metric.velocity_compensation) for each in (noisy, clean))
+        v = v - still
         matrix = metric.matrix(x, float(gain))
         sizes.append(float(np.quantile(np.einsum("ki,ij,kj->k", v, matrix, v), QUANTILE)))
     return max(sizes[:-1]), sizes[-1]
 
 
-def integral_terms(loop: Loop, states: StateArray) -> FloatArray:
-    """I [N/s] of the force law at the samples of a run, shape (n,)."""
+def integral_terms(loop: Loop, states: StateArray, velocity_compensation: float = 1.0) -> FloatArray:
+    """I [N/s] of the force law, its coefficients neutral, at the samples of a run, shape (n,)."""
     out = np.empty(len(states))
     for k, record in enumerate(states):
         x = np.array([record[name] for name in PLANT_FIELDS])
-        law = (record["nominal_valve_current"], record["reference_force"], record["reference_force_rate"])
-        out[k] = integral_term(loop.bench[0], loop.gain_floor, x, *law, record["proportional_gain"])[0]
+        law = (record["reference_force"], record["reference_force_rate"], velocity_compensation, 1.0)
+        numbers = record["nominal_valve_current"], record["proportional_gain"]
+        out[k] = integral_term(loop.bench[0], loop.gain_floor, x, *numbers, law)[0]
     return out
 
 
@@ -72,10 +75,15 @@ ASKED_FOR = 18.0
 """s: the integral takes some K_p / K_i = 6 s to settle."""
 
 
-def integral_allowance(loop: Loop, plant: Plant, bench: Bench, seed: int = 0) -> float:
-    """Largest integral action of stable loops after the first second [N/s], plus a quarter."""
+def integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: DataSettings, seed: int = 0) -> float:
+    """Largest integral action of stable loops under the law of `data` after the first second [N/s], plus a quarter."""
     largest = 0.0
-    for gains, reference in product(ASKING, ASKED_BY):
-        states = simulate(plant, bench, Schedule(reference=reference, gains=gains, seconds=ASKED_FOR), seed=seed)
-        largest = max(largest, float(np.abs(integral_terms(loop, states[1000:])).max()))
+    law, asking = data.box.compensated, list(ASKING)
+    if data.law is Law.COMPENSATED:
+        asking = [(law.base_kp, law.base_ki), *((s * law.base_kp, data.integral_gain_max) for s in (1.0, 0.5))]
+    for gains, reference in product(asking, ASKED_BY):
+        plan = Schedule(reference=reference, gains=gains, seconds=ASKED_FOR, law=data.law)
+        states = simulate(plant, bench, plan, seed=seed)
+        terms = integral_terms(loop, states[1000:], data.velocity_compensation)
+        largest = max(largest, float(np.abs(terms).max()))
     return 1.25 * largest

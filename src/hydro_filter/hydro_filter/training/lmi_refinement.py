@@ -65,6 +65,8 @@ def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
         value = worst.mean() + 0.3 * worst[-1] + 1e-3 * (change**2).sum()
         if float(value.detach()) < best:
             best, found = float(value.detach()), factor.detach().numpy().copy()
+        if best == 0.0:
+            break
         optimizer.zero_grad()
         value.backward()
         optimizer.step()

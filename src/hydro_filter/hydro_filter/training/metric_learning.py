@@ -16,8 +16,9 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from hydro_bridge.cli.console import progress
+from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.settings import check
+from hydro_bridge.signals import Law
 from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric, Thresholds
 from hydro_filter.model.bench_loop import without_overlap
@@ -47,6 +48,7 @@ from hydro_filter.training.training import (
     correcting_gains,
     train,
 )
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.learned.any_model import digest, load_model, make_plant, require_match
@@ -56,6 +58,8 @@ from hydro_sim.structured.model import StructuredModel
 
 HELD_OUT = 5
 """Every fifth rollout is held out."""
+SLOW_RESERVE = 2.0
+"""1/s above the highest small K_p whose rollouts do not decay: with C_1 below 1 these are slow, not unstable."""
 OVERLAP_TOLD = (
     "the bench file has a valve_deadband, within which no current moves the piston: the metric is of the loop without "
     "it, and corrections leap over it; reduce the overlap, or expect leaps of the current by both half widths"
@@ -83,26 +87,66 @@ def learn(options: argparse.Namespace) -> None:
     require_match(options.model, BoxIdentity.of_file(options.bench), remedy)
     made = MadeFor(box=bench.digest, model=digest(path))  # either form of the integral: decision 31
     loop = loop_of(model, bench)
-    require_decay(loop)
-    plant, clean = make_plant(options.model), make_plant(options.model, noise=0.0)
-    free = free_plant(model)
-    if free is not None:
+    if free_plant(model) is not None:
         _say(OVERLAP_TOLD)
-    material = collect_rollouts(plant, bench, loop, data, free)
-    low, high = certified_range(material.rollouts)
-    design = decaying_range(loop, replace(MetricDesign(), gain_low=round(low), gain_high=round(high)))
+    laws = [(data, settings)] if options.law != "compensated" or not isinstance(model, Bench) else []
+    if isinstance(model, Bench) and options.law != "paper":  # learned benches keep to the paper's law
+        shaped = DataSettings.under(BoxConfig().compensated, rollouts=data.rollouts // 2, seed=data.seed)
+        laws.append((shaped, replace(settings, epochs=0)))
+    found: list[tuple[LearnedMetric, Table]] = []
+    for each, how in laws:
+        try:
+            found.append(_certificate(model, bench, loop, each, how, options))
+        except ValueError as error:
+            if len(laws) == 1:
+                raise
+            _say(f"{each.law.name.lower()} law: {error}")
+    if not found:
+        raise ValueError("no force law has a certificate on this bench")
+    table = found[0][1]
+    for row in (row for _, more in found[1:] for row in more.rows):
+        table.add(**row)
+    sound = [metric for metric, _ in found if not metric.unfit(out.name)] or [found[0][0]]
+    final = replace(sound[0], another=sound[1] if len(sound) > 1 else None)
+    final = replace(final, made=made, training={**final.training, "seconds": round(time.monotonic() - began, 1)})
+    final.save(out)
+    draw_metric_curves(np.array(final.training["history"]), out.with_suffix(".png"))
+    out.with_suffix(".checkpoint").unlink(missing_ok=True)
+    table.show(options.json)
+    for one in final.certificates:
+        facts, levels = one.training, one.thresholds
+        told = f"noise is v'Mv up to {levels.noise_size:.2g} and {levels.foreign_noise_size:.2g}"
+        told = f"best of {facts['epochs']} epochs is {facts['best_epoch']}; {told}"
+        print(f"{out}: C_1 = {one.velocity_compensation:g}, {told}")
+    for metric, _ in found:
+        if reason := metric.unfit(out.name):
+            _say(f"C_1 = {metric.velocity_compensation:g}: {reason}")
+
+
+def _certificate(
+    model: StructuredModel | Bench, bench: Bench, loop: Loop, data: DataSettings, settings: TrainingSettings,
+    options: argparse.Namespace,
+) -> tuple[LearnedMetric, Table]:  # fmt: skip
+    """The metric for the law of `data`, and its certificate's table (raises ValueError where there is none)."""
+    c_1 = data.velocity_compensation
+    require_decay(loop, c_1)
+    plant, clean = make_plant(options.model), make_plant(options.model, noise=0.0)
+    material = collect_rollouts(plant, bench, loop, data, free_plant(model))
+    design = _design(loop, data, material.rollouts)
     require_held_out(material.held_out, design)
-    _say(f"{_told(material.rollouts)}; certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s")
+    told = f"certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s"
+    _say(f"{_told(material.rollouts)}; {told}" + ("" if c_1 == 1.0 else f" at C_1 = {c_1:g}"))
     metric = _polished(LearnedMetric.designed(loop, bench, design, seed=options.seed), material, loop, design, settings)
     best_correction = correction(loop, design)
     how = settings.loss
     samples = certificate_queries(material.training, metric, best_correction, how)
     held_out = certificate_queries(material.held_out, metric, best_correction, how)
-    last, best = _train(metric, samples, held_out, data.horizon, settings, options)
+    resume = options.resume and data.law is Law.PAPER
+    last, best = _train(metric, samples, held_out, data.horizon, settings, options, resume=resume)
     sizes = noise_sizes(best, loop, plant, clean)
-    allowance = integral_allowance(loop, plant, bench)
-    still = LearnedMetric.designed(loop, bench, design)
-    stages = {"still": still, "solved": metric, "learned": best}
+    allowance = integral_allowance(loop, plant, bench, data)
+    still, of = LearnedMetric.designed(loop, bench, design), "" if c_1 == 1.0 else f", C_1 = {c_1:g}"
+    stages = {f"{name}{of}": one for name, one in (("still", still), ("solved", metric), ("learned", best))}
     table = certificate_table(
         stages, lambda one: certificate_queries(material.held_out, one, best_correction, how), how
     )
@@ -110,20 +154,23 @@ def learn(options: argparse.Namespace) -> None:
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
         "design": asdict(design), "model": _digest(model), "epochs": last.epoch, "best_epoch": last.best_epoch,
-        "validation_loss": last.best_loss, "seconds": round(time.monotonic() - began, 1),
-        "history": [list(row) for row in last.history], "violated": violated,
+        "validation_loss": last.best_loss, "history": [list(row) for row in last.history], "violated": violated,
         "foreign_violated": foreign, "where": where_violated(best, held_out, how),
     }  # fmt: skip
     levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
-    final = replace(best, thresholds=levels, training=facts, made=made)
-    final.save(out)
-    draw_metric_curves(np.array(last.history), out.with_suffix(".png"))
-    out.with_suffix(".checkpoint").unlink(missing_ok=True)
-    table.show(options.json)
-    told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
-    print(f"{out}: best of {last.epoch} epochs is {last.best_epoch}; {told}")
-    if reason := final.unfit(out.name):
-        _say(f"{reason}; the filter refuses it")
+    return replace(best, thresholds=levels, training=facts), table
+
+
+def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDesign:
+    """The gains for which metrics are solved: those of stable rollouts, and of the compensated law those it admits."""
+    if data.law is Law.PAPER:
+        low, high = certified_range(rollouts)
+        return decaying_range(loop, replace(MetricDesign(), gain_low=round(low), gain_high=round(high)))
+    law = BoxConfig().compensated
+    low, high = certified_range(rollouts, low_reserve=SLOW_RESERVE)
+    low, high = max(round(low), law.base_kp + law.delta_kp_min), min(round(high), law.base_kp + law.delta_kp_max)
+    usual = MetricDesign(velocity_compensation=data.velocity_compensation)
+    return decaying_range(loop, replace(usual, gain_low=low, gain_high=high))
 
 
 def free_plant(model: StructuredModel | Bench) -> Plant | None:
@@ -181,9 +228,9 @@ def _polished(
 
 def _train(
     metric: LearnedMetric, samples: Samples, held_out: Samples, horizon: int, settings: TrainingSettings,
-    options: argparse.Namespace,
+    options: argparse.Namespace, *, resume: bool,
 ) -> tuple[Progress, LearnedMetric]:  # fmt: skip
-    checkpoint, resume = Path(options.out).with_suffix(".checkpoint"), options.resume
+    checkpoint = Path(options.out).with_suffix(".checkpoint")
     bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch", every=10.0)
     for last in train(
         metric, samples, held_out, horizon, settings, checkpoint, resume=resume, begun=fixed_options(options)

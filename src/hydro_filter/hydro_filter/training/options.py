@@ -17,7 +17,7 @@ RESUME_HELP = (
     "go on from METRIC's checkpoint, if there is one, with what it was begun with; --epochs, --patience and --threads "
     "may change"
 )
-_FIXED = ("rollouts", "contraction_rate", "unstable_weight", "batch", "learning_rate", "seed")
+_FIXED = ("law", "rollouts", "contraction_rate", "unstable_weight", "batch", "learning_rate", "seed")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -34,6 +34,10 @@ def parser() -> argparse.ArgumentParser:
         help="the learned bench (weights), or a bench file with named effects (.yaml); the shipped weights by default",
     )
     result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
+    result.add_argument(
+        "--law", choices=("both", "paper", "compensated"), default="both",
+        help="force law that the metric is for; a learned bench has the paper's alone. Default: %(default)s",
+    )  # fmt: skip
     result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth is not trained on")
     result.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
     result.add_argument("--unstable-weight", type=float, default=0.02, help="of unstable samples beside stable ones")

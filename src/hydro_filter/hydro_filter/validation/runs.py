@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, StateArray
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
-from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.validation.cases import CASES, Case
 from hydro_filter.validation.plants import plant_named
@@ -81,7 +81,7 @@ def make_filter(task: Task, bench: Bench) -> Corrector:
             metric = metric.with_weights(np.zeros_like(metric.flat))
         rate = {} if task.rate is None else {"contraction_rate": task.rate}
         settings = LoopFilterSettings(bypass=task.filter == "none", **rate)
-        _MADE[key] = LoopFilter(loop_parts(metric, model, bench, settings), settings)
+        _MADE[key] = loop_filter(metric, model, bench, settings)
     return _MADE[key]
 
 

@@ -151,7 +151,9 @@ def _exchange(bench, settings, box, command, filters, i, measurement, sample):
     time = box[0].sequence * SAMPLE_PERIOD
     kernel.receive(settings, box, command, time)
     kernel.tick(bench, settings, box, measurement, time, sample)
-    command[0].delta_u = vector_filter.correct(filters, i, measurement, sample[0])
+    followed, acting = (box[0].compensated_reference, box[0].compensated_reference_rate), box[0].acting
+    law = followed[0], followed[1], acting.velocity_compensation, acting.valve_gain_scale
+    command[0].delta_u = vector_filter.correct(filters, i, measurement, sample[0], law)
 
 
 @njit

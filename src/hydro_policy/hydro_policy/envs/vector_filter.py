@@ -18,7 +18,7 @@ from hydro_filter.controller.compiled import FilterParts
 from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_decision import LoopParts, Workspace
 from hydro_filter.controller.loop_filter import default_filter
-from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_filter.model.loop import memories
 from hydro_policy.envs.filter_kinds import FILTERS
 from hydro_sim.model.bench import Bench
 
@@ -57,42 +57,46 @@ def fleet_filter(kind: str, believed: Bench, count: int) -> FleetFilter:
     if kind == "constant":
         return ConstantFilter(True, compiled.filter_parts(ContractionFilter.for_bench(believed).certificate))
     if kind == "learned":
-        parts = default_filter(believed).parts
-        return LearnedFilter(True, parts, np.zeros(count, MEMORY_DTYPE), loop_decision.workspace(parts))
+        return loop_fleet_filter(default_filter(believed).parts, count)
     raise ValueError(f"there is no filter {kind!r}; there are {', '.join(FILTERS)}")
+
+
+def loop_fleet_filter(parts: LoopParts, count: int) -> LearnedFilter:
+    """Return the filter of a metric for `count` benches, under the law that it is made for."""
+    return LearnedFilter(True, parts, memories(parts.loop, count), loop_decision.workspace(parts))
 
 
 def reset_memory(filters: FleetFilter, index: int) -> None:
     """Reset a bench's memory: its next sample does not follow the last one."""
     if isinstance(filters, LearnedFilter):
-        filters.memory[index] = np.zeros(1, MEMORY_DTYPE)[0]
+        filters.memory[index] = np.zeros(1, filters.memory.dtype)[0]
 
 
-def correct(filters: Any, i: int, x: Any, sample: Any) -> float:
-    """Return delta_u [A] for the next sample of bench i; for compiled code."""
+def correct(filters: Any, i: int, x: Any, sample: Any, law: Any) -> float:
+    """Return delta_u [A] for the next sample of bench i under a law (f_c, f_c', C_1, C_2); for compiled code."""
     raise NotImplementedError("compiled code only")
 
 
 @overload(correct)
-def _correct(filters, i, x, sample):
+def _correct(filters, i, x, sample, law):
     kind = getattr(filters, "instance_class", None)
     if kind is NoFilter:
-        return lambda filters, i, x, sample: 0.0
+        return lambda filters, i, x, sample, law: 0.0
     if kind is ConstantFilter:
 
-        def constant(filters, i, x, sample):
+        def constant(filters, i, x, sample, law):
             nominal, reference = sample.nominal_valve_current, sample.reference_force
             return compiled.decide(filters.parts, x, nominal, reference, sample.proportional_gain)[0]
 
         return constant
     if kind is LearnedFilter:
 
-        def learned(filters, i, x, sample):
+        def learned(filters, i, x, sample, law):
             signals = sample.nominal_valve_current, sample.valve_current, sample.reference_force
             armed = (sample.flags & _ARMED) != 0
             return loop_decision.decide(
                 filters.parts, filters.memory[i], x, signals[0], signals[1], signals[2], sample.reference_force_rate,
-                sample.proportional_gain, armed, filters.workspace,
+                sample.proportional_gain, law, armed, filters.workspace,
             )[0]  # fmt: skip
 
         return learned

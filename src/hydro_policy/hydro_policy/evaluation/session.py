@@ -296,7 +296,8 @@ class EvaluationSession:
         """Warn of a run in which base gains replaced the controller's for too long for a fair comparison."""
         if held > HELD_MAX:
             sentence = f"{trace.controller} at {trace.case}: base gains in {100 * held:.0f} % of the samples"
-            self._warn(f"{sentence}, corrections came late: if the machine is busy, end what else runs on it")
+            late = "corrections" if self._controller.law.law is Law.PAPER else "commands of the law"
+            self._warn(f"{sentence}, {late} came late: if the machine is busy, end what else runs on it")
 
     def _check_gains(self, controller: Controller, trace: Trace) -> None:
         """Warn of a guard narrower than the controller, which would silently compare something else."""

@@ -166,7 +166,8 @@ class OfflineGraph(Outputs):
         self.box.receive(self.guard.command(self.time), self.time)
         output = self.box.tick(self._measurement, self.time)
         if self.corrector is not None:
-            self.answer = self.corrector.correct(Sample.of(output))
+            law = law_state(self.box.state[0])
+            self.answer = self.corrector.correct(Sample.of(output, None if law.law is Law.PAPER else law))
         self._measurement = self.plant.step(float(output["valve_current"]))
         self.time += SAMPLE_PERIOD
         return output

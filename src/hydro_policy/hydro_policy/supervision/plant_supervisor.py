@@ -45,6 +45,7 @@ MISMATCH = (
     "range, nothing is learned or begun; start it with model and metric of this bench, or with --metric constant"
 )
 FITS = "the filter's model fits again: going on"
+UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
 CALM_AGAIN = "calm again: disarmed and armed anew, so that the force law begins anew"
 
 
@@ -129,7 +130,8 @@ class PlantSupervisor:
         """Process the status of a correction."""
         if (status == CorrectionStatus.MISMATCH) != self.mismatched:
             self.mismatched = not self.mismatched
-            self._outputs.say(MISMATCH if self.mismatched else FITS, warning=self.mismatched)
+            after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
+            self._outputs.say(MISMATCH if self.mismatched else after, warning=self.mismatched)
 
     def may_begin(self, now: float) -> bool:
         """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""

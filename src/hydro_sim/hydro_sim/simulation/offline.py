@@ -10,11 +10,12 @@ The analytic plant runs in one compiled loop; any other `Plant` runs the same co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.serial.frames import PAPER_LAW
 from hydro_bridge.signals import (
     SAMPLE_PERIOD,
     SAMPLES_PER_STEP,
@@ -22,6 +23,7 @@ from hydro_bridge.signals import (
     Command,
     Flag,
     FloatArray,
+    Law,
     ReferenceSignal,
     StateArray,
 )
@@ -44,6 +46,8 @@ class Schedule:
     """Length [s] of the run."""
     correction: FloatArray | None = None
     """delta_u [A] per sample, shape (samples,); None: none, and flagged FILTER_STALE as on the bench."""
+    law: Law = Law.PAPER
+    """Force law; the compensated one with its safe C_1, C_2 and coefficients."""
 
     @property
     def samples(self) -> int:
@@ -82,18 +86,21 @@ def simulate(
     gains, correction = _changes(schedule, box.config)
     box.receive(Command(), 0.0)
     measurement = plant.reset(seed)
+    law = box.config.compensated if schedule.law is Law.COMPENSATED else PAPER_LAW
+    begin = Command(
+        arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0, law=schedule.law,
+        velocity_compensation=law.velocity_compensation, valve_gain_scale=law.valve_gain_scale,
+    )  # fmt: skip
     if isinstance(plant, AnalyticPlant):
-        return _compiled(plant, box, schedule, gains, correction)
+        return _compiled(plant, box, schedule, begin, gains, correction)
     output = np.zeros(schedule.samples, STATE_DTYPE)
     for k in range(schedule.samples):
         delta_kp, delta_ki = gains[min(k // SAMPLES_PER_STEP, len(gains) - 1)]
-        command = Command(
-            arm=True,
+        command = replace(
+            begin,
             delta_kp=float(delta_kp),
             delta_ki=float(delta_ki),
             delta_u=float(correction[k]) if len(correction) else 0.0,
-            reference=schedule.reference,
-            filter_fresh=len(correction) > 0,
         )
         box.receive(command, k * SAMPLE_PERIOD)
         output[k] = box.tick(measurement, k * SAMPLE_PERIOD)
@@ -104,10 +111,10 @@ def simulate(
 
 
 def _compiled(
-    plant: AnalyticPlant, box: Box, schedule: Schedule, gains: FloatArray, correction: FloatArray
+    plant: AnalyticPlant, box: Box, schedule: Schedule, begin: Command, gains: FloatArray, correction: FloatArray
 ) -> StateArray:
     command = np.zeros(1, kernel.COMMAND_DTYPE)
-    fill_command(command, Command(arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0))
+    fill_command(command, begin)
     output = np.zeros(schedule.samples, STATE_DTYPE)
     noise = plant.noise.rows(schedule.samples)
     records = (plant.constants, plant.sensors, plant.state, box.bench, box.settings, box.state, command)
@@ -137,4 +144,5 @@ def _changes(schedule: Schedule, config: BoxConfig) -> tuple[FloatArray, FloatAr
         correction = np.ascontiguousarray(schedule.correction, np.float64)
         if correction.shape != (schedule.samples,):
             raise ValueError(f"correction of shape {correction.shape} for {schedule.samples} samples")
-    return np.ascontiguousarray(gains - (config.base_kp, config.base_ki)), correction
+    own = config.compensated if schedule.law is Law.COMPENSATED else config
+    return np.ascontiguousarray(gains - (own.base_kp, own.base_ki)), correction

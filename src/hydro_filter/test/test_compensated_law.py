@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter beside the compensated law: its loop, its integral, its certificate, against box and plant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_bridge.serial.frames import LawState
+from hydro_bridge.signals import (
+    PLANT_FIELDS,
+    SAMPLE_PERIOD,
+    Command,
+    CorrectionStatus,
+    FloatArray,
+    Law,
+    LawCommand,
+    ReferenceSignal,
+    Waveform,
+)
+from hydro_filter.controller.filter import ContractionFilter
+from hydro_filter.controller.loop_decision import certified_gain, feedforward_excess, integral_term
+from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter, loop_parts
+from hydro_filter.metric.design import lyapunov, rest_loop
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.bench_loop import bench_loop
+from hydro_filter.model.sample import Sample
+from hydro_filter.precompile import FOUND
+from hydro_sim.box.box import Box, BoxConfig, law_state
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+
+LAW = BoxConfig().compensated
+C_1 = LAW.velocity_compensation
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+SHAPED = LawCommand(
+    law=Law.COMPENSATED, coefficients=(1.02, 0.03, 2e-4, -3.0), velocity_compensation=C_1, valve_gain_scale=1.0
+)
+
+
+@pytest.fixture(scope="module")
+def made(bench: Bench, model: Bench, metric: LearnedMetric) -> LoopFilter:
+    return loop_filter(metric, model, bench)
+
+
+def run(
+    bench: Bench,
+    plant: AnalyticPlant,
+    one: LoopFilter | None,
+    seconds: float,
+    gains: tuple[float, float],
+    seed: int = 3,
+) -> Iterator[tuple[Sample, CorrectionStatus, Box]]:
+    """Box, plant and filter under the compensated law; K_p drawn from `gains` a hundred times a second."""
+    box, x, delta_u = Box(bench), plant.reset(seed), 0.0
+    rng = np.random.default_rng(seed)
+    box.receive(Command(law=Law.COMPENSATED), 0.0)
+    if one is not None:
+        one.reset()
+    for k in range(round(seconds / SAMPLE_PERIOD)):
+        if k % 10 == 0:
+            delta_kp = rng.uniform(*gains) - LAW.base_kp
+        command = Command(arm=True, reference=SINE, delta_kp=delta_kp, delta_u=delta_u, **vars(SHAPED))
+        box.receive(command, k * SAMPLE_PERIOD)
+        sample = Sample.of(box.tick(x, k * SAMPLE_PERIOD), law_state(box.state[0]))
+        result = None if one is None else one.correct(sample)
+        delta_u = 0.0 if result is None else result.delta_u
+        yield sample, CorrectionStatus.PASS if result is None else result.status, box
+        x = plant.step(sample.valve_current)
+
+
+def test_the_integral_is_that_of_the_box(bench: Bench) -> None:
+    floor = float(BoxConfig().constants(bench)["gain_floor"][0])
+    before = 0.0
+    for sample, _, box in run(bench, AnalyticPlant(bench), None, 0.6, (15.0, 400.0)):
+        numbers = sample.nominal_current, sample.proportional_gain, sample.followed
+        term = integral_term(bench.constants()[0], floor, sample.state, *numbers)[0]
+        assert term == pytest.approx(before, rel=1e-6, abs=1e-5)
+        before = float(box.state["integral"][0])
+    assert abs(before) > 10.0
+
+
+def test_on_the_trajectory_of_the_reference_the_papers_law_asks_for_nothing_else(bench: Bench) -> None:
+    at = bench.constants()[0], np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9e6, 0.04, 0.1]), 0.07
+    assert feedforward_excess(*at, 120.0, 900.0, 90.0, (120.0, 900.0, 1.0, 1.0)) == 0.0
+    velocity_term = feedforward_excess(*at, 120.0, 900.0, 90.0, (120.0, 900.0, 0.0, 1.0))
+    assert velocity_term < -1e4, "a piston that moves out lowers f_h"
+    found = feedforward_excess(*at, 120.0, 900.0, 90.0, (121.0, 950.0, 0.3, 1.0))
+    assert found == pytest.approx(0.7 * velocity_term + 50.0 + 90.0)
+
+
+@pytest.mark.parametrize(("c_1", "c_2", "gain"), [(0.3, 1.0, 200.0), (0.6, 2.0, 100.0), (0.31, 1.0, np.inf)])
+def test_gains_are_certified_by_the_loop_that_they_make(
+    bench: Bench, model: Bench, metric: LearnedMetric, c_1: float, c_2: float, gain: float
+) -> None:
+    """C_2 = 2 halves K_p and C_1."""
+    parts = loop_parts(metric.certificates[1], model, bench)._replace(velocity_compensation=0.3)
+    assert certified_gain(parts, 200.0, (0.0, 0.0, c_1, c_2)) == gain
+
+
+def twins(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> tuple[FloatArray, FloatArray]:
+    """f_l of two noiseless runs under the law, the second with a pulse of current at 1 s."""
+    runs = []
+    for size in (0.0, pulse):
+        box, x, forces = Box(bench), plant.reset(0), []
+        box.receive(Command(law=Law.COMPENSATED), 0.0)
+        for k in range(1400):
+            command = Command(
+                arm=True, delta_kp=gain - LAW.base_kp, delta_ki=LAW.delta_ki_min,
+                delta_u=size if 1000 <= k < 1005 else 0.0, **vars(SHAPED),
+            )  # fmt: skip
+            box.receive(command, k * SAMPLE_PERIOD)
+            record = box.tick(x, k * SAMPLE_PERIOD)
+            forces.append([float(record[name]) for name in PLANT_FIELDS])
+            x = plant.step(float(record["valve_current"]))
+        runs.append(np.array(forces))
+    return runs[0], runs[1]
+
+
+@pytest.mark.parametrize("gain", [100.0, 300.0])
+def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(bench: Bench, gain: float) -> None:
+    """Plant and box know nothing of the linearized loop; K_i at its least, it moves the eigenvalue by K_i / K_p."""
+    smooth = replace(bench, effects=tuple(each for each in FOUND if each["id"] != "friction_coulomb"))
+    free, push, feedback = rest_loop(bench_loop(smooth, bench), gain, C_1)
+    values = np.linalg.eigvals(free + np.outer(push, feedback))
+    slowest = -float(np.log(np.abs(values).max())) / SAMPLE_PERIOD
+    first, second = twins(bench, AnalyticPlant(smooth, noise=0.0), gain, 1e-4)
+    apart = np.linalg.norm((second - first)[:, [0, 2]], axis=1)
+    begin, span = 1040, min(200, round(1.5e3 / slowest))
+    decay = np.log(apart[begin] / apart[begin + span]) / (span * SAMPLE_PERIOD)
+    print(gain, slowest, decay)
+    assert decay == pytest.approx(slowest, rel=0.15, abs=0.3)
+
+
+def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Bench, metric: LearnedMetric) -> None:
+    """Lyapunov's inequality at rest, between the table's gains, too; at C_1 = 1 there is none above 100 1/s."""
+    loop, one = bench_loop(model, bench), metric.certificates[1]
+    x = np.zeros(8)
+    for gain in np.linspace(15.0, 400.0, 50):
+        free, push, feedback = rest_loop(loop, gain, C_1)
+        closed, weight = free + np.outer(push, feedback), one.matrix(x, gain)
+        kept = np.exp(-2.0 * 0.1 * SAMPLE_PERIOD)
+        assert np.linalg.eigvalsh(closed.T @ weight @ closed - kept * weight).max() < 0.0
+    free, push, feedback = rest_loop(loop, 200.0)
+    with pytest.raises(ValueError, match="does not decay"):
+        lyapunov(free + np.outer(push, feedback), np.ones(len(push)), 0.3)
+
+
+def test_a_file_keeps_both_and_one_of_before_holds_for_the_papers_law(
+    tmp_path: Path, bench: Bench, model: Bench, metric: LearnedMetric
+) -> None:
+    metric.save(tmp_path / "both.safetensors")
+    both = LearnedMetric.load(tmp_path / "both.safetensors")
+    assert [one.velocity_compensation for one in both.certificates] == [1.0, C_1]
+    for ours, theirs in zip(both.certificates, metric.certificates, strict=True):
+        np.testing.assert_array_equal(ours.table, theirs.table)
+        np.testing.assert_array_equal(ours.gains, theirs.gains)
+    old = loop_filter(LearnedMetric.load(), model, bench)
+    assert old.unknown(compensated=True) and not old.unknown(compensated=False)
+    alone = loop_filter(both.certificates[1], model, bench)
+    assert alone.unknown(compensated=False) and not alone.unknown(compensated=True)
+
+
+def test_filters_of_the_papers_law_bypass_the_compensated_one_and_begin_anew(bench: Bench) -> None:
+    law = LawState(Law.COMPENSATED, 10.0, 0.0, (1.0, 0.0, 0.0, 0.0), C_1, 1.0)
+    for one in (default_filter(bench), ContractionFilter.for_bench(bench)):
+        sample = Sample(np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9e6, 0.04, 0.0]), 0.0, 300.0, -40.0)
+        result = one.correct(sample._replace(law=law))
+        assert (result.delta_u, result.status) == (0.0, CorrectionStatus.BYPASSED)
+        assert one.correct(sample).status is CorrectionStatus.MODIFIED
+
+
+def test_under_the_law_gains_pass_and_a_c_1_without_certificate_is_corrected(bench: Bench, made: LoopFilter) -> None:
+    plant = AnalyticPlant(replace(bench, effects=FOUND))
+    done = [(sample, status) for sample, status, _ in run(bench, plant, made, 2.0, (15.0, 400.0))]
+    statuses = {status for sample, status in done[200:]}
+    assert statuses == {CorrectionStatus.PASS}
+    sample = done[-1][0]
+    assert sample.law is not None
+    foreign = sample._replace(law=sample.law._replace(velocity_compensation=1.0), proportional_gain=300.0)
+    assert made.correct(foreign).status is CorrectionStatus.MODIFIED
+
+
+def test_a_stiffer_spring_is_told_under_the_law(bench: Bench, made: LoopFilter) -> None:
+    plant = AnalyticPlant(replace(bench, spring_stiffness=3e4, effects=FOUND))
+    statuses = [status for _, status, _ in run(bench, plant, made, 2.0, (300.0, 400.0))]
+    assert statuses[-1] is CorrectionStatus.MISMATCH
