@@ -28,6 +28,7 @@ STUDIES = frozenset(
         "model_mismatch",
         "pairings",
         "paper",
+        "real_recordings",
         "relearned_filter",
         "sac_peers",
         "trained_controllers",

@@ -17,9 +17,11 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
@@ -27,7 +29,7 @@ import yaml
 from scipy.io import loadmat
 
 from benchmarks import _report
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, UserError, command, progress
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.findings import EffectReport
 
@@ -40,10 +42,11 @@ COLUMNS = {
     "verdict": "and a ! where the answer rules it out",
     "claims": "effects named, with their numbers; laws without a name",
     "agree": "claims that the answer holds: interval and tolerance overlap",
-    "contradict": "claims that it excludes, and causes it holds that were not named",
+    "contradict": "claims that it excludes",
     "open": "claims that it cannot judge",
+    "missed": "causes that it holds and that were not named",
     "curve": "steady speeds at which the force that the claims make is within the tolerance",
-    "left": "% of the signal that is left on what was held out, worst channel",
+    "left": "% of the error of the bench file alone that is left on what was held out, worst channel",
     "moved": "claims that move by more than a quarter, or go, when a recording is left out",
     "cpu": "s of CPU",
 }
@@ -59,6 +62,7 @@ class Score:
     agree: list[str] = field(default_factory=list)
     contradict: list[str] = field(default_factory=list)
     open: list[str] = field(default_factory=list)
+    missed: list[str] = field(default_factory=list)
     curve: list[tuple[float, float, float, bool]] = field(default_factory=list)
     """Speed [m/s], force of the answer, force of the claims [N], within the tolerance."""
     left: dict[str, float] = field(default_factory=dict)
@@ -135,25 +139,25 @@ def scored(name: str, rig: Mapping[str, Any], found: Diagnosis) -> Score:
     for effect in report.effects:
         known = answer.get("numbers", {}).get(effect.id, {})
         wrong = []
-        for key, one in effect.parameters.items():
+        for key in known.keys() & effect.parameters.keys():
+            one, (right, tolerance) = effect.parameters[key], known[key]
             low, high = one.ci95 or (one.value, one.value)
-            if key in known and not low - known[key][1] <= known[key][0] <= high + known[key][1]:
-                wrong.append(
-                    f"{effect.id}: {key} = {one.value:.4g} ({low:.4g} to {high:.4g}), answer {known[key][0]:.4g}"
-                )
+            if not low - tolerance <= right <= high + tolerance:
+                wrong.append(f"{effect.id}: {key} = {one.value:.4g} ({low:.4g} to {high:.4g}), answer {right:.4g}")
         if wrong or effect.id not in (*known_ids(answer), *answer["possible"]):
             score.contradict += wrong or [f"{effect.id}: {effect.sentence}"]
         else:
             (score.agree if effect.id in known_ids(answer) else score.open).append(effect.id)
     named = {effect.id for effect in report.effects}
-    score.contradict += [f"{one} is not named" for one in answer["named"] if one not in named]
-    if not any(one.equation == "motion" for one in report.closures):
+    score.missed = [one for one in answer["named"] if one not in named]
+    if report.verdict != "unknown" and not report.closures:
         for speed, right, tolerance in answer.get("curve", ()):
             said = force(report.effects, speed)
             score.curve.append((speed, right, said, abs(said - right) <= tolerance))
     for channel, one in {**report.fit["holdout"], **report.fit["equations"]}.items():
-        if one.get("signal"):
-            score.left[channel] = 100.0 * one["rmse_after"] / one["signal"]
+        share = 100.0 * one["rmse_after"] / one["rmse_before"]
+        if np.isfinite(share):
+            score.left[channel] = share
     return score
 
 
@@ -162,19 +166,15 @@ def known_ids(answer: Mapping[str, Any]) -> set[str]:
     return {*answer["named"], *answer.get("numbers", {})}
 
 
-def moved(whole: Sequence[EffectReport], parts: Sequence[Sequence[EffectReport]]) -> list[str]:
-    """Parameters that differ by more than `MOVED`, or are gone, in one of the parts."""
-    out = []
-    for effect in whole:
-        for key, one in effect.parameters.items():
-            for part in parts:
-                other = next(
-                    (two.parameters[key].value for two in part if two.id == effect.id and key in two.parameters), 0.0
-                )
-                if abs(other - one.value) > MOVED * abs(one.value):
-                    out.append(f"{effect.id}.{key}: {one.value:.4g}, {other:.4g}")
-                    break
-    return out
+def moved(whole: Sequence[EffectReport], part: Sequence[EffectReport]) -> list[str]:
+    """Parameters that differ by more than `MOVED`, or are gone, where a recording was left out."""
+    others = {(one.id, key): two.value for one in part for key, two in one.parameters.items()}
+    return [
+        f"{one.id}.{key}"
+        for one in whole
+        for key, two in one.parameters.items()
+        if abs(others.get((one.id, key), 0.0) - two.value) > MOVED * abs(two.value)
+    ]
 
 
 def carried_out(name: str, folder: Path, *, leave_out: bool) -> Score:
@@ -183,58 +183,58 @@ def carried_out(name: str, folder: Path, *, leave_out: bool) -> Score:
     begun = time.process_time()
     try:
         found = diagnosed(rig, folder)
-    except InputError as error:
-        answer = rig["answer"]
-        missing = [f"{one} is not named" for one in answer["named"]]
+    except Exception as error:  # a rig that breaks the diagnosis is a row too
+        verdict = "refused" if isinstance(error, InputError) else "crashed"
+        missed, note = list(rig["answer"]["named"]), f"{verdict}: {error}"
         cpu = time.process_time() - begun
-        return Score(name, "refused", "refused" in answer["verdict"], contradict=missing, cpu=cpu, note=str(error))
+        return Score(name, verdict, verdict in rig["answer"]["verdict"], missed=missed, note=note, cpu=cpu)
     score = scored(name, rig, found)
     score.cpu = time.process_time() - begun
     if leave_out and len(rig["fitted"]) > 1 and not rig.get("side_by_side"):
-        parts = [diagnosed(rig, folder, path).report.effects for path in rig["fitted"]]
-        score.moved, score.left_out = moved(found.report.effects, parts), len(parts)
+        for path in rig["fitted"]:
+            with suppress(InputError):
+                part = diagnosed(rig, folder, path).report.effects
+                score.moved += [one for one in moved(found.report.effects, part) if one not in score.moved]
+                score.left_out += 1
     return score
 
 
-def fetched(name: str, folder: Path) -> None:
-    """Download what is not there; a file with another digest than that of the rig's YAML is refused."""
-    rig = yaml.safe_load(RIGS[name].read_text())
+def ready(name: str, folder: Path, *, fetch: bool) -> bool:
+    """Whether all files of a rig are there, with the digests of its YAML; `fetch` downloads what is not."""
+    rig, there = yaml.safe_load(RIGS[name].read_text()), True
     for path, digest in {**rig["fitted"], **rig["held_out"]}.items():
-        file = folder / name / Path(path).name
-        if file.exists() or not rig["repository"]:
-            continue
-        url = ORIGIN.format(repository=rig["repository"], commit=rig["commit"], path=urllib.request.pathname2url(path))
-        try:
-            with urllib.request.urlopen(url) as answer:
-                content = answer.read()
-        except urllib.error.URLError as error:
-            raise UserError(f"{url}: {error}") from None
-        if hashlib.sha256(content).hexdigest() != digest:
-            raise UserError(f"{url}: not the file whose digest {RIGS[name].name} holds")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content)
+        file = folder / Path(path).name
+        if fetch and rig["repository"] and not file.exists():
+            url = ORIGIN.format(repository=rig["repository"], commit=rig["commit"], path=quote(path))
+            file.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                with urllib.request.urlopen(url) as answer:
+                    file.write_bytes(answer.read())
+            except urllib.error.URLError as error:
+                raise UserError(f"{url}: {error}") from None
+        if file.exists() and hashlib.sha256(file.read_bytes()).hexdigest() != digest:
+            raise UserError(f"{file}: not the file whose digest {RIGS[name].name} holds")
+        there &= file.exists()
+    return there
 
 
 @command()
 def main() -> None:
     """Diagnose the rigs whose recordings are there and print the table."""
-    options = argparse.ArgumentParser(prog="python -m benchmarks.real_recordings", description=__doc__,
-                                      formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    options = _report.parser("real_recordings", __doc__)
+    options.formatter_class = argparse.RawDescriptionHelpFormatter
     options.add_argument("rigs", nargs="*", metavar="RIG", help=f"default all: {', '.join(RIGS)}")
     options.add_argument("--data", type=Path, default=Path("runs/real_recordings"), metavar="FOLDER",
                          help="recordings (default: runs/real_recordings)")  # fmt: skip
     options.add_argument("--fetch", action="store_true", help="download them first")
     options.add_argument("--leave-out", action="store_true", help="diagnose again without each fitted recording")
-    add_json_argument(options)
     chosen = options.parse_args()
     if unknown := set(chosen.rigs) - set(RIGS):
         raise UserError(f"no rig {min(unknown)!r}; there are {', '.join(RIGS)}")
     table, scores = Table(COLUMNS), []
     for name in progress(chosen.rigs or list(RIGS), label="real recordings", unit="rig"):
-        if chosen.fetch:
-            fetched(name, chosen.data)
-        if not (chosen.data / name).is_dir():
-            print(f"{name}: skipped, no {chosen.data / name}")
+        if not ready(name, chosen.data / name, fetch=chosen.fetch):
+            print(f"{name}: skipped, its recordings are not in {chosen.data / name}")
             continue
         score = carried_out(name, chosen.data / name, leave_out=chosen.leave_out)
         scores.append(asdict(score))
@@ -252,7 +252,8 @@ def add(table: Table, score: Score) -> None:
     table.add(
         rig=score.rig, verdict=score.verdict + ("" if score.allowed else " !"),
         claims=", ".join([*score.claims, *score.laws]) or "-", agree=len(score.agree), contradict=len(score.contradict),
-        open=len(score.open), curve=f"{sum(right)}/{len(right)}" if right else "-",
+        open=len(score.open), missed=len(score.missed),
+        curve=f"{sum(right)}/{len(right)}" if right else "-",
         left=max(score.left.values(), default=float("nan")), moved=len(score.moved) if score.left_out else "-",
         cpu=score.cpu,
     )  # fmt: skip
