@@ -48,7 +48,8 @@ def test_a_rig_says_where_it_is_from_and_what_is_right(name: str) -> None:
     known = {(one.id, parameter.name) for one in LIBRARY for parameter in one.parameters}
     assert {*answer["named"], *answer["possible"], *numbers} <= {id for id, _ in known}
     assert {(id, key) for id, one in numbers.items() for key in one} <= known
-    assert set(answer["verdict"]) <= VERDICTS
+    assert np.isfinite([value for one in numbers.values() for pair in one.values() for value in pair]).all()
+    assert np.isfinite(np.ravel(answer.get("curve", [0.0]))).all() and set(answer["verdict"]) <= VERDICTS
 
 
 def test_files_are_read_into_signals(tmp_path: Path) -> None:
