@@ -29,6 +29,7 @@ STUDIES = frozenset(
         "null_simulations",
         "pairings",
         "paper",
+        "real_recordings",
         "relearned_filter",
         "sac_peers",
         "trained_controllers",
