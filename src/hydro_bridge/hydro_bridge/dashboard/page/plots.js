@@ -24,7 +24,7 @@ const PLOTS = [
     lines: [[1, "without correction", VERMILION, [6, 3]], [1, "with correction", GREEN]],
   },
   { title: "Pressures", unit: "bar", span: 4, lines: [[0, "pressure a", BLUE], [0, "pressure b", VERMILION, [6, 3]]] },
-  { title: "Position", unit: "mm", span: 1, wide: true, lines: [[0, "position", BLUE]] },
+  { title: "Position", unit: "mm", span: 1, lines: [[0, "position", BLUE]] },
 ];
 
 export function shown(value) {
