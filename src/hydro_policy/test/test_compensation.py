@@ -54,6 +54,20 @@ def test_with_a_cell_the_fit_is_on_the_force_in_front_of_it() -> None:
     assert plain.coefficients[0, 1] == pytest.approx(2.0 * cell.damping / (2.0 * np.pi * cell.bandwidth), rel=0.05)
 
 
+def test_what_the_valve_wants_where_the_force_turns_is_found_and_goes_out_ahead_of_it() -> None:
+    """f_c = f + b_0 tanh(f' / r) + b_1 |f'|, f = f_r: no smooth polynomial has either."""
+    compensator, overlap, direction, w = Compensator(), 6.0, 2e-3, 2.0 * np.pi
+    for k in range(800):
+        times = (10 * k + np.arange(10)) * 1e-3
+        force, rate = 200.0 * np.sin(w * times), 200.0 * w * np.cos(w * times)
+        valve = overlap * np.tanh(rate / compensator.settings.reversal) + direction * np.abs(rate)
+        compensator.step((force + valve)[np.newaxis], force[np.newaxis], ACTIVE, rate[np.newaxis])
+        coming = 200.0 * w * np.cos(w * (times[-1] + 0.01))
+        expected = overlap * np.tanh(coming / compensator.settings.reversal) + direction * np.abs(coming)
+        if k > 600:
+            np.testing.assert_allclose(compensator.coefficients[0], [1.0, 0.0, 0.0, expected], rtol=0.01, atol=0.15)
+
+
 def test_without_excitation_shape_holds_and_level_returns() -> None:
     compensator = Compensator()
     taught(compensator, 8.0)
