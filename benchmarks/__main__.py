@@ -19,6 +19,7 @@ STUDIES = frozenset(
         "adaptivity",
         "bench_file_filter",
         "beyond_the_table",
+        "compensated_law",
         "controllers",
         "dashboard",
         "diagnosis_peers",

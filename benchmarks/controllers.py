@@ -105,13 +105,19 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 
 def measure(
-    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, seed: int = 0
+    config: TruthConfig,
+    cases: Sequence[Case],
+    choose: Chooser,
+    compensator: Compensator | None = None,
+    box: BoxConfig | None = None,
+    dead_time: int = 0,
 ) -> list[dict[str, Any]]:
-    """Run every case on this truth; one row of figures for each (see `outcome`)."""
-    fleet = truth_fleet(len(cases), config)
+    """Run every case on this truth, its valve late by some samples; one row of figures for each (see `outcome`)."""
+    fleet = truth_fleet(len(cases), config, box)
+    fleet.links["dead_time"] = dead_time
     sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
-    for step in vector_runs.run(fleet, cases, choose, SETTINGS, seed, compensator):
+    for step in vector_runs.run(fleet, cases, choose, SETTINGS, 0, compensator):
         wanted, current = step.samples["reference_force"], step.samples["valve_current"]
         rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
         before = current[:, -1].copy()
@@ -135,14 +141,24 @@ def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
     """One controller on one truth."""
     if name.startswith("compensated"):
-        law, cell = BoxConfig().compensated, load_cell(config) if name == "compensated_specimen" else None
-        return measure(
-            config, cases, held((law.base_kp, law.base_ki), law), Compensator(len(cases), law=law, cell=cell)
-        )
+        return compensated(config, cases, cell=load_cell(config) if name == "compensated_specimen" else None)
     if name == "policy":
         return measure(config, cases, shipped_policy())
     gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
     return measure(config, cases, held(gains))
+
+
+def compensated(
+    config: TruthConfig,
+    cases: Sequence[Case],
+    law: BoxLaw | None = None,
+    cell: LoadCell | None = None,
+    dead_time: int = 0,
+) -> list[dict[str, Any]]:
+    """A compensated law, adaptive, from neutral coefficients; rows as of `measure`."""
+    law = law or BoxLaw()
+    estimator, box = Compensator(len(cases), law=law, cell=cell), BoxConfig(compensated=law)
+    return measure(config, cases, held((law.base_kp, law.base_ki), law), estimator, box, dead_time)
 
 
 def load_cell(config: TruthConfig) -> LoadCell | None:

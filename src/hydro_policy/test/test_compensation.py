@@ -54,6 +54,16 @@ def test_with_a_cell_the_fit_is_on_the_force_in_front_of_it() -> None:
     assert plain.coefficients[0, 1] == pytest.approx(2.0 * cell.damping / (2.0 * np.pi * cell.bandwidth), rel=0.05)
 
 
+def test_another_bench_is_learnt_within_two_seconds() -> None:
+    """With what was before forgotten at the usual rate only, half the difference is left."""
+    compensator = Compensator()
+    taught(compensator, 8.0)
+    for k in range(200):
+        command, force = polynomial(8.0 + (10 * k + np.arange(10)) * 1e-3)
+        compensator.step(command[np.newaxis], 0.8 * force[np.newaxis], ACTIVE)
+    np.testing.assert_allclose(compensator.coefficients[0, :2], np.array(TRUE[:2]) / 0.8, rtol=0.05)
+
+
 def test_what_the_valve_wants_where_the_force_turns_is_found_and_goes_out_ahead_of_it() -> None:
     """f_c = f + b_0 tanh(f' / r) + b_1 |f'|, f = f_r: no smooth polynomial has either."""
     compensator, overlap, direction, w = Compensator(), 6.0, 2e-3, 2.0 * np.pi

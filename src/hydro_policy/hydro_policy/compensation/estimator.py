@@ -21,6 +21,8 @@ and go out as part of a_3, for the f_r' of the middle of the policy step in whic
 
 All channels run through one filter: a derivative half a sample beside the rest is 5 % of a_1.
 
+Where the fit misses F_c by more than `surprise` the bench has changed: what was before is forgotten sooner.
+
 What is forgotten follows what is learnt: without excitation nothing is forgotten, a_1, a_2 and b hold, and a_0 and a_3
 return to 1 and 0.
 
@@ -75,6 +77,10 @@ class CompensatorSettings:
     """Usual amplitude of the force."""
     good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
     """Excitation above which forgetting is at its fastest; `force_scale` at 1 Hz gives 1, at 0.5 Hz 0.25."""
+    surprise: Annotated[float, quantity("-", 1e-3, 100.0)] = 0.03
+    """Residual of the fit over `force_scale` at which forgetting is twice as fast."""
+    haste: Annotated[float, quantity("-", 1.0, 100.0)] = 8.0
+    """Forgetting is never faster than so many times."""
     reversal: Annotated[float, quantity("N/s", 1.0, 1e4)] = 60.0
     """r, the force rate over which the valve counts as turning."""
     least_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
@@ -196,7 +202,9 @@ class Compensator:
         target = self._states[rows, 0, :1] / settings.force_scale
         self.excitation[rows] += share * (2.0 * phi[:, 1] ** 2 - self.excitation[rows])
         excitation = self.excitation[rows, np.newaxis]
-        kept = 1.0 - share * np.minimum(excitation / settings.good_excitation, 1.0)
+        missed = target - np.sum(phi * self._found[rows] * self._scale, axis=1, keepdims=True)
+        haste = np.minimum(1.0 + (missed / settings.surprise) ** 2, settings.haste)
+        kept = 1.0 - share * haste * np.minimum(excitation / settings.good_excitation, 1.0)
         self._matrix[rows] = (
             kept[..., np.newaxis] * self._matrix[rows] + STEP * phi[:, :, np.newaxis] * phi[:, np.newaxis]
         )
