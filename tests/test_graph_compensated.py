@@ -67,7 +67,7 @@ def test_it_tracks_far_better_than_fixed_gains_and_a_killed_estimator_leaves_neu
     heard.clear()
     second = plant.enter_context(evaluate(tmp_path, "second"))
     probe.wait(lambda: heard and heard[-1].a_1 > 0.01, 150.0)
-    probe.spin(0.5)  # at the end of the reference's fade f_r'' jumps, and f_c with it
+    probe.spin(0.5)
     os.kill(second.process.pid, signal.SIGKILL)
     begun = len(heard)
     probe.spin(2.5)

@@ -179,7 +179,7 @@ static inline hydro_real hydro_box_tick(hydro_box *box, const hydro_real *measur
     law = &config->laws[box->acting.law];
     if (begins) {
         hydro_copy(box->acting.shaping, law->safe, sizeof law->safe);
-        box->integral = HYDRO_R(0);
+        box->integral = box->acting.second = HYDRO_R(0);
         hydro_begin(&box->reference, measurement[config->feedback], time);
     }
     box->sample.time = time;

@@ -6,14 +6,20 @@
 #include "reference.h"
 
 #define HYDRO_BUMPLESS 2u
+#define HYDRO_KINK 4e-3 /* s, time constant with which a jump of f_r'' comes into f_c */
 
 /* f_c into `state`, whose shaping comes nearer to the wanted one by one sample; where f_c is cut off, f_c' is 0. */
 static inline void hydro_compensate(
     hydro_law_state *state, const hydro_law *law, const hydro_real *wanted, const hydro_wave *wave)
 {
-    const hydro_real terms[4] = {wave->value, wave->rate, wave->second, HYDRO_R(1)};
-    const hydro_real slopes[4] = {wave->rate, wave->second, wave->third, HYDRO_R(0)};
-    hydro_real value = HYDRO_R(0), rate = HYDRO_R(0), period = HYDRO_R(HYDRO_PERIOD);
+    hydro_real value = HYDRO_R(0), rate = HYDRO_R(0), period = HYDRO_R(HYDRO_PERIOD), half = HYDRO_R(0.5) * period;
+    hydro_real second = state->second + half * wave->third;
+    hydro_real terms[4] = {wave->value, wave->rate, HYDRO_R(0), HYDRO_R(1)};
+    hydro_real slopes[4] = {wave->rate, wave->second, HYDRO_R(0), HYDRO_R(0)};
+    second += HYDRO_R(HYDRO_PERIOD / (HYDRO_KINK + HYDRO_PERIOD)) * (wave->second - second);
+    state->second = second + half * wave->third;
+    terms[2] = second;
+    slopes[2] = wave->third + (wave->second - second) / HYDRO_R(HYDRO_KINK);
     for (int i = 0; i < HYDRO_SHAPING; i++) {
         hydro_real step = law->rate[i] * period;
         hydro_real change = hydro_clamp(wanted[i] - state->shaping[i], -step, step);

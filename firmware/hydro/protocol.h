@@ -51,6 +51,7 @@ typedef struct {
 typedef struct {
     uint32_t law;
     hydro_real reference, reference_rate, shaping[HYDRO_SHAPING];
+    hydro_real second; /* N/s^2, what f_c takes f_r'' for, on the way to the next sample */
 } hydro_law_state;
 
 /* One sample, laid out as hydro_bridge.signals.STATE_DTYPE where hydro_real is double. */

@@ -434,6 +434,7 @@ int main(void)
     test_force_law();
     test_currents_of_the_page();
     test_compensation();
+    test_a_jump_of_the_second_derivative();
     test_rates();
     test_frames_of_the_page();
     test_a_command_of_the_page();

@@ -65,7 +65,7 @@ static void test_frames_of_the_page(void)
     hydro_config config = CONFIG;
     hydro_law *law = &config.laws[HYDRO_PAPER];
     const hydro_law_state acting = {
-        HYDRO_COMPENSATED, HYDRO_R(-2.5), 8, {1, HYDRO_R(0.03125), HYDRO_R(0.001953125), -1, HYDRO_R(0.25), 1}};
+        HYDRO_COMPENSATED, HYDRO_R(-2.5), 8, {1, HYDRO_R(0.03125), HYDRO_R(0.001953125), -1, HYDRO_R(0.25), 1}, 0};
     hydro_sample sample = {0.258, 258, {0}, HYDRO_ARMED | HYDRO_FILTER_STALE};
     memset(config.name, 0, sizeof config.name);
     memcpy(config.name, "example 1.0", 11);

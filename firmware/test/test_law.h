@@ -179,13 +179,15 @@ static void test_compensation(void)
     const hydro_law *law = &CONFIG.laws[HYDRO_COMPENSATED];
     const hydro_wave wave = {100, -2000, 8000, 160000};
     const hydro_real far[HYDRO_SHAPING] = {0, 1, -1, 1000, 1, -1};
-    hydro_law_state state = {HYDRO_COMPENSATED, 0, 0, {1, HYDRO_R(0.0625), HYDRO_R(0.001953125), 3, HYDRO_R(0.25), 1}};
+    hydro_law_state state = {
+        HYDRO_COMPENSATED, 0, 0, {1, HYDRO_R(0.0625), HYDRO_R(0.001953125), 3, HYDRO_R(0.25), 1}, 7920};
     hydro_real first[HYDRO_SHAPING];
     memcpy(first, state.shaping, sizeof first);
     hydro_compensate(&state, law, first, &wave); /* at rest */
     CHECK(near(state.reference / 100, (100 - 125 + 15.625 + 3) / 100));
     CHECK(near(state.reference_rate / 1000, (-2000 + 500 + 312.5) / 1000));
-    CHECK(memcmp(first, state.shaping, sizeof first) == 0);
+    CHECK(memcmp(first, state.shaping, sizeof first) == 0 && near(state.second / 8000, 1.01));
+    state.second = 7920;
     hydro_compensate(&state, law, far, &wave);
     for (int i = 0; i < HYDRO_SHAPING; i++) {
         hydro_real step = law->rate[i] * HYDRO_R(1e-3) * HYDRO_R(i % 2 == 0 && i != 4 ? -1 : i == 5 ? -1 : 1);
@@ -209,6 +211,21 @@ static void test_compensation(void)
         memcpy(state.shaping, still, sizeof still);
         hydro_compensate(&state, law, still, &high);
         CHECK(state.reference == 700 * side && state.reference_rate == 0);
+    }
+}
+
+/* A jump of f_r'' comes into f_c by a fifth of what is left a sample, and f_c' says so. */
+static void test_a_jump_of_the_second_derivative(void)
+{
+    const hydro_law *law = &CONFIG.laws[HYDRO_COMPENSATED];
+    const hydro_wave wave = {0, 0, 8000, 0};
+    const hydro_real only[HYDRO_SHAPING] = {1, 0, HYDRO_R(0.001953125), 0, HYDRO_R(0.25), 1};
+    hydro_law_state state = {HYDRO_COMPENSATED, 0, 0, {1, 0, HYDRO_R(0.001953125), 0, HYDRO_R(0.25), 1}, 0};
+    double left = 15.625;
+    for (int k = 0; k < 20; k++) {
+        left *= 0.8;
+        hydro_compensate(&state, law, only, &wave);
+        CHECK(near(state.reference, 15.625 - left) && near(state.reference_rate / 1000, left / 4));
     }
 }
 

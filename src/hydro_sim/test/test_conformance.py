@@ -440,6 +440,12 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
         ";",
         {"compensated.shaping", "compensated.safe"},
     ),
+    "f_c jumps with f_r''": (
+        "force_law.h",
+        "(HYDRO_KINK + HYDRO_PERIOD)",
+        "HYDRO_PERIOD",
+        {"compensated.shaping", "compensated.safe"},
+    ),
     "coefficients stay where commands are late": (
         "box.h",
         "held ? law->safe : box->guard.shaping",

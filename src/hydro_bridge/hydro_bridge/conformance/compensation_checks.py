@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from math import isfinite
 
@@ -14,6 +15,9 @@ from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Command, Flag, Law
 
 _CLOSE = 2e-6
 """Rounding of float32 in a number of the shaping, relative to its limits."""
+
+_KINK = 4e-3
+"""Time constant [s] with which a jump of f_r'' comes into f_c."""
 
 
 def law_told(host: Host, bench: Bench) -> str:
@@ -41,12 +45,16 @@ def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
     """Check gains, shaping and f_c of each armed sample against the one before and the command in force.
 
     The shaping goes to the one that was commanded, within its limits, no faster than LAW says; to the safe one where
-    the command is late or for the paper's law. f_r'' is the difference of f_r': within an allowance where that jumps.
+    the command is late or for the paper's law. f_r'' is the difference of f_r': within an allowance where that jumps,
+    which goes as the jump comes into f_c. There and everywhere f_c goes where f_c' says. At arming f_r'' begins at 0.
     """
     law, commands = _record(host), {each.sequence: each.command for each in host.sent}
     low, _, high, rate = _shaping(law)
-    seen = 0
+    seen, bend, jump = 0, 0.0, 0.0
     for before, state, behind in zip(host.states, host.states[1:], host.states[2:], strict=False):
+        rates = [value(each, "reference_force_rate") for each in (before, state, behind)]
+        last_bend, bend = bend, abs(rates[2] - 2.0 * rates[1] + rates[0]) / SAMPLE_PERIOD
+        jump = max(bend + last_bend, jump * _KINK / (_KINK + SAMPLE_PERIOD))
         if not all(each.flags & Flag.ARMED for each in (before, state, behind)):
             continue
         wanted, gains = _wanted(law, commands.get(state.last_command), late=bool(state.flags & Flag.WATCHDOG))
@@ -59,30 +67,36 @@ def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
             right = old + min(max(new - old, -step), step)
             if not abs(number - right) <= room or not least - room <= number <= most + room:
                 return f"{number:g} acts in STATE {state.sequence}, {right:g} is right: {old:g} before, {new:g} wanted"
-        if sentence := _reference(law, before, state, behind, tolerance):
+        if sentence := _reference(law, before, state, rates, jump, tolerance):
             return sentence
         seen += 1
     return "" if seen else "it was not armed"
 
 
-def _reference(law: BoxLaw, before: State, state: State, behind: State, tolerance: float) -> str:
-    """Compare f_c with the formula, and f_c' by what is known of it; what is wrong, or nothing."""
+def _reference(law: BoxLaw, before: State, state: State, rates: Sequence[float], jump: float, tolerance: float) -> str:
+    """Compare f_c with the formula, and f_c' by what is known of it; what is wrong, or nothing.
+
+    `rates` are f_r' [N/s] before, now and behind; `jump` is what f_r'' [N/s^2] may be off.
+    """
     acting, last = _acting(state), _acting(before)
-    rates = [value(each, "reference_force_rate") for each in (before, state, behind)]
-    second, bend = (rates[2] - rates[0]) / (2.0 * SAMPLE_PERIOD), abs(rates[2] - 2.0 * rates[1] + rates[0])
+    second = (rates[2] - rates[0]) / (2.0 * SAMPLE_PERIOD)
     terms = (value(state, "reference_force"), rates[1], second, 1.0)
     a, changes = acting.coefficients, [new - old for new, old in zip(acting[3], last[3], strict=True)]
     right = sum(number * term for number, term in zip(a, terms, strict=True))
-    allowed = tolerance + abs(a[2]) * bend / SAMPLE_PERIOD
+    allowed = tolerance + abs(a[2]) * jump
     if abs(right) > law.reference_max - allowed:
         return "" if abs(acting.compensated_reference) <= law.reference_max * (1.0 + _CLOSE) else "f_c is not cut off"
     if not abs(acting.compensated_reference - right) <= allowed:
         return f"f_c is {acting.compensated_reference:g} N in STATE {state.sequence}, {right:g} N is right"
     moved = sum(change * term for change, term in zip(changes, terms, strict=True)) / SAMPLE_PERIOD
     right = a[0] * rates[1] + a[1] * second + moved
-    allowed = 1.0 + (abs(a[1]) + 2.0 * abs(a[2]) / SAMPLE_PERIOD) * bend / SAMPLE_PERIOD
+    allowed = 1.0 + (abs(a[1]) + 2.0 * abs(a[2]) / SAMPLE_PERIOD) * jump
     if not abs(acting.compensated_reference_rate - right) <= allowed:
         return f"f_c' is {acting.compensated_reference_rate:g} N/s in STATE {state.sequence}, {right:g} N/s is right"
+    moved = acting.compensated_reference - last.compensated_reference
+    allowed = tolerance + abs(a[1]) * jump * SAMPLE_PERIOD
+    if not abs(moved - SAMPLE_PERIOD * acting.compensated_reference_rate) <= allowed:
+        return f"f_c moves by {moved:g} N to STATE {state.sequence}, f_c' is {acting.compensated_reference_rate:g} N/s"
     return ""
 
 

@@ -154,7 +154,7 @@ class BoxLaw:
     """N, magnitude at which f_c is cut off."""
     coefficient_min: Coefficients = (0.8, -0.02, -0.001, -60.0)
     """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N]."""
-    coefficient_max: Coefficients = (1.25, 0.15, 0.004, 60.0)
+    coefficient_max: Coefficients = (1.25, 0.15, 0.002, 60.0)
     """Upper limits."""
     coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 2000.0)
     """Fastest changes [1/s], [-], [s], [N/s]."""

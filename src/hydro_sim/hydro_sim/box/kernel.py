@@ -52,15 +52,19 @@ STATE_DTYPE = np.dtype(
     + [*_COMMANDED, ("received_at", np.float64), ("integral", np.float64), ("reference", reference.REFERENCE_DTYPE)]
     + [("armed_at", np.float64), ("excess", np.float64), ("law", np.int64), ("law_wanted", np.int64)]
     + [("wanted", SHAPING_DTYPE), ("acting", SHAPING_DTYPE)]
-    + [("compensated_reference", np.float64), ("compensated_reference_rate", np.float64)],
+    + [(name, np.float64) for name in ("compensated_reference", "compensated_reference_rate", "second")],
     align=True,
 )
 """State of the box; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
 faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed.
-`law` is the one that acts, `acting` its shaping of the last sample, with f_c [N] and f_c' [N/s] beside it."""
+`law` is the one that acts, `acting` its shaping of the last sample, with f_c [N] and f_c' [N/s] beside it; `second`
+[N/s^2] is what f_c takes f_r'' for, on the way to the next sample."""
 
 CORRECTION_HOLD = 3.5e-3
 """Time [s] for which a command's correction acts: decided for one sample, an impulse if held (decision 64)."""
+
+KINK = 4e-3
+"""Time constant [s] with which a jump of f_r'' (at the ends of fades and of a smooth step's edges) comes into f_c."""
 
 RECOVERY = 1.0
 """Time [s] after arming within which a load force that began beyond its limit must return."""
@@ -223,7 +227,7 @@ def _follow_arm(state, limits, measurement, time):
     elif state.arm_wanted and not state.armed:
         state.armed, state.tripped = state.disarm_seen, not state.disarm_seen
         state.disarm_seen = False
-        state.integral, state.law = 0.0, state.law_wanted
+        state.integral, state.second, state.law = 0.0, 0.0, state.law_wanted
         _begin_shaping(state.acting, law_of(limits, state.law))
         beyond = abs(measurement[2]) - limits.load_force_limit
         state.armed_at, state.excess = time, beyond + RECOVERY_MARGIN if beyond > 0.0 else 0.0
@@ -244,6 +248,8 @@ def _compensate(state, law, held, wave):
     Where f_c is cut off at its limit, f_c' is zero.
     """
     acting, wanted = state.acting, state.wanted
+    second, third = _without_jumps(state, wave[2], wave[3])
+    terms, slopes = (wave[0], wave[1], second, 1.0), (wave[1], wave[2], third, 0.0)
     scales = law.scale_rate * SAMPLE_PERIOD
     c_1 = law.velocity_compensation if held else wanted.velocity_compensation
     c_2 = law.valve_gain_scale if held else wanted.valve_gain_scale
@@ -255,13 +261,21 @@ def _compensate(state, law, held, wave):
         target, step = neutral if held else wanted.coefficients[i], law.coefficient_rate[i] * SAMPLE_PERIOD
         change = min(max(target - acting.coefficients[i], -step), step)
         acting.coefficients[i] += change
-        shape = wave[i] if i < 3 else 1.0
-        slope = wave[i + 1] if i < 3 else 0.0
-        value += acting.coefficients[i] * shape
-        rate += acting.coefficients[i] * slope + change / SAMPLE_PERIOD * shape
+        value += acting.coefficients[i] * terms[i]
+        rate += acting.coefficients[i] * slopes[i] + change / SAMPLE_PERIOD * terms[i]
     if abs(value) > law.reference_max:
         return math.copysign(law.reference_max, value), 0.0
     return value, rate
+
+
+@njit
+def _without_jumps(state, second, third):
+    """f_r'' [N/s^2] and f_r''' [N/s^3] as f_c has them: exact, but a jump of f_r'' comes in with `KINK`."""
+    half = 0.5 * SAMPLE_PERIOD
+    followed = state.second + half * third
+    followed += SAMPLE_PERIOD / (KINK + SAMPLE_PERIOD) * (second - followed)
+    state.second = followed + half * third
+    return followed, third + (second - followed) / KINK
 
 
 @njit
