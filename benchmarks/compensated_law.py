@@ -208,7 +208,8 @@ def endurance(asked: argparse.Namespace) -> Table:
     table = Table({"to": "h", "rmse": "N", **dict.fromkeys(names, ""), "trips": ""}, title=f"{count} benches")
     for part in range(10):
         ranges = {
-            n: f"{low[part, k] * s:.3g} to {high[part, k] * s:.3g}" for k, (n, s) in enumerate(zip(names, scales, strict=True))
+            n: f"{low[part, k] * s:.3g} to {high[part, k] * s:.3g}"
+            for k, (n, s) in enumerate(zip(names, scales, strict=True))
         }
         rmse = np.sqrt(squares[part] / counted[part])
         table.add(to=f"{asked.hours * (part + 1) / 10:g}", rmse=f"{rmse:.2f}", **ranges, trips=str(trips[part]))
