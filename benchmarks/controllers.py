@@ -44,7 +44,7 @@ from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
-from hydro_policy.runs.initial_agent import load_initial_agent
+from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
@@ -149,7 +149,8 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
     if name.startswith("compensated"):
         return compensated(config, cases, cell=load_cell(config) if name == "compensated_specimen" else None)
     if name == "policy":
-        return measure(config, cases, shipped_policy())
+        shipped = load_initial_agent(SHIPPED)
+        return measure(config, cases, mean_action(actor_parameters(shipped.agent), shipped))
     gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
     return measure(config, cases, held(gains))
 
@@ -190,12 +191,16 @@ def best_gains(config: TruthConfig) -> tuple[float, float]:
     return search.best
 
 
-def shipped_policy() -> Chooser:
-    """Mean action of the shipped policy."""
-    start = load_initial_agent(SHIPPED)
-    policy = Policy(start.sac.hidden_size, (start.sac.log_std_min, start.sac.log_std_max))
-    policy.load_flat(actor_parameters(start.agent))
-    return PolicyChooser(policy, start.gains)
+def policy_of(parameters: FloatArray, agent: InitialAgent) -> Policy:
+    """The policy with these parameters, of an agent's shape."""
+    policy = Policy(agent.sac.hidden_size, (agent.sac.log_std_min, agent.sac.log_std_max))
+    policy.load_flat(parameters)
+    return policy
+
+
+def mean_action(parameters: FloatArray, agent: InitialAgent) -> Chooser:
+    """Its mean action within the agent's authority, from the beginning of a run."""
+    return PolicyChooser(policy_of(parameters, agent), agent.gains)
 
 
 def robust_gains(truths: Iterable[TruthConfig]) -> tuple[float, float]:
