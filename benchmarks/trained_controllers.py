@@ -71,7 +71,7 @@ def bench(name: str) -> TruthConfig:
 def train(
     config: TruthConfig, start: InitialAgent, episodes: int, seed: int, updates: float
 ) -> tuple[FloatArray, dict[str, Any]]:
-    """I: some episodes on this bench as `trainer` would do them; the best policy's parameters and the run's progress."""
+    """I: some episodes on this bench as `trainer` would do them; the best policy's parameters, and progress."""
     settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed, updates_per_step=updates))
     settings = replace(settings, exam=replace(settings.exam, every=2))
     reach = settings.task.gains
