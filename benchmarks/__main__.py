@@ -20,6 +20,7 @@ STUDIES = frozenset(
         "bench_file_filter",
         "beyond_the_table",
         "compensated_filter",
+        "compensated_law",
         "controllers",
         "dashboard",
         "diagnosis_peers",

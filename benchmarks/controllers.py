@@ -45,13 +45,14 @@ from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_filter import FleetFilter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
-from hydro_policy.runs.initial_agent import load_initial_agent
+from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box import reference
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, truth_from_mapping
+from hydro_sim.plotting import figure, legend
 
 PAPER_GAINS = (90.0, 15.0)
 ROBUST_GAINS = (40.0, 5.0)
@@ -61,6 +62,11 @@ SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide")
 SETTINGS = EvaluationSettings(multisine=True, steps=True)
 SHORT = EvaluationSettings(settle=1.0, measure=2.0)
 GRID = GridSettings()
+SHOWN = {
+    "paper_fixed": "paper's gains (90, 15)", "hindsight_fixed": "best fixed gains on each bench",
+    "policy": "shipped policy", "compensated": "compensated law",
+}  # fmt: skip
+"""Bars of the picture."""
 CONTROLLERS = ("policy", "compensated", "compensated_specimen", "paper_fixed", "robust_fixed", "hindsight_fixed")
 
 
@@ -107,10 +113,11 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 def measure(
     config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, seed: int = 0,
-    box: BoxConfig | None = None, filters: FleetFilter | None = None,
+    box: BoxConfig | None = None, filters: FleetFilter | None = None, dead_time: int = 0,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Run every case on this truth; one row of figures for each (see `outcome`)."""
+    """Run every case on this truth, its valve late by some samples; one row of figures for each (see `outcome`)."""
     fleet = truth_fleet(len(cases), config, box, filters)
+    fleet.links["dead_time"] = dead_time
     sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
     for step in vector_runs.run(fleet, cases, choose, SETTINGS, seed, compensator):
@@ -137,14 +144,25 @@ def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
     """One controller on one truth."""
     if name.startswith("compensated"):
-        law, cell = BoxConfig().compensated, load_cell(config) if name == "compensated_specimen" else None
-        return measure(
-            config, cases, held((law.base_kp, law.base_ki), law), Compensator(len(cases), law=law, cell=cell)
-        )
+        return compensated(config, cases, cell=load_cell(config) if name == "compensated_specimen" else None)
     if name == "policy":
-        return measure(config, cases, shipped_policy())
+        shipped = load_initial_agent(SHIPPED)
+        return measure(config, cases, mean_action(actor_parameters(shipped.agent), shipped))
     gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
     return measure(config, cases, held(gains))
+
+
+def compensated(
+    config: TruthConfig,
+    cases: Sequence[Case],
+    law: BoxLaw | None = None,
+    cell: LoadCell | None = None,
+    dead_time: int = 0,
+) -> list[dict[str, Any]]:
+    """A compensated law, adaptive, from neutral coefficients; rows as of `measure`."""
+    law = law or BoxLaw()
+    estimator, box = Compensator(len(cases), law=law, cell=cell), BoxConfig(compensated=law)
+    return measure(config, cases, held((law.base_kp, law.base_ki), law), estimator, box, dead_time)
 
 
 def load_cell(config: TruthConfig) -> LoadCell | None:
@@ -170,12 +188,16 @@ def best_gains(config: TruthConfig) -> tuple[float, float]:
     return search.best
 
 
-def shipped_policy() -> Chooser:
-    """Mean action of the shipped policy."""
-    start = load_initial_agent(SHIPPED)
-    policy = Policy(start.sac.hidden_size, (start.sac.log_std_min, start.sac.log_std_max))
-    policy.load_flat(actor_parameters(start.agent))
-    return PolicyChooser(policy, start.gains)
+def policy_of(parameters: FloatArray, agent: InitialAgent) -> Policy:
+    """The policy with these parameters, of an agent's shape."""
+    policy = Policy(agent.sac.hidden_size, (agent.sac.log_std_min, agent.sac.log_std_max))
+    policy.load_flat(parameters)
+    return policy
+
+
+def mean_action(parameters: FloatArray, agent: InitialAgent) -> Chooser:
+    """Its mean action within the agent's authority, from the beginning of a run."""
+    return PolicyChooser(policy_of(parameters, agent), agent.gains)
 
 
 def robust_gains(truths: Iterable[TruthConfig]) -> tuple[float, float]:
@@ -215,6 +237,26 @@ def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
     return made
 
 
+def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -> None:
+    """Draw the interquartile means [N] of the controllers of `SHOWN` as bars, by reference."""
+    places, width = np.arange(len(cases)), 0.8 / len(SHOWN)
+    with figure(path, 1, size=(8.0, 3.2)) as (_, (axes,)):
+        for number, (name, label) in enumerate(SHOWN.items()):
+            own = [row for row in rows if row["controller"] == name]
+            found = [[row["rmse"] for row in own if row["reference"] == case.name] for case in cases]
+            means = [interquartile_mean(np.array(values)) for values in found]
+            bars = axes.bar(places + (number - 1.5) * width, means, width, label=label)
+            axes.bar_label(bars, fmt="%.1f", fontsize=6)
+        axes.set(
+            yscale="log",
+            ylim=(1.0, None),
+            ylabel="force RMSE [N]",
+            xticks=places,
+            xticklabels=[case.name for case in cases],
+        )
+        legend(axes)
+
+
 def complete(truths: Sequence[Path], names: Sequence[str], cases: Sequence[Case], kept: Path) -> list[dict[str, Any]]:
     """All rows, those in `kept` (a row a line) first, the missing ones run on all cores and added there."""
     digest = hashlib.sha256(repr((cases, SETTINGS, code_version())).encode()).hexdigest()[:12]
@@ -244,24 +286,8 @@ def complete(truths: Sequence[Path], names: Sequence[str], cases: Sequence[Case]
     ]  # fmt: skip
 
 
-@command(ValueError, OSError)
-def main() -> None:
-    """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.controllers", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
-    )  # fmt: skip
-    parser.add_argument("--truths", type=Path, required=True, metavar="FOLDER", help="truth files, *.yaml")
-    parser.add_argument("--draw", type=int, default=0, metavar="COUNT", help="write so many drawn truths there first")
-    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
-    parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
-    parser.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
-    parser.add_argument("--robust", action="store_true", help="find robust_fixed's gains on 40 drawn truths, and end")
-    add_json_argument(parser)
-    asked = parser.parse_args()
-    if asked.robust:
-        print(f"best: {robust_gains(map(truth_from_mapping, drawn_truths(40, seed=7).values()))}")
-        return
+def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """Rows of all controllers asked for on the truths of the folder, drawn first where that is asked for."""
     if asked.draw:
         asked.truths.mkdir(parents=True, exist_ok=True)
         for name, contents in drawn_truths(asked.draw, asked.seed).items():
@@ -269,10 +295,39 @@ def main() -> None:
     truths = sorted(asked.truths.glob("*.yaml"))
     if not truths:
         raise SettingsError(f"{asked.truths} holds no truth files, *.yaml; --draw 40 writes some")
-    cases = load_cases(asked.references)
     kept = Path(asked.json or asked.truths / "controllers.json").with_suffix(".rows")
-    rows = complete(truths, asked.controllers, cases, kept)
+    return complete(truths, asked.controllers, cases, kept)
+
+
+@command(ValueError, OSError)
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.controllers", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+    )  # fmt: skip
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--truths", type=Path, metavar="FOLDER", help="truth files, *.yaml")
+    source.add_argument("--rows", type=Path, nargs="+", metavar="FILE", help="run nothing: show what --json wrote")
+    source.add_argument("--robust", action="store_true", help="find robust_fixed's gains on 40 drawn truths, and end")
+    parser.add_argument("--draw", type=int, default=0, metavar="COUNT", help="write so many drawn truths there first")
+    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
+    parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
+    parser.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="bars of the controllers of README")
+    add_json_argument(parser)
+    asked = parser.parse_args()
+    if asked.robust:
+        print(f"best: {robust_gains(map(truth_from_mapping, drawn_truths(40, seed=7).values()))}")
+        return
+    cases = load_cases(asked.references)
+    if asked.rows:
+        rows = [row for file in asked.rows for row in json.loads(file.read_text())["rows"]]
+    else:
+        rows = run(asked, cases)
     table(rows, cases).show()
+    if asked.picture:
+        picture(rows, cases, asked.picture)
     if asked.json:
         Path(asked.json).write_text(json.dumps({"rows": rows}, indent=1) + "\n")
 

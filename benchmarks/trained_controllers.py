@@ -17,8 +17,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from importlib import resources
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,26 +26,24 @@ import numpy as np
 import torch
 
 from benchmarks._truth_fleet import truth_fleet
+from benchmarks.controllers import SHIPPED, mean_action
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import FloatArray
 from hydro_policy.envs import vector_runs
-from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
+from hydro_policy.envs.vector_runs import Chooser
 from hydro_policy.evaluation.gain_search import Gains, GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import GainRange
 from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 
 PAPER_III = (90.0, 15.0)
-SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide"))
 BENCHES: Mapping[str, Mapping[str, Any]] = {
     "default": {},
     "spring 10 kN/m": {"spring_stiffness": {"ratio": 0.5}},
@@ -65,34 +63,15 @@ BENCHES: Mapping[str, Mapping[str, Any]] = {
 Controllers = dict[str, Callable[[], Chooser]]
 
 
-@dataclass(frozen=True)
-class Agent:
-    """A policy and what its actions mean."""
-
-    policy: Policy
-    gains: GainRange
-
-    def chooser(self) -> Chooser:
-        """Its mean action, from the beginning of a run."""
-        return PolicyChooser(self.policy, self.gains)
-
-
 def bench(name: str) -> TruthConfig:
     """A truth of `BENCHES`."""
     return truth_from_mapping({"profile": "default", "effects": dict(BENCHES[name])})
 
 
-def agent(parameters: FloatArray, start: InitialAgent) -> Agent:
-    """The policy with these parameters."""
-    policy = Policy(start.sac.hidden_size, (start.sac.log_std_min, start.sac.log_std_max))
-    policy.load_flat(parameters)
-    return Agent(policy, start.gains)
-
-
 def train(
     config: TruthConfig, start: InitialAgent, episodes: int, seed: int, updates: float
-) -> tuple[Agent, dict[str, Any]]:
-    """I: some episodes on this bench as `trainer` would do them; the best agent and the run's progress."""
+) -> tuple[FloatArray, dict[str, Any]]:
+    """I: some episodes on this bench as `trainer` would do them; the best policy's parameters, and progress."""
     settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed, updates_per_step=updates))
     settings = replace(settings, exam=replace(settings.exam, every=2))
     reach = settings.task.gains
@@ -105,7 +84,7 @@ def train(
     assert best is not None
     done = session.progress
     told = {"exams": done.exams, "passed_at": done.passed_at, "rollbacks": done.rollbacks, "ended": session.gave_up}
-    return agent(best, start), {"seed": seed, "trips": done.interruptions, **told}
+    return best, {"seed": seed, "trips": done.interruptions, **told}
 
 
 def search(config: TruthConfig, settings: GridSettings, evaluation: EvaluationSettings) -> GridSearch:
@@ -171,9 +150,9 @@ def run(asked: argparse.Namespace) -> Table:
         for source, start in starts.items():
             for seed in range(asked.training_seeds):
                 trained, told = train(bench(name), start, asked.episodes, seed, asked.updates_per_step)
-                controllers[f"I {source}, trained here #{seed}"] = trained.chooser
+                controllers[f"I {source}, trained here #{seed}"] = partial(mean_action, trained, start)
                 print(f"{name}, {source}, training seed {seed}: {_told(told)}", file=sys.stderr, flush=True)
-            controllers[f"II {source}, simulation only"] = agent(actor_parameters(start.agent), start).chooser
+            controllers[f"II {source}, simulation only"] = partial(mean_action, actor_parameters(start.agent), start)
         controllers["III fixed (90, 15)"] = fixed(PAPER_III)
         controllers[f"IV fixed {_pair(nominal.best)}"] = fixed(nominal.best)
         if name != "default":

@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.controllers import policy_of
 from benchmarks.paper.foreign import ForeignPlant
 from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
 from benchmarks.paper.validation import corrector
-from benchmarks.trained_controllers import agent
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag
 from hydro_filter.validation.trial import Corrector
@@ -160,8 +160,7 @@ def train(
 
 
 def _controller(start: InitialAgent, parameters: Any) -> PolicyController:
-    made = agent(parameters, start)
-    return PolicyController(made.policy, made.gains, "policy")
+    return PolicyController(policy_of(parameters, start), start.gains, "policy")
 
 
 def _rmse(bench: str, controller: Controller, seed: int) -> Result:

@@ -11,7 +11,7 @@ import yaml
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import NEUTRAL, FloatArray
-from hydro_policy.compensation.estimator import STEP, Compensator, LoadCell
+from hydro_policy.compensation.estimator import STEP, Compensator, CompensatorSettings, LoadCell
 from hydro_sim.model.bench import Bench
 
 TRUE = (1.02, 0.031, 4e-4, -7.0)
@@ -58,6 +58,32 @@ def test_with_a_cell_the_fit_is_on_the_force_in_front_of_it() -> None:
             one.step(specimen[np.newaxis], shown[np.newaxis], ACTIVE)
     np.testing.assert_allclose(compensator.coefficients[0], NEUTRAL, atol=2e-3)
     assert plain.coefficients[0, 1] == pytest.approx(2.0 * cell.damping / (2.0 * np.pi * cell.bandwidth), rel=0.05)
+
+
+def test_another_bench_is_learnt_sooner_than_the_usual_memory_forgets() -> None:
+    left = []
+    for haste in (1.0, CompensatorSettings().haste):
+        compensator = Compensator(settings=CompensatorSettings(haste=haste))
+        taught(compensator, 8.0)
+        for k in range(200):
+            command, force = polynomial(8.0 + (10 * k + np.arange(10)) * 1e-3, amplitude=500.0)
+            compensator.step(command[np.newaxis], 0.85 * force[np.newaxis], ACTIVE)
+        left.append(abs(compensator.coefficients[0, 0] - TRUE[0] / 0.85))
+    assert left[1] < 0.5 * left[0]
+
+
+def test_what_the_valve_wants_where_the_force_turns_is_found_and_goes_out_ahead_of_it() -> None:
+    """f_c = f + b_0 tanh(f' / r) + b_1 |f'|, f = f_r: no smooth polynomial has either."""
+    compensator, overlap, direction, w = Compensator(), 6.0, 2e-3, 2.0 * np.pi
+    for k in range(800):
+        times = (10 * k + np.arange(10)) * 1e-3
+        force, rate = 200.0 * np.sin(w * times), 200.0 * w * np.cos(w * times)
+        valve = overlap * np.tanh(rate / compensator.settings.reversal) + direction * np.abs(rate)
+        compensator.step((force + valve)[np.newaxis], force[np.newaxis], ACTIVE, rate[np.newaxis])
+        coming = 200.0 * w * np.cos(w * (times[-1] + 0.01))
+        expected = overlap * np.tanh(coming / compensator.settings.reversal) + direction * np.abs(coming)
+        if k > 600:
+            np.testing.assert_allclose(compensator.coefficients[0], [1.0, 0.0, 0.0, expected], rtol=0.01, atol=0.15)
 
 
 def test_without_excitation_shape_holds_and_level_returns() -> None:

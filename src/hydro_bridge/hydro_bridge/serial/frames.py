@@ -136,7 +136,7 @@ class BoxLaw:
     """1/s^2."""
     delta_ki_max: float = 15.0
     """1/s^2."""
-    velocity_compensation: float = 0.3
+    velocity_compensation: float = 0.0
     """C_1 [-] of the safe state."""
     velocity_compensation_min: float = 0.0
     """C_1 is never below."""
@@ -156,7 +156,7 @@ class BoxLaw:
     """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N]."""
     coefficient_max: Coefficients = (1.25, 0.15, 0.002, 60.0)
     """Upper limits."""
-    coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 100.0)
+    coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 2000.0)
     """Fastest changes [1/s], [-], [s], [N/s]."""
 
 

@@ -7,16 +7,23 @@ the closed loop from f_c to the measured force f is nearly the inverse of such a
     f_c = a_0 f + a_1 f' + a_2 f'' + a_3
 
 so the a of a least-squares fit of the f_c that acted on [f, f', f'', 1] make f follow f_r, whatever the bench is.
-Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Here::
+Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Two terms more are the valve's,
 
-    f_c, f (1 kHz) --the same state-variable filter--> F_c, F, F', F''            aligned to the sample
+    b_0 tanh(f_r' / r) + b_1 |f_r'|     its overlap, which wants a step of the current where the force turns, and
+                                        its gain where it differs between the directions
+
+and go out as part of a_3, for the f_r' of the middle of the policy step in which they act. Here::
+
+    f_c, f, terms (1 kHz) --the same state-variable filter--> F_c, phi            aligned to the sample
     100 Hz    A <- (1 - w) A + phi phi^T,  b <- (1 - w) b + phi F_c               w = dt / memory, by excitation
-              a_fit = argmin sum (F_c - phi^T a)^2 + weight |a - (1, 0, 0, 0)|^2  within the law's limits
-              a <- a + (a_fit - a) dt / settling
+              fit = argmin sum (F_c - phi^T a)^2 + weight |a - neutral|^2         within the law's limits
+              a <- a + (fit - a) dt / settling
 
 All channels run through one filter: a derivative half a sample beside the rest is 5 % of a_1.
 
-What is forgotten follows what is learnt: without excitation nothing is forgotten, a_1 and a_2 hold, and a_0 and a_3
+Where the fit misses F_c by more than `surprise` the bench has changed: what was before is forgotten sooner.
+
+What is forgotten follows what is learnt: without excitation nothing is forgotten, a_1, a_2 and b hold, and a_0 and a_3
 return to 1 and 0.
 
 With a known amplifier of the load cell, f = f_s / (1 + 2 d s / w + s^2 / w^2), the fit is on the force f_s in front of
@@ -48,6 +55,11 @@ ORDER = 5
 SETTLED = 0.2
 """Time [s] after a gap in which the filter forgets it and nothing is learnt."""
 
+LEAD = 0.01
+"""Time [s] from the last sample to that whose f_r' the valve's terms take."""
+
+_NEUTRAL = np.array((*NEUTRAL, 0.0, 0.0))
+
 ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
 """Flags of which ARMED alone must be set for samples to count."""
 
@@ -68,6 +80,12 @@ class CompensatorSettings:
     """Usual amplitude of the force."""
     good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
     """Excitation above which forgetting is at its fastest; `force_scale` at 1 Hz gives 1, at 0.5 Hz 0.25."""
+    surprise: Annotated[float, quantity("-", 1e-3, 100.0)] = 0.03
+    """Residual of the fit over `force_scale` at which forgetting is twice as fast."""
+    haste: Annotated[float, quantity("-", 1.0, 100.0)] = 8.0
+    """Forgetting is never faster than so many times."""
+    reversal: Annotated[float, quantity("N/s", 1.0, 1e4)] = 60.0
+    """r, the force rate over which the valve counts as turning."""
     least_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
     """Excitation below which nothing is learnt."""
 
@@ -132,12 +150,14 @@ class Compensator:
     ) -> None:
         self.settings, limits = settings or CompensatorSettings(), law or BoxLaw()
         self._low, self._high = np.array(limits.coefficient_min), np.array(limits.coefficient_max)
-        omega = 2.0 * math.pi  # 1 Hz
-        self._scale = np.array((1.0, omega, omega * omega, 1.0 / self.settings.force_scale))
+        least = np.array((*limits.coefficient_min, limits.coefficient_min[3], limits.coefficient_min[1]))
+        self._bounds = least, np.array((*limits.coefficient_max, limits.coefficient_max[3], -limits.coefficient_min[1]))
+        omega, level = 2.0 * math.pi, 1.0 / self.settings.force_scale  # 1 Hz
+        self._scale = np.array((1.0, omega, omega * omega, level, level, omega))
         self._transition, self._input = _filter(self.settings.bandwidth)
         self._regressors = _regressors(cell) / self._scale[:3, np.newaxis] / self.settings.force_scale
         self.coefficients: FloatArray = np.empty((count, 4))
-        """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, shape (n, 4)."""
+        """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, the valve's terms in a_3, shape (n, 4)."""
         self.excitation: FloatArray = np.empty(count)
         """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
         self.frozen = np.zeros(count, bool)
@@ -146,11 +166,12 @@ class Compensator:
 
     def reset(self) -> None:
         """Begin anew, at neutral coefficients."""
-        count = len(self.coefficients)
+        count, terms = len(self.coefficients), len(_NEUTRAL)
         self.coefficients[:], self.excitation[:] = NEUTRAL, 0.0
-        self._states = np.zeros((count, 2, ORDER))  # f_c and f, filtered, with their derivatives
-        self._last = np.zeros((count, 2))
-        self._matrix, self._vector = np.zeros((count, 4, 4)), np.zeros((count, 4))
+        self._found = np.tile(_NEUTRAL, (count, 1))  # a_0 to a_3, b_0 [N], b_1 [s]
+        self._states = np.zeros((count, 4, ORDER))  # f_c, f and the valve's terms, filtered, with their derivatives
+        self._last = np.zeros((count, 4))
+        self._matrix, self._vector = np.zeros((count, terms, terms)), np.zeros((count, terms))
         self._steps: npt.NDArray[np.int64] = np.zeros(count, np.int64)  # since the last gap
 
     @property
@@ -158,7 +179,13 @@ class Compensator:
         """Benches with a coefficient at a limit of the law, shape (n,)."""
         return np.any((self.coefficients <= self._low) | (self.coefficients >= self._high), axis=1)
 
-    def step(self, commanded: FloatArray, measured: FloatArray, active: npt.NDArray[np.bool_]) -> FloatArray:
+    def step(
+        self,
+        commanded: FloatArray,
+        measured: FloatArray,
+        active: npt.NDArray[np.bool_],
+        reference_rate: FloatArray | None = None,
+    ) -> FloatArray:
         """Take the samples of a policy step; return a copy of `coefficients`.
 
         Parameters
@@ -168,8 +195,11 @@ class Compensator:
         active
             Benches whose samples count, shape (n,). False while disarmed, saturated, tripped, or where samples are
             missing: the coefficients hold, and the filter begins anew behind it.
+        reference_rate
+            f_r' [N/s], shape (n, 10); absent: the valve has no terms.
         """
-        signals = np.stack((commanded, measured), axis=1)
+        rate = np.zeros_like(measured) if reference_rate is None else reference_rate
+        signals = np.stack((commanded, measured, *self._valve_terms(rate)), axis=1)
         active = active & np.isfinite(signals).all(axis=(1, 2))
         begins = active & (self._steps == 0)
         self._states[begins], self._last[begins] = 0.0, signals[begins, :, 0]
@@ -181,28 +211,41 @@ class Compensator:
         learning = (self._steps * STEP > SETTLED) & ~self.frozen
         if learning.any():
             self._learn(np.flatnonzero(learning))
+        ahead = rate[:, -1] + (rate[:, -1] - rate[:, 0]) * LEAD / (STEP - SAMPLE_PERIOD)
+        level = self._found[:, 3] + np.sum(self._found[:, 4:].T * self._valve_terms(ahead), axis=0)
+        self.coefficients[:, :3] = self._found[:, :3]
+        self.coefficients[:, 3] = np.where(np.isfinite(level), level, self.coefficients[:, 3])
+        np.clip(self.coefficients, self._low, self._high, out=self.coefficients)
         return self.coefficients.copy()
+
+    def _valve_terms(self, rate: FloatArray) -> FloatArray:
+        """tanh(f_r' / r) [-] and |f_r'| [N/s], shape (2, ...)."""
+        return np.stack((np.tanh(rate / self.settings.reversal), np.abs(rate)))
 
     def _learn(self, rows: npt.NDArray[np.int64]) -> None:
         """Update fit and coefficients of these benches."""
         settings, share = self.settings, STEP / self.settings.memory
-        phi = np.concatenate((self._states[rows, 1] @ self._regressors.T, np.ones((len(rows), 1))), axis=1)
+        force, valve = self._states[rows, 1] @ self._regressors.T, self._states[rows, 2:, 0]
+        valve = valve / self._scale[4:] / settings.force_scale
+        phi = np.concatenate((force, np.ones((len(rows), 1)), valve), axis=1)
         target = self._states[rows, 0, :1] / settings.force_scale
         self.excitation[rows] += share * (2.0 * phi[:, 1] ** 2 - self.excitation[rows])
         excitation = self.excitation[rows, np.newaxis]
-        kept = 1.0 - share * np.minimum(excitation / settings.good_excitation, 1.0)
+        missed = target - np.sum(phi * self._found[rows] * self._scale, axis=1, keepdims=True)
+        haste = np.minimum(1.0 + (missed / settings.surprise) ** 2, settings.haste)
+        kept = 1.0 - share * haste * np.minimum(excitation / settings.good_excitation, 1.0)
         self._matrix[rows] = (
             kept[..., np.newaxis] * self._matrix[rows] + STEP * phi[:, :, np.newaxis] * phi[:, np.newaxis]
         )
         self._vector[rows] = kept * self._vector[rows] + STEP * phi * target
-        prior = np.array(NEUTRAL)
-        right = self._vector[rows] + settings.weight * prior
-        fit = np.linalg.solve(self._matrix[rows] + settings.weight * np.eye(4), right[..., np.newaxis])[..., 0]
-        fit = np.clip(fit / self._scale, self._low, self._high)
-        present = self.coefficients[rows]
-        resting = np.column_stack((np.ones(len(rows)), present[:, 1:3], np.zeros(len(rows))))
+        right = self._vector[rows] + settings.weight * _NEUTRAL
+        matrix = self._matrix[rows] + settings.weight * np.eye(len(_NEUTRAL))
+        fit = np.clip(np.linalg.solve(matrix, right[..., np.newaxis])[..., 0] / self._scale, *self._bounds)
+        present = self._found[rows]
+        resting = present.copy()
+        resting[:, [0, 3]] = 1.0, 0.0
         fit = np.where(excitation >= settings.least_excitation, fit, resting)
-        self.coefficients[rows] = present + (fit - present) * STEP / settings.settling
+        self._found[rows] = present + (fit - present) * STEP / settings.settling
 
 
 def _regressors(cell: LoadCell | None) -> FloatArray:

@@ -31,6 +31,7 @@ class _Step:
 
     commanded: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
     measured: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
+    reference_rate: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
     good: bool = True
 
     @property
@@ -105,11 +106,13 @@ class LiveCompensation:
         step.good &= law == Law.COMPENSATED
         self._look(sequence)
 
-    def on_sample(self, sequence: int, force: float, flags: int, *, holds: bool = False) -> None:
-        """Take a sample: f [N] and the flags; `holds`: the coefficients hold for another reason."""
+    def on_sample(
+        self, sequence: int, force: float, flags: int, reference_rate: float = 0.0, *, holds: bool = False
+    ) -> None:
+        """Take a sample: f [N], the flags, f_r' [N/s]; `holds`: the coefficients hold for another reason."""
         self._seen = sequence
         step, index = self._step(sequence)
-        step.measured[index] = force
+        step.measured[index], step.reference_rate[index] = force, reference_rate
         step.good &= flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
         self._look(sequence)
 
@@ -134,4 +137,5 @@ class LiveCompensation:
 
     def _take(self, step: _Step, *, good: bool) -> None:
         self.held += not good
-        self._estimator.step(step.commanded[np.newaxis], step.measured[np.newaxis], np.array([good]))
+        force, rate = step.measured[np.newaxis], step.reference_rate[np.newaxis]
+        self._estimator.step(step.commanded[np.newaxis], force, np.array([good]), rate)

@@ -91,6 +91,6 @@ def run(
         samples = fleet.step(changes, None if compensator is None else compensator.coefficients)
         if compensator is not None:
             active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
-            compensator.step(fleet.compensated, samples["load_force"], active)
+            compensator.step(fleet.compensated, samples["load_force"], active, samples["reference_force_rate"])
         number = start + np.arange(SAMPLES_PER_STEP)
         yield Step(samples, (number >= first) & (number < ends[:, np.newaxis]))

@@ -25,7 +25,7 @@ from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_policy.task.mdp import LOAD_FORCE
+from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE_RATE
 from hydro_policy.task.scoring import Score, Trace, score
 from hydro_policy.task.step_aggregator import HELD, StepClock
 from hydro_sim.files import load_force
@@ -183,7 +183,8 @@ class EvaluationSession:
         """
         law = self._controller.law
         holds = self._run is None or law.law is Law.PAPER or self.watch.mismatched
-        compensation.on_sample(sequence, float(sample[LOAD_FORCE]), flags, holds=holds)
+        force, rate = float(sample[LOAD_FORCE]), float(sample[REFERENCE_RATE])
+        compensation.on_sample(sequence, force, flags, rate, holds=holds)
         wrong = bool(flags & Flag.ARMED) and compensation.acting is not law.law
         self._law_trials += wrong and not self._wrong_law
         self._law_trials *= wrong or not flags & Flag.ARMED

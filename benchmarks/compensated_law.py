@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compensated law's own tables: python -m benchmarks.compensated_law STUDY [--draw COUNT --seed S] [--json FILE].
+
+gains      K_p, K_i and C_1 over drawn truths, as they are, with 0.6 times the valve gain believed, and 4 ms late
+margins    the law as it is over drawn truths and the default one, by believed valve gain and delay to the valve
+effects    each effect of the default truth doubled (bandwidths halved)
+changes    spring, supply and valve of the default truth changed in mid-run
+endurance  the default truth for --hours at references that change every 20 s
+
+No filter; the emulator's plant without a clock. Interquartile mean (worst) of the force RMSE [N] over the truths.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks._drawn_truths import drawn_truths
+from benchmarks._truth_fleet import truth_fleet
+from benchmarks.controllers import SETTINGS, compensated, held, interquartile_mean
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, Law, Waveform
+from hydro_policy.compensation.estimator import ADAPTS, STEP, Compensator
+from hydro_policy.envs import vector_runs
+from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
+from hydro_sim.emulator.truth.plant import TruthPlant
+
+CANDIDATES = (
+    (400.0, 15.0, 0.3), (400.0, 15.0, 0.15), (400.0, 15.0, 0.0), (300.0, 15.0, 0.0), (500.0, 15.0, 0.0),
+    (600.0, 15.0, 0.0), (400.0, 5.0, 0.0), (400.0, 50.0, 0.0),
+)  # fmt: skip
+"""K_p [1/s], K_i [1/s^2], C_1 [-]."""
+DOUBLED: Mapping[str, Mapping[str, Any]] = {
+    "as it is": {},
+    "dry friction": {"friction_coulomb": {"force": 24.0, "form": "lugre"}},
+    "breakaway": {"friction_stribeck": {"breakaway_force": 10.0, "velocity": 0.01}},
+    "presliding": {"friction_presliding": {"stiffness": 1e6}},
+    "leak": {"leakage_internal": {"coefficient": 2e-13}},
+    "spool": {"valve_lag": {"bandwidth": 55.0, "damping": 1.2, "rate_limit": 3.0}},
+    "load cell": {"sensor_lag": [{"sensor": "load_force", "bandwidth": 12.5, "damping": 0.55}]},
+}
+CHANGES: Mapping[str, Mapping[str, Any]] = {
+    "spring x 0.5": {"spring_stiffness": {"ratio": 0.5}},
+    "spring x 2": {"spring_stiffness": {"ratio": 2.0}},
+    "supply x 0.65": {"supply_pressure": {"ratio": 0.65}},
+    "valve gain x 0.75": {"valve_gain": {"ratio": 0.75}},
+    "valve gain x 1.25": {"valve_gain": {"ratio": 1.25}},
+}
+REFERENCE_TIME = 20.0
+"""s of each reference of `endurance`, of which the first `SETTINGS.settle` do not count."""
+
+
+class Condition(NamedTuple):
+    """What the box believes and is given."""
+
+    name: str
+    valve_gain: float = 1.0
+    """Believed, over the shipped bench.yaml's: C_2."""
+    dead_time: int = 0
+    """Of the valve, samples."""
+
+
+AS_IT_IS = Condition("as it is")
+GAIN_CONDITIONS = (AS_IT_IS, Condition("valve gain x 0.6", 0.6), Condition("4 ms late", dead_time=4))
+MARGIN_CONDITIONS = (
+    AS_IT_IS,
+    *(Condition(f"valve gain x {factor:g}", factor) for factor in (0.6, 0.8, 1.25, 1.6, 2.5)),
+    *(Condition(f"{late} ms late", dead_time=late) for late in (1, 2, 4)),
+)
+
+
+class Job(NamedTuple):
+    """One truth under one law."""
+
+    label: str
+    config: TruthConfig
+    condition: Condition
+    law: BoxLaw
+
+
+def law_with(gains: tuple[float, float, float]) -> BoxLaw:
+    """The compensated law with (K_p, K_i, C_1)."""
+    return replace(BoxLaw(), base_kp=gains[0], base_ki=gains[1], velocity_compensation=gains[2])
+
+
+def run_job(job: Job) -> list[dict[str, Any]]:
+    """Rows of this truth on the references of `evaluate`."""
+    scale = job.condition.valve_gain
+    law = replace(job.law, valve_gain_scale=scale, valve_gain_scale_min=min(scale, job.law.valve_gain_scale_min))
+    rows = compensated(job.config, SETTINGS.cases, law, dead_time=job.condition.dead_time)
+    return [{"law": job.label, "condition": job.condition.name, **row} for row in rows]
+
+
+def tabulated(jobs: Sequence[Job]) -> Table:
+    """Run on all cores; a row for each law and condition."""
+    bar = progress(total=len(jobs), label="truths", unit="truth")
+    rows = []
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("forkserver")) as pool:
+        for found in pool.map(run_job, jobs):
+            rows += found
+            bar.update()
+    bar.close()
+    names = [case.name for case in SETTINGS.cases]
+    table = Table({"law": "", "condition": "", **dict.fromkeys(names, "N"), "mean": "N", "u' RMS": "A/s", "trips": ""})
+    for key in dict.fromkeys((row["law"], row["condition"]) for row in rows):
+        own = [row for row in rows if (row["law"], row["condition"]) == key]
+        values = [np.array([row["rmse"] for row in own if row["reference"] == name]) for name in names]
+        means = [interquartile_mean(value) for value in values]
+        cells = {n: f"{m:.2f} ({v.max():.1f})" for n, m, v in zip(names, means, values, strict=True)}
+        rate = interquartile_mean(np.array([row["current_rate_rms"] for row in own]))
+        told = {"mean": f"{np.mean(means):.2f}", "u' RMS": f"{rate:.3f}", "trips": str(sum(r["tripped"] for r in own))}
+        table.add(law=key[0], condition=key[1], **cells, **told)
+    return table
+
+
+def gains(asked: argparse.Namespace) -> Table:
+    """Search over drawn truths."""
+    truths = drawn(asked)
+    return tabulated([
+        Job(f"{chosen[0]:g}, {chosen[1]:g}, {chosen[2]:g}", config, condition, law_with(chosen))
+        for chosen in CANDIDATES for condition in GAIN_CONDITIONS for config in truths
+    ])  # fmt: skip
+
+
+def margins(asked: argparse.Namespace) -> Table:
+    """The law's margins."""
+    truths = {"default": [profile("default")], f"{asked.draw} drawn": drawn(asked)}
+    return tabulated([
+        Job(name, config, condition, BoxLaw())
+        for name, configs in truths.items() for condition in MARGIN_CONDITIONS for config in configs
+    ])  # fmt: skip
+
+
+def effects(asked: argparse.Namespace) -> Table:
+    """Each effect doubled."""
+    return tabulated([Job(name, truth(changed), AS_IT_IS, BoxLaw()) for name, changed in DOUBLED.items()])
+
+
+def changes(asked: argparse.Namespace) -> Table:
+    """RMSE in the 2 s before a change at 4 s, the first second behind it, and from 2 s behind it on."""
+    settings = replace(SETTINGS, measure=6.0)
+    windows = {"before": (2.0, 4.0), "first second": (4.0, 5.0), "2 s later": (6.0, 8.0)}
+    cases = settings.cases
+    table = Table({"change": "", "window": "", **dict.fromkeys((case.name for case in cases), "N"), "trips": ""})
+    for name, changed in CHANGES.items():
+        fleet, plant = truth_fleet(len(cases), profile("default")), TruthPlant(truth(changed))
+        sums = {window: np.zeros(len(cases)) for window in windows}
+        tripped = np.zeros(len(cases), bool)
+        law = BoxLaw()
+        runs = vector_runs.run(
+            fleet, cases, held((law.base_kp, law.base_ki), law), settings, 0, Compensator(len(cases), law=law)
+        )
+        for number, step in enumerate(runs):
+            if number * STEP == windows["before"][1]:
+                fleet.rows.arrays.parameters[:] = plant.parameters[0]
+            error = step.samples["reference_force"] - step.samples["load_force"]
+            for window, (first, last) in windows.items():
+                sums[window] += (first <= number * STEP < last) * np.mean(error * error, axis=1)
+            tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
+        for window, (first, last) in windows.items():
+            rmse = np.sqrt(sums[window] * STEP / (last - first))
+            cells = {case.name: f"{value:.1f}" for case, value in zip(cases, rmse, strict=True)}
+            table.add(change=name, window=window, **cells, trips=str(int(tripped.sum())))
+    return table
+
+
+def endurance(asked: argparse.Namespace) -> Table:
+    """RMSE and coefficients by tenths of the time; six benches in parallel, each with references of its own."""
+    count, generator = 6, np.random.default_rng(asked.seed)
+    fleet, law = truth_fleet(count, profile("default")), BoxLaw()
+    compensator = Compensator(count, law=law)
+    for index, case in enumerate(SETTINGS.cases):
+        fleet.begin(index, case.signal, asked.seed + index, law=Law.COMPENSATED)
+    steps, each = round(asked.hours * 3600.0 / STEP), round(REFERENCE_TIME / STEP)
+    squares, counted, trips = np.zeros(10), np.zeros(10), np.zeros(10, int)
+    low, high = np.full((10, 4), np.inf), np.full((10, 4), -np.inf)
+    bar = progress(total=steps // each, label="references", unit="reference")
+    for number in range(steps):
+        part = 10 * number // steps
+        if number % each == 0:
+            for wanted in fleet.commands["reference"]:
+                wanted["waveform"] = generator.choice([Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP])
+                wanted["amplitude"], wanted["offset"] = generator.uniform(50.0, 250.0), generator.uniform(-50.0, 50.0)
+                wanted["frequency"], wanted["phase"] = generator.uniform(0.3, 2.0), generator.uniform(0.0, 6.0)
+            bar.update()
+        samples = fleet.step(np.zeros((count, 2)), compensator.coefficients)
+        active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
+        compensator.step(fleet.compensated, samples["load_force"], active, samples["reference_force_rate"])
+        if number % each * STEP >= SETTINGS.settle:
+            error = samples["reference_force"] - samples["load_force"]
+            squares[part] += np.sum(error * error)
+            counted[part] += count * SAMPLES_PER_STEP
+            low[part] = np.minimum(low[part], compensator.coefficients.min(axis=0))
+            high[part] = np.maximum(high[part], compensator.coefficients.max(axis=0))
+        trips[part] += np.count_nonzero(samples["flags"] & Flag.TRIPPED)
+    bar.close()
+    scales = (1.0, 1e3, 1e3, 1.0)
+    names = ("a_0", "a_1 [ms]", "a_2 [1e-3 s^2]", "a_3 [N]")
+    table = Table({"to": "h", "rmse": "N", **dict.fromkeys(names, ""), "trips": ""}, title=f"{count} benches")
+    for part in range(10):
+        ranges = {
+            n: f"{low[part, k] * s:.3g} to {high[part, k] * s:.3g}"
+            for k, (n, s) in enumerate(zip(names, scales, strict=True))
+        }
+        rmse = np.sqrt(squares[part] / counted[part])
+        table.add(to=f"{asked.hours * (part + 1) / 10:g}", rmse=f"{rmse:.2f}", **ranges, trips=str(trips[part]))
+    return table
+
+
+def truth(changed: Mapping[str, Any]) -> TruthConfig:
+    """The default truth with these effects."""
+    return truth_from_mapping({"profile": "default", "effects": dict(changed)})
+
+
+def drawn(asked: argparse.Namespace) -> list[TruthConfig]:
+    """The truths asked for."""
+    return [truth_from_mapping(contents) for contents in drawn_truths(asked.draw, asked.seed).values()]
+
+
+STUDIES: dict[str, Callable[[argparse.Namespace], Table]] = {
+    study.__name__: study for study in (gains, margins, effects, changes, endurance)
+}
+
+
+@command(ValueError)
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.compensated_law", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+    )  # fmt: skip
+    parser.add_argument("study", choices=STUDIES)
+    parser.add_argument("--draw", type=int, default=40, metavar="COUNT", help="truths; default: %(default)s")
+    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
+    parser.add_argument("--hours", type=float, default=24.0, help="of endurance; default: %(default)s")
+    add_json_argument(parser)
+    asked = parser.parse_args()
+    STUDIES[asked.study](asked).show(asked.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
