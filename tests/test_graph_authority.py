@@ -49,8 +49,8 @@ def test_what_a_stranger_does_is_refused_or_the_plant_is_made_safe(graph: Defend
 def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) -> None:
     graph.arm()
     graph.probe.forget()
-    for number in range(4):
-        with listener("LOCALHOST" if number % 2 else "SUBNET") as tool:
+    for reach in ("SUBNET", "LOCALHOST"):
+        with listener(reach) as tool:
             graph.drive(20.0, until=lambda tool=tool: tool.poll() is not None)  # type: ignore[misc]
             assert tool.poll() == 0, "it heard the plant"
     states = [state for _, state in graph.probe.heard[STATE]]
