@@ -241,7 +241,7 @@ class _Seen:
     left_out: npt.NDArray[np.bool_]
 
     def windows(self) -> list[Window]:
-        """Those that are left out."""
+        """Return the windows that are left out."""
         segment = self.model.segment
         starts = segment.start + segment.step * self.begins[self.left_out]
         return [Window(segment.recording, round(float(start), 6)) for start in starts]

@@ -86,7 +86,8 @@ SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_p
 def test_richer_form_must_pay_for_its_parameter(record: Callable[..., StateArray]) -> None:
     """15.0 and 15.1 N: the second number gains 14 of BIC, which errors of the residuals' own reach."""
     problem = problem_with(record, dry(DIRECTED, 15.0, 15.1))
-    found = search(problem).fit
+    outcome = search(problem)
+    problem, found = outcome.problem, outcome.fit
     assert [claim.effect.label for claim in found.claims] == [DRY]
     richer = score(problem, found) - score(problem, fit(problem, [dry(DIRECTED, 15.0, 15.0)]))
     assert 2.0 < richer < SearchSettings().threshold  # else this shows nothing

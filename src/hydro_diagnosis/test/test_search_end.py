@@ -57,6 +57,6 @@ def test_a_claim_nibbles_that_removes_little_where_it_acts(worn: Problem, ratio:
 
 
 def test_patience_ends_a_search(worn: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hydro_diagnosis.selection.search.nibbles", lambda *given: True)
+    monkeypatch.setattr("hydro_diagnosis.selection.search.removes_little", lambda *given: True)
     outcome = Search(worn, ADAPTED, SearchSettings(patience=2, restarts=1)).run()
     assert len(outcome.fit.claims) == 2

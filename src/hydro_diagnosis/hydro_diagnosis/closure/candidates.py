@@ -23,7 +23,7 @@ from hydro_sim.model.tables import SETTLING, Table
 INSIDE = 0.1
 """Percentiles of its variable that a table leaves out at either end."""
 QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
-"""Of a threshold's signal: where thresholds are looked for."""
+"""Quantiles of a threshold's signal at which thresholds are tried."""
 EDGE = 0.02
 """Share of a threshold's signal that is left on either side of it."""
 SLOWEST = 3.0 * SIGN_VELOCITY

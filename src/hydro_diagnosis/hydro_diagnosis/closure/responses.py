@@ -191,7 +191,7 @@ class Responses:
         return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
 
     def _displaced(self, terms: Sequence[Claim]) -> Shown:
-        """Of an error of the position: what it moves in all equations, but friction near standstill and the oil."""
+        """Return the responses to an error of the position, but not by friction near standstill and the oil."""
         model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
         errors = np.stack([one.effect.unmeasure("piston_position", recorded, self.memory, one.values) - recorded
                            for one in terms])  # fmt: skip

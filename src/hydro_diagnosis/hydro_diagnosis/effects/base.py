@@ -64,7 +64,7 @@ class Memory(Protocol):
     """Elements with a past, either over a whole record or one step at a time."""
 
     beside: Mapping[str, FloatArray]
-    """What stands beside a sensor, by the names of `hydro_sim.model.laws.Signals`, where it is read."""
+    """Signals that a reading may depend on besides its own, by the names of `hydro_sim.model.laws.Signals`."""
 
     def lag(
         self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,

@@ -157,7 +157,7 @@ class Closure(Effect):
         return at.but(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
 
     def _driver(self, at: Signals) -> FloatArray:
-        """What a slow state follows."""
+        """Return the input of a slow state."""
         signal = self.element.signal if self.element else ""
         if signal != "time":
             return np.asarray(getattr(at, signal))
@@ -280,7 +280,7 @@ _BEYOND = 0.5
 
 
 class SensorClosure(Closure):
-    """What a sensor shows more than its signal."""
+    """Error of a sensor's reading."""
 
     @property
     def breaks_superposition(self) -> bool:
@@ -294,7 +294,7 @@ class SensorClosure(Closure):
 
 
 class GaugeClosure(SensorClosure):
-    """What a pressure sensor shows more than the pressure, which the flows follow."""
+    """Error of a pressure sensor, whose pressure the flows follow."""
 
     @property
     def breaks_superposition(self) -> bool:
@@ -334,7 +334,7 @@ class GaugeClosure(SensorClosure):
 
 
 class PlaceClosure(SensorClosure):
-    """What the position sensor shows more than the position, on which all equations depend."""
+    """Error of the position sensor, on whose position all equations depend."""
 
     @property
     def breaks_superposition(self) -> bool:

@@ -92,7 +92,7 @@ def held_lag(
 
 
 def _held(step: float, time: float) -> tuple[float, float]:
-    """What a step leaves of a distance, and the share of it that is gone in the step's mean."""
+    """Return the share of a distance that remains after a step, and the mean share that is gone within it."""
     decay = float(np.exp(-step / time))
     return decay, 1.0 - (1.0 - decay) * time / step
 

@@ -165,9 +165,9 @@ class Noise:
     ) -> None:
         self.models, self.blocks, self.sensors = models, blocks, sensors
         self.residuals = [residual_noise(sensors, bench, model.step * model.spacing) for model in models]
-        """Of each segment's residuals by channel, physical units."""
+        """Noise of each segment's residuals by channel, physical units."""
         self.flows = [model.observer.pressure_uncertainty(sensors) for model in models] if PRESSURE in blocks else []
-        """Of each segment: what noise in the flows makes of the pressures' residuals."""
+        """By segment: deviations of the pressures' residuals by noise in the flows."""
 
     def mass_attenuation(self, mass: float) -> float:
         """Share of a moving mass [kg] that the encoder's noise hides: that of noise in the acceleration's power.
@@ -203,7 +203,7 @@ class Weights:
 
     @property
     def uncertainty(self) -> tuple[float, ...]:
-        """What identifies them: the sum of all doubt per segment."""
+        """Sum of the uncertainty per segment: identifies the weights."""
         return tuple(float(np.sum(doubt)) for doubt in (*self.reversals, *self.unseen.values()))
 
     def deviation(self, channel: str, segment: int) -> FloatArray | float:

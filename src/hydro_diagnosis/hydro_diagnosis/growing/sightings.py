@@ -30,7 +30,7 @@ _HALF_95 = 1.959964
 
 @dataclass(frozen=True)
 class Agreement:
-    """How one number of a law compares over the benches."""
+    """Agreement of one parameter of a law over the benches."""
 
     name: str
     unit: str
@@ -40,7 +40,7 @@ class Agreement:
     """Ends of the 95 % interval of the weighted mean; None where fewer than two benches identify the number."""
     high: float | None
     probability: float | None
-    """Of deviations as large as these if one value holds for all; None likewise."""
+    """Probability of deviations as large as these if one value holds for all; None likewise."""
 
     @property
     def one_for_all(self) -> bool:
@@ -62,7 +62,7 @@ class Agreement:
 
 
 def agreements(found: Sequence[Sighting]) -> list[Agreement]:
-    """How each number of the law compares, in the law's order."""
+    """Return the agreement of each parameter of the law, in the law's order."""
     named = units(found[0].law)
     return [_compared(name, unit, [one.estimates[name] for one in found]) for name, unit in named.items()]
 

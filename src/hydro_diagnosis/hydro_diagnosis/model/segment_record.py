@@ -80,7 +80,7 @@ class SegmentRecord:
             bent = second_derivative(channels["piston_position"], self.step)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
         self.beside = self._beside()
-        """What stands beside a sensor that is read, shape (n,) each."""
+        """Signals that a sensor's reading may depend on besides its own, shape (n,) each."""
         self.memory = RecordMemory(segment.step, self.beside)
 
     def _beside(self) -> dict[str, FloatArray]:

@@ -105,7 +105,7 @@ def _gaps_doubled(rows: Rows) -> Mask:
 
 
 def rate_note(step: float, segment: Segment) -> str:
-    """What a recording's `step` [s] means for what can be told, in a sentence."""
+    """Return a sentence on how a recording's `step` [s] limits the diagnosis."""
     rate = f"recorded at {1.0 / step:.4g} Hz"
     if segment.thinner is None:
         return f"{rate}: of every {round(SAMPLE_PERIOD / step)} rows that at the box's millisecond was taken"

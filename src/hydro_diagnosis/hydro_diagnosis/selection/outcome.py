@@ -36,7 +36,7 @@ class SearchSettings:
 
 
 NAMES = SearchSettings(most=12, patience=2)
-"""Of a search among names alone: where nothing remains, or what remains has no name, it ends by itself."""
+"""Settings of a search among names alone, which ends by itself where nothing remains or nothing has a name."""
 MINOR = 0.1
 """Share of what remains in a channel below which a claim says little about it."""
 CLOSE = 10.0

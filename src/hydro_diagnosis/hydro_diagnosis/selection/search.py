@@ -43,7 +43,7 @@ class _Screened:
     doubt: tuple[float, ...]
     """`Problem.uncertainty` at that time."""
     waiting: list[Prospect]
-    """Those that are not fitted yet."""
+    """Prospects that are not fitted yet."""
     fits: list[Fit] = field(default_factory=list)
     """With one claim more."""
     polished: set[str] = field(default_factory=set)
@@ -164,7 +164,7 @@ class Search:
         return outcome
 
     def _further(self, outcome: Outcome) -> list[Fit]:
-        """What may join the outcome; nothing if the search must end, and the outcome says why."""
+        """Return candidates for a further claim; none if the search must end, for the reason in `Outcome.cut_short`."""
         if self._exhausted:
             outcome.cut_short = f"its effort of {self.settings.effort} evaluations was spent"
             return []

@@ -58,7 +58,7 @@ Left = dict[str, tuple[float, float]]
 
 
 def left(problem: Problem, claims: Sequence[Claim]) -> Left:
-    """What claims leave."""
+    """Return squares and counts of the residuals under claims, by channel."""
     with np.errstate(all="ignore"):
         squares = problem.layout.squares(problem.residual(claims))
     counts = problem.layout.count()
@@ -129,7 +129,7 @@ class _Trial:
         return [_corrected(segment, repair) for segment in self._segments]
 
     def repairs(self) -> Iterator[Repair]:
-        """Whatever may be wrong with channels that are there and read as numbers of the right size."""
+        """Yield the repairs that are possible for channels whose numbers have the right size."""
         here, bench = self._channels, self._problem.bench
         for name in ("valve_current", "hydraulic_force", "load_force"):
             if name in here:
@@ -172,7 +172,7 @@ class _Trial:
             yield advance(field, at)
 
     def _squares(self, repair: Repair) -> float:
-        """What is left after a repair, each channel's over what was left before."""
+        """Return the sum over channels of the residual's mean square after a repair over that before."""
         found = self._left(repair)
         return sum(squares / count / self._before[name][0] for name, (squares, count) in found.items())
 
@@ -218,7 +218,7 @@ Repaired = tuple[tuple[Repair, ...], Case]
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What the best causes leave of a reading of the recordings."""
+    """Residuals that the best causes leave, for one reading of the recordings."""
 
     fitted: Left
     held: Left
@@ -351,7 +351,7 @@ def _repaired(question: Question, repairs: Sequence[Repair]) -> Question:
 
 
 def _searched(case: Case, progress: Progress) -> SearchResult:
-    """What is left after a small search for causes."""
+    """Return the residuals after a small search for causes."""
     with threadpool_limits(1, "blas"):
         found = Search(case.problem, case.candidates, TRIAL, progress).run()
     problem = found.problem

@@ -176,7 +176,7 @@ EQUATIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """What is asked of a diagnosis."""
+    """Input of a diagnosis: recordings, baseline, and options."""
 
     recordings: Sequence[str | Path]
     holdout: Sequence[str | Path]
@@ -278,19 +278,19 @@ def _version() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """What is claimed at the end of a stage, and how it holds."""
+    """Claims at the end of a stage, and their validation."""
 
     problem: Problem
     outcome: Outcome
     assessment: Assessment
     bounds: list[Interval]
-    """Of the claims' parameters."""
+    """Intervals of the claims' parameters."""
     models: list[SegmentModel]
     """Held-out recordings."""
     holdout: Problem
     """The same, weighed for the claims."""
     simulated: Known
-    """Of the held-out recordings."""
+    """Simulations of the held-out recordings so far."""
     proof: dict[str, Any]
     """`fit` of report.json."""
     withdrawn: str = ""

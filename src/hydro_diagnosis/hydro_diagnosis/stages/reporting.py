@@ -30,7 +30,7 @@ AROUND = 40
 STANDS_OUT = 40.0
 """Times that median: among 5000 bins of white noise it is exceeded once in 10^8."""
 SHARE = 0.3
-"""Of what remains in a channel, that a line must hold."""
+"""Least share of a channel's remainder that a spectral line must hold."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Line:
     frequency: float
     """Hz."""
     share: float
-    """Of the squares of what remains there, of the recording that has least of it."""
+    """Share of the squared remainder in that channel, in the recording with the least of it."""
 
     @property
     def sentence(self) -> str:
-        """What it is typical of."""
+        """Typical origin of a line at that frequency."""
         return (
             f"{100.0 * self.share:.0f} % of what remains repeats every {1e3 / self.frequency:.3g} ms "
             f"({self.frequency:.3g} Hz), unless the reference does: typical of the mains, a pump's strokes, a dither "
@@ -138,7 +138,7 @@ def number_estimates(
 
 
 def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
-    """What else in the fit makes nearly all of a number's signature; the number itself if it has none."""
+    """Return the other terms of the fit that explain nearly all of a number's signature; itself if it has none."""
     column = columns[:, k]
     if not np.linalg.norm(column) > 1e-9 * np.sqrt(len(column)):
         return [names[k]]
@@ -154,7 +154,7 @@ def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
 
 
 def _part(others: FloatArray, column: FloatArray) -> FloatArray:
-    """What a set of columns makes of another one."""
+    """Return the projection of a column onto others."""
     if not others.shape[1]:
         return np.zeros_like(column)
     scaled = others / np.maximum(np.linalg.norm(others, axis=0), 1e-300)
@@ -251,7 +251,7 @@ def interrupted_report(case: Case, search: Search, begun: float) -> Report:
 
 
 def _notes(found: StageResult, effects: Sequence[EffectReport], hidden: str | None) -> tuple[str, ...]:
-    """What the verdict does not say."""
+    """Return notes on limits of the verdict."""
     assessment, cut_short = found.assessment, ""
     if found.outcome.cut_short and assessment.remainder:
         cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
