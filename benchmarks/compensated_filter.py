@@ -120,7 +120,7 @@ def law_rows(name: str, config: TruthConfig, own: LoopFilter | None, shipped: Lo
 
 
 def figures(done: Sequence[tuple[np.void, int]]) -> dict[str, Any]:
-    """Error after 2 s [N], and shares of samples [%]."""
+    """Error after 2 s [N], RMS of u' [A/s], and shares of samples [%]."""
     states = np.array([sample for sample, _ in done])
     settled, statuses = states[BEGIN:], np.array([status for _, status in done[BEGIN:]])
     error = settled["reference_force"] - settled["load_force"]
@@ -130,7 +130,10 @@ def figures(done: Sequence[tuple[np.void, int]]) -> dict[str, Any]:
         "corrected": np.isin(statuses, [int(CorrectionStatus.MODIFIED), int(CorrectionStatus.RELAXED)]),
     }
     means = {key: 100.0 * float(np.mean(which)) if len(which) else 0.0 for key, which in share.items()}
-    return {"rmse": float(np.sqrt(np.mean(error**2))) if len(error) else np.nan, "tripped": tripped, **means}
+    rate = np.diff(settled["valve_current"]) / SAMPLE_PERIOD
+    rms = {"rmse": error, "current_rate_rms": rate}
+    squares = {key: float(np.sqrt(np.mean(each**2))) if len(each) else np.nan for key, each in rms.items()}
+    return {**squares, "tripped": tripped, **means}
 
 
 def drawn_gains(base: tuple[float, float], seed: int) -> Chooser:
@@ -169,7 +172,12 @@ def fleet_filter_at(c_1: float, metrics: LearnedMetric, model: Path) -> FleetFil
 
 def table(title: str, rows: Sequence[dict[str, Any]], keys: Sequence[str], shares: Sequence[str]) -> Table:
     """Interquartile mean (worst) RMSE [N] by reference, trips and mean shares, of each combination of `keys`."""
-    units = {**dict.fromkeys(keys, ""), **dict.fromkeys((case.name for case in CASES), "N"), "trips": ""}
+    units = {
+        **dict.fromkeys(keys, ""),
+        **dict.fromkeys((case.name for case in CASES), "N"),
+        "u' RMS": "A/s",
+        "trips": "",
+    }
     made = Table({**units, **dict.fromkeys(shares, "%")}, title=title)
     for group in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
         own = [row for row in rows if tuple(row[key] for key in keys) == group]
@@ -177,6 +185,7 @@ def table(title: str, rows: Sequence[dict[str, Any]], keys: Sequence[str], share
         for case in CASES:
             values = np.array([row["rmse"] for row in own if row["reference"] == case.name])
             cells[case.name] = f"{interquartile_mean(values):.1f} ({np.nanmax(values):.0f})"
+        cells["u' RMS"] = f"{interquartile_mean(np.array([row['current_rate_rms'] for row in own])):.3f}"
         cells["trips"] = f"{sum(row['tripped'] for row in own)} of {len(own)}"
         made.add(**cells, **{share: f"{np.mean([row[share] for row in own]):.2g}" for share in shares})
     return made

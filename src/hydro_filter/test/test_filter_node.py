@@ -280,7 +280,8 @@ def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
         return source.corrections[-1].delta_u
 
     assert not shaken(model, answer)[1]
-    source.wait(lambda: "1/s at C_1 = 0.3" in dict_of(source.diagnostics[-1])["certified"])
+    told = f"K_p 15 to 400 1/s at C_1 = {BoxConfig().compensated.velocity_compensation:g}"
+    source.wait(lambda: told in dict_of(source.diagnostics[-1])["certified"])
     assert [message.sequence for message in source.corrections] == list(range(1500))
     statuses = {message.status for message in source.corrections}
     assert CorrectionStatus.MODIFIED in statuses and CorrectionStatus.BYPASSED not in statuses

@@ -120,7 +120,8 @@ def learn(options: argparse.Namespace) -> None:
         print(f"{out}: C_1 = {one.velocity_compensation:g}, {told}")
     for metric, _ in found:
         if reason := metric.unfit(out.name):
-            _say(f"C_1 = {metric.velocity_compensation:g}: {reason}")
+            kept = "left out of the file" if metric is not sound[0] else "the filter refuses it"
+            _say(f"C_1 = {metric.velocity_compensation:g}: {reason}; {kept}")
 
 
 def _certificate(
