@@ -12,14 +12,15 @@
 static inline void hydro_compensate(
     hydro_law_state *state, const hydro_law *law, const hydro_real *wanted, const hydro_wave *wave)
 {
-    hydro_real value = HYDRO_R(0), rate = HYDRO_R(0), period = HYDRO_R(HYDRO_PERIOD), half = HYDRO_R(0.5) * period;
-    hydro_real second = state->second + half * wave->third;
-    hydro_real terms[4] = {wave->value, wave->rate, HYDRO_R(0), HYDRO_R(1)};
-    hydro_real slopes[4] = {wave->rate, wave->second, HYDRO_R(0), HYDRO_R(0)};
-    second += HYDRO_R(HYDRO_PERIOD / (HYDRO_KINK + HYDRO_PERIOD)) * (wave->second - second);
+    const hydro_real period = HYDRO_R(HYDRO_PERIOD), half = HYDRO_R(0.5) * period;
+    const hydro_real ahead = state->second + half * wave->third;
+    const hydro_real second =
+        ahead + HYDRO_R(HYDRO_PERIOD / (HYDRO_KINK + HYDRO_PERIOD)) * (wave->second - ahead);
+    const hydro_real third = wave->third + (wave->second - second) / HYDRO_R(HYDRO_KINK);
+    const hydro_real terms[4] = {wave->value, wave->rate, second, HYDRO_R(1)};
+    const hydro_real slopes[4] = {wave->rate, wave->second, third, HYDRO_R(0)};
+    hydro_real value = HYDRO_R(0), rate = HYDRO_R(0);
     state->second = second + half * wave->third;
-    terms[2] = second;
-    slopes[2] = wave->third + (wave->second - second) / HYDRO_R(HYDRO_KINK);
     for (int i = 0; i < HYDRO_SHAPING; i++) {
         hydro_real step = law->rate[i] * period;
         hydro_real change = hydro_clamp(wanted[i] - state->shaping[i], -step, step);

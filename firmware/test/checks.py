@@ -55,7 +55,7 @@ EQUIVALENT = {
     "protocol.h: uint8_t body[HYDRO_HEADER + 61 + 4];": "a buffer may be larger",
     "reference.h: /* reference->leaving.waveform = HYDRO_HOLD; */": "without an amplitude it is a hold",
     "reference.h: /* reference->leaving.amplitude = HYDRO_R(0); */": "a hold is its offset",
-    "reference.h: if (share > HYDRO_R(1)) {": "at 1 the new one has all of it",
+    "reference.h: if (part > 1.0) {": "at 1 the new one has all of it",
     "stream.h: stream->count = HYDRO_ENCODED_MAX + 2;": "too long, either way",
 }
 """Mutants that change nothing that can be observed, by part and what the line becomes, and why."""

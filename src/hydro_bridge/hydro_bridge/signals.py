@@ -115,7 +115,10 @@ NEUTRAL: Coefficients = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class LawCommand:
-    """The force law that a controller asks for, and what shapes it."""
+    """The force law that a controller asks for, and what shapes it.
+
+    The defaults are the paper's; those of a box's compensated law are its own (`safety.guard.safe_command`).
+    """
 
     law: Law = Law.PAPER
     """Force law to run, taken up at arming; while armed, a command for another law leaves the safe record in force."""
