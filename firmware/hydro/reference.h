@@ -115,16 +115,18 @@ static inline bool hydro_same(const hydro_signal *one, const hydro_signal *other
 static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time time)
 {
     hydro_wave wave, old;
+    hydro_time part;
     hydro_real share, blend, blend_1, blend_2, blend_3, gap, gap_rate;
     if (time - reference->fade_start >= HYDRO_FADE && !hydro_same(&reference->wanted, &reference->coming)) {
         reference->leaving = reference->coming;
         hydro_take_up(reference, time);
     }
     wave = hydro_play(&reference->coming, time);
-    share = (hydro_real)((time - reference->fade_start) / HYDRO_FADE);
-    if (share >= HYDRO_R(1)) {
+    part = (time - reference->fade_start) / HYDRO_FADE;
+    if (part >= 1.0) {
         return wave;
     }
+    share = (hydro_real)part;
     old = hydro_play(&reference->leaving, time);
     blend = share * share * (HYDRO_R(3) - HYDRO_R(2) * share);
     blend_1 = HYDRO_R(6) * share * (HYDRO_R(1) - share) / HYDRO_R(HYDRO_FADE);

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import STATE_TYPE, encode_states
 from hydro_bridge.bags.recording import BagWriter, RecordingError
-from hydro_bridge.dashboard.series import STATE_COLUMNS
+from hydro_bridge.bags.schema import definition
+from hydro_bridge.dashboard.series import LAW_TYPE, STATE_COLUMNS
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.growing import JUMP, GrowingThinner
 from hydro_bridge.viewer.marks import MARKS, Mark, Marks
@@ -142,6 +143,24 @@ def test_calls_are_marked_with_their_answer_and_of_the_log_only_warnings(tmp_pat
         ("log", "filter: it does not fit"),
     ]
     assert [mark.time for mark in marks] == pytest.approx([2.0, 4.0], abs=1e-3)
+
+
+def test_the_compensated_law_is_shown_where_it_acted(tmp_path: Path, states) -> None:
+    types = get_typestore(Stores.EMPTY)
+    types.register(get_types_from_msg(definition(LAW_TYPE).text, LAW_TYPE))
+    message, header = types.types[LAW_TYPE], types.types["std_msgs/msg/Header"]
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write_states(states)
+        writer.add_topic("/hydro/law_state", LAW_TYPE)
+        for k in range(2000, 3000):
+            stamp = round(float(states["time"][k]) * 1e9)
+            told = header(types.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)), "")
+            acting = message(told, int(states["sequence"][k]), 1, 250.0, 0.0, 1.0, 0.03, 4e-4, -2.0, 0.3, 1.0)
+            writer.write("/hydro/law_state", bytes(types.serialize_cdr(acting, LAW_TYPE)), stamp)
+    laws = read_recorded(tmp_path / "run").values[2]
+    assert np.isnan(laws[:199]).all() and len(laws) == 300
+    assert laws[250, :, 1] == pytest.approx([250.0, 100.0, 30.0, 40.0, -2.0])
+    assert rendered(read_recorded(tmp_path / "run")).count('id="laws"') == 1
 
 
 def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:

@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 
 from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import NEUTRAL, FloatArray
 from hydro_policy.compensation.estimator import STEP, Compensator, CompensatorSettings, LoadCell
+from hydro_sim.model.bench import Bench
 
 TRUE = (1.02, 0.031, 4e-4, -7.0)
 ACTIVE = np.array([True])
@@ -121,3 +127,15 @@ def test_coefficients_stay_within_the_law() -> None:
         assert np.all(compensator.coefficients >= law.coefficient_min)
         assert np.all(compensator.coefficients <= law.coefficient_max)
     assert compensator.at_bound.dtype == bool
+
+
+def test_a_load_cell_is_read_from_a_bench_file_and_from_a_corrected_one(tmp_path: Path) -> None:
+    bench, path = Bench.nominal(), tmp_path / "bench.yaml"
+    lag = {"id": "sensor_lag", "sensor": "load_force", "parameters": {"bandwidth": 20.0, "damping": 0.8}}
+    path.write_text(yaml.safe_dump(bench.to_mapping()))
+    assert LoadCell.load(path) == LoadCell(bandwidth=25.0)
+    path.write_text(yaml.safe_dump(replace(bench, effects=(lag,)).to_mapping()))
+    assert LoadCell.load(path) == LoadCell(bandwidth=20.0, damping=0.8)
+    path.write_text(yaml.safe_dump(replace(bench, load_cell_bandwidth=None).to_mapping()))
+    with pytest.raises(SettingsError, match="has no load cell with an amplifier"):
+        LoadCell.load(path)

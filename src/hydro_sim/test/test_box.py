@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.protocol import CommandFrame, decode, encode_command
-from hydro_bridge.signals import Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.signals import Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box, BoxConfig, Integral
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
@@ -348,6 +348,26 @@ def test_late_commands_and_their_return_leave_the_integral_where_it_is(bench: Be
         slopes.append(gains[-1] * (sample["reference_force"] - sample["load_force"]) * 1e-3)
     assert set(gains) == {5.0, 15.0}
     np.testing.assert_allclose(np.diff(carried), slopes, atol=1e-9)
+
+
+def test_late_commands_change_gains_of_the_compensated_law_by_what_the_error_of_the_moment_makes(bench: Bench) -> None:
+    """u_nom moves by the change of K_p times e_c over g, as by any new gains; the integral does not."""
+    wanted = replace(RUN, law=Law.COMPENSATED, delta_kp=-200.0, delta_u=0.0, velocity_compensation=0.3)
+    rig = Rig(bench)
+    rig.go(1, Command(law=Law.COMPENSATED))
+    rig.go(1100, wanted)
+    rig.go(50, None)
+    other, before = deepcopy(rig), float(rig.box.state["integral"][0])
+    late, kept = rig.go(1, None)[0], other.go(1, wanted)[0]
+    assert (late["proportional_gain"], kept["proportional_gain"]) == (400.0, 200.0)
+    x, error = late, float(rig.box.state["compensated_reference"][0] - late["load_force"])
+    g = hydraulics.input_gain(
+        bench.constants()[0], x["piston_position"], x["pressure_a"], x["pressure_b"], x["nominal_valve_current"]
+    )
+    change = late["nominal_valve_current"] - kept["nominal_valve_current"]
+    assert change == pytest.approx(200.0 * error / g, rel=1e-6)
+    assert rig.box.state["integral"][0] - before == pytest.approx(15.0 * error * 1e-3, rel=1e-9)
+    assert other.box.state["integral"][0] - before == pytest.approx(25.0 * error * 1e-3, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(memory: Any, s
     assert moved > 2000 and held > 200 and cut > 20
 
 
-def calm(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
+def calm(seed: int, samples: int, law: Law) -> Iterator[tuple[bytes, FloatArray]]:
     """Commands that a guard lets through, every millisecond, and a bench that is where it was believed."""
     random, command, bench = Random(seed), Command(), Bench.nominal()
     plant = AnalyticPlant(bench)
@@ -167,15 +167,23 @@ def calm(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
                 amplitude=random.uniform(0.0, 250.0), frequency=random.uniform(0.2, 8.0), kp=60.0, ki=10.0,
             ).signal  # fmt: skip
             command = Command(arm=True, delta_kp=45.0, delta_ki=5.0, delta_u=1e-4, reference=shape, filter_fresh=True)
-        current = yield encode_command(k + 1, 0, command), x
+            if law is Law.COMPENSATED:
+                shaping = (random.uniform(0.9, 1.1), random.uniform(0.0, 0.03), random.uniform(0.0, 4e-4), -5.0)
+                slow = replace(
+                    shape, amplitude=0.6 * shape.amplitude, frequency=0.25 * shape.frequency
+                )  # never cut off
+                command = replace(command, law=law, delta_kp=0.0, reference=slow, coefficients=shaping)
+                command = replace(command, velocity_compensation=0.3)
+        current = yield encode_command(k + 1, 0, command, VERSION), x
         x = plant.step(current)
 
 
-def test_single_precision_stays_within_its_rounding() -> None:
+@pytest.mark.parametrize("law", Law)
+def test_single_precision_stays_within_its_rounding(law: Law) -> None:
     """Both boxes see the bench that the double one moves: each sample's difference is rounding, none is chaos."""
     bench = Bench.nominal()
     double, single = Firmware(bench), Firmware(bench, precision="single")
-    source, worst = calm(5, 20_000), dict.fromkeys(STATE_FIELDS, 0.0)
+    source, worst = calm(5, 20_000, law), dict.fromkeys((*STATE_FIELDS, "f_c", "f_c'"), 0.0)
     data, x = next(source)
     for k in range(20_000 - 1):
         for box in (double, single):
@@ -184,10 +192,14 @@ def test_single_precision_stays_within_its_rounding() -> None:
         assert (int(a["flags"]) ^ int(b["flags"])) & ~Flag.SATURATED == 0
         for name in STATE_FIELDS:
             worst[name] = max(worst[name], abs(float(a[name]) - float(b[name])))
+        acting, other = double.law_state(), single.law_state()
+        assert acting.law is other.law is (law if k else Law.PAPER)
+        worst["f_c"] = max(worst["f_c"], abs(acting.compensated_reference - other.compensated_reference))
+        worst["f_c'"] = max(worst["f_c'"], abs(acting.compensated_reference_rate - other.compensated_reference_rate))
         data, x = source.send(float(a["valve_current"]))  # type: ignore[attr-defined]
     print(worst)
     assert worst["valve_current"] < 1e-7 and worst["reference_force"] < 1e-4
-    assert worst["reference_force_rate"] < 1e-2
+    assert worst["reference_force_rate"] < 1e-2 and worst["f_c"] < 2e-3 and worst["f_c'"] < 2.0
 
 
 def test_rates_are_those_of_the_sensors_module() -> None:

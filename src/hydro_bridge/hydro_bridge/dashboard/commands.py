@@ -9,6 +9,8 @@ arm        the token, the present epoch            arms for whoever commands
 override   the token, the present epoch, gains     holds K_p and K_i instead of the policy's
 release    the token, the present epoch            the policy acts again
 end        the token, the present epoch            ends the run as Ctrl-C does
+freeze     the token, the present epoch            holds the coefficients of the compensated law
+adapt      the token, the present epoch            they follow the bench again
 =========  ======================================  ==========================================
 
 The epoch is the one that the page showed when the button was pressed: after a trip, a disarm or a change of holder the
@@ -26,7 +28,7 @@ from typing import Annotated
 import msgspec
 
 _TEXT = Annotated[str, msgspec.Meta(max_length=100)]
-COMMANDS = ("disarm", "arm", "override", "release", "end")
+COMMANDS = ("disarm", "arm", "override", "release", "end", "freeze", "adapt")
 SIZE_MAX = 1000
 """Maximum size of a command, bytes."""
 

@@ -18,6 +18,7 @@ from hydro_bridge.signals import Flag, FloatArray
 
 STATE_TYPE = "hydro_msgs/msg/BenchState"
 CORRECTION_TYPE = "hydro_msgs/msg/Correction"
+LAW_TYPE = "hydro_msgs/msg/LawState"
 
 
 @dataclass(frozen=True)
@@ -47,13 +48,20 @@ CORRECTION_COLUMNS = (
     Column("without correction", "certificate_before", "1/s"),
     Column("with correction", "certificate_after", "1/s"),
 )
+LAW_COLUMNS = (
+    Column("f_c", "compensated_reference", "N"),
+    Column("a_0", "a_0", "%", 1e2),
+    Column("a_1", "a_1", "ms", 1e3),
+    Column("a_2", "a_2", "10⁻⁵ s²", 1e5),
+    Column("a_3", "a_3", "N"),
+)
 STATE_EXTRA = (Column("error", "", "N"), Column("armed", ""), Column("tripped", ""))
 """Columns derived from the state's fields: f_r - f_l; 1 or 0; 1 or 0."""
 
 
 def described() -> list[list[dict[str, str]]]:
-    """Return names and units of the columns of both series, states and corrections, for the page."""
-    kinds = ((*STATE_COLUMNS, *STATE_EXTRA), CORRECTION_COLUMNS)
+    """Return names and units of the columns of the series, states, corrections and laws, for the page."""
+    kinds = ((*STATE_COLUMNS, *STATE_EXTRA), CORRECTION_COLUMNS, LAW_COLUMNS)
     return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in kinds]
 
 
@@ -87,6 +95,6 @@ def state_values(table: npt.NDArray[np.void]) -> FloatArray:
     return np.column_stack([*(table[column.field] * column.scale for column in STATE_COLUMNS), *extra])
 
 
-def correction_values(table: npt.NDArray[np.void]) -> FloatArray:
-    """Return the columns CORRECTION_COLUMNS of corrections, shape (n, 3)."""
-    return np.column_stack([table[column.field] * column.scale for column in CORRECTION_COLUMNS])
+def values(columns: Sequence[Column], table: npt.NDArray[np.void]) -> FloatArray:
+    """Return these columns of messages, shape (n, columns)."""
+    return np.column_stack([table[column.field] * column.scale for column in columns])

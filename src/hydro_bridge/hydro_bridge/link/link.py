@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
-from hydro_bridge.link.remarks import connection_remarks, incomplete
+from hydro_bridge.link.remarks import LEAST_BAUD, connection_remarks, incomplete
 from hydro_bridge.link.timing import LinkTimes
 from hydro_bridge.safety.guard import CommandGuard, narrowed
 from hydro_bridge.serial.port import Port, PortLostError
@@ -40,8 +40,6 @@ from hydro_bridge.signals import STATE_FIELDS, Command, Flag, Law, flag_names
 _NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
-_LEAST_BAUD = 1_300_000
-"""Bit/s below which version 3 is not spoken: its STATE does not fit between two samples."""
 
 
 class LinkState(Enum):
@@ -119,7 +117,7 @@ class Link:
         self._corrected = True
         self._connected_before = False
         self._complaint = ""
-        self._spoken = VERSION if port.settings.baud >= _LEAST_BAUD else VERSION - 1
+        self._spoken = VERSION if port.settings.baud >= LEAST_BAUD else VERSION - 1
         self._greeted: tuple[int, BoxInfo] | None = None
         """Version and HELLO of a box of version 2 or more, until its DETAILS arrive, and its LAW if it offers one."""
         self._told: BoxDetails | None = None
@@ -292,7 +290,7 @@ class Link:
         self._log(
             f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
         )
-        for sentence in connection_remarks(self._wanted_limits, info, details, law):
+        for sentence in connection_remarks(self._wanted_limits, info, details, law, self.port.settings.baud):
             self._log(sentence)
         self._on_box(info)
 

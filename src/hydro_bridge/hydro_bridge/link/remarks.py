@@ -8,7 +8,10 @@ from dataclasses import fields
 from hydro_bridge.safety.guard import GuardSettings, narrowed
 from hydro_bridge.serial.frames import BoxDetails, BoxInfo, BoxLaw
 
-NO_LAW = "only the paper's force law can be run: the box offers no other, or the line has less than 1300000 bit/s"
+LEAST_BAUD = 1_300_000
+"""bit/s below which version 3, and with it the other law, is not spoken: its STATE does not fit between two samples."""
+NO_LAW = "only the paper's force law can be run: the box offers no other"
+SLOW_LINE = f"only the paper's force law can be run: another needs a line of {LEAST_BAUD} bit/s (--baud)"
 
 
 def incomplete(version: int, details: BoxDetails | None) -> str:
@@ -24,10 +27,10 @@ MISSED = (
 
 
 def connection_remarks(
-    wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None, law: BoxLaw | None
+    wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None, law: BoxLaw | None, baud: int
 ) -> list[str]:
     """Return sentences for the log; none for a box with both laws that allows everything the guard is set to."""
-    said = ([] if details else [MISSED]) + ([] if law else [NO_LAW])
+    said = ([] if details else [MISSED]) + ([] if law else [NO_LAW if baud >= LEAST_BAUD else SLOW_LINE])
     allowed = narrowed(wanted, info)
     changed = [
         f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execution of a page's commands through the public services /hydro/claim, /hydro/override and /hydro/end."""
+"""Execution of a page's commands through the public services /hydro/claim, /hydro/override and others."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from contextlib import suppress
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.dashboard.commands import PageCommand, RefusedError, Rules, read
 from hydro_bridge.dashboard.server import ANSWER_WITHIN
 from hydro_bridge.dashboard.words import encoded
-from hydro_bridge.ros import CLAIM_SERVICE, END_SERVICE, OVERRIDE_SERVICE
+from hydro_bridge.ros import CLAIM_SERVICE, END_SERVICE, FREEZE_SERVICE, OVERRIDE_SERVICE
 from hydro_msgs.srv import Claim, OverrideGains
 
 _WHO = "a person, by the live page"
 _NO_PLANT = "no plant runs here that could be told"
 _NO_RUN = "nobody commands the plant: there is no run here"
+_NO_ESTIMATOR = "no run here fits the coefficients of the compensated law"
 
 
 class PageCommands:
@@ -45,6 +46,7 @@ class PageCommands:
         self._claim = node.create_client(Claim, CLAIM_SERVICE)
         self._override = node.create_client(OverrideGains, OVERRIDE_SERVICE)
         self._end = node.create_client(Trigger, END_SERVICE)
+        self._freeze = node.create_client(SetBool, FREEZE_SERVICE)
 
     def act(self, text: str | bytes) -> Promise[str]:
         """Execute a received command in the caller's thread; the answer for the page follows later."""
@@ -76,6 +78,8 @@ class PageCommands:
             return self._claim, request, _NO_PLANT
         if command.command == "end":
             return self._end, Trigger.Request(), _NO_RUN
+        if command.command in ("freeze", "adapt"):
+            return self._freeze, SetBool.Request(data=command.command == "freeze"), _NO_ESTIMATOR
         if command.command == "release":
             return self._override, OverrideGains.Request(active=False, name=_WHO, whom=self._holder()), _NO_RUN
         gains = OverrideGains.Request(

@@ -130,6 +130,7 @@ class Feed:
             "training": self._training,
             "curve": self._curve.content(),
             "filter": self._samples.decided.take(),
+            "law": "compensated" if now - self._samples.compensated_at < words.DEAD_AFTER else "paper",
             "nodes": self._nodes.content(now),
             "publishers": published,
             "missed": self._samples.lost,

@@ -11,6 +11,7 @@ from collections import Counter
 from math import inf
 
 import numpy as np
+import numpy.typing as npt
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -18,7 +19,7 @@ from rclpy.subscription import Subscription
 
 from hydro_bridge.dashboard import series, words
 from hydro_bridge.dashboard.thinning import Thinner
-from hydro_bridge.ros import CORRECTION, GRAPH, STATE
+from hydro_bridge.ros import CORRECTION, GRAPH, LAW_STATE, STATE
 
 QUEUE = 500
 """Messages per topic that wait for the next frame: half a second."""
@@ -40,15 +41,19 @@ class Samples:
         self._states, self._corrections = self._queued(STATE), self._queued(CORRECTION)
         self._decode_states = series.Decoder(series.STATE_TYPE)
         self._decode_corrections = series.Decoder(series.CORRECTION_TYPE)
+        self._laws, self._decode_laws = self._queued(LAW_STATE), series.Decoder(series.LAW_TYPE)
         self._sequence = -1
         self.series = (
             Thinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA)),
             Thinner(len(series.CORRECTION_COLUMNS)),
+            Thinner(len(series.LAW_COLUMNS)),
         )
-        """Thinners of the samples and of the corrections."""
+        """Thinners of the samples, of the corrections and of the compensated law."""
         self.decided = words.FilterCounts()
         self.taken_at = -inf
         """s, monotonic time at which the last sample was taken."""
+        self.compensated_at = -inf
+        """s, monotonic time at which the compensated law acted last."""
         self.flags = 0
         """Flags of the last sample."""
         self.count = 0
@@ -64,6 +69,9 @@ class Samples:
         """Take all queued messages at `now` [s, monotonic]."""
         self._take_states(now)
         self._take_corrections()
+        if (table := _decoded(self._decode_laws, _all(self._laws))) is not None:
+            self.compensated_at = now
+            self.series[2].add(table["time"], series.values(series.LAW_COLUMNS, table))
 
     def close(self) -> None:
         """Leave the graph."""
@@ -74,12 +82,8 @@ class Samples:
         return self._listener.create_subscription(GRAPH[topic][0], topic, _never, qos, raw=True)
 
     def _take_states(self, now: float) -> None:
-        messages = _all(self._states)
-        if not messages:
-            return
-        try:
-            table = self._decode_states.table(messages)
-        except ValueError:  # from a plant of another version: unknown layout
+        table = _decoded(self._decode_states, _all(self._states))
+        if table is None:
             return
         sequence = table["sequence"].astype(np.int64)
         gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
@@ -89,15 +93,11 @@ class Samples:
         self.series[0].add(table["time"], series.state_values(table))
 
     def _take_corrections(self) -> None:
-        messages = _all(self._corrections)
-        if not messages:
-            return
-        try:
-            table = self._decode_corrections.table(messages)
-        except ValueError:
+        table = _decoded(self._decode_corrections, _all(self._corrections))
+        if table is None:
             return
         self.decided.add(Counter(table["status"].tolist()))
-        self.series[1].add(table["time"], series.correction_values(table))
+        self.series[1].add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
 
 
 def _all(subscription: Subscription) -> list[bytes]:
@@ -107,6 +107,14 @@ def _all(subscription: Subscription) -> list[bytes]:
         while len(messages) < QUEUE and (taken := subscription.handle.take_message(subscription.msg_type, True)):
             messages.append(taken[0])
     return messages
+
+
+def _decoded(decoder: series.Decoder, messages: list[bytes]) -> npt.NDArray[np.void] | None:
+    """Return the messages as a table; None if there are none, or of a plant of another version."""
+    try:
+        return decoder.table(messages) if messages else None
+    except ValueError:  # unknown layout
+        return None
 
 
 def _never(_: object) -> None:

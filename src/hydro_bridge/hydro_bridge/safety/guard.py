@@ -34,7 +34,8 @@ _KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
 
 NOT_OFFERED = (
-    "the compensated law is refused: this box does not offer it; a box needs protocol version 3 for it (protocol.md)"
+    "the compensated law is refused: this box does not offer it, which needs protocol version 3, or its line is too "
+    "slow for that; the bridge said which when it connected (protocol.md)"
 )
 KEPT_WHILE_ARMED = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
 UNFILTERED_LAW = (

@@ -44,6 +44,7 @@ def rendered(recorded: Recorded) -> str:
         about=_about(recorded),
         states=_packed(recorded.values[0]),
         corrections=_packed(recorded.values[1]),
+        laws=_packed(recorded.values[2]),
     )  # fmt: skip
 
 

@@ -23,6 +23,8 @@ from hydro_bridge.viewer.sample_clock import SampleClock
 
 CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro/training", "/hydro/authority"
 POLICY_TOPIC, DIAGNOSTICS_TOPIC, LOG_TOPIC = "/hydro/policy", "/diagnostics", "/rosout"
+LAW_TOPIC = "/hydro/law_state"
+"""Without it the paper's law acted."""
 TOLD_BY = {
     CORRECTION_TOPIC: "the filter's correction and certificate",
     TRAINING_TOPIC: "episodes and examinations",
@@ -36,6 +38,7 @@ TOLD_BY = {
 _NEEDED = {
     STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
     CORRECTION_TOPIC: frozenset(column.field for column in series.CORRECTION_COLUMNS),
+    LAW_TOPIC: frozenset(column.field for column in series.LAW_COLUMNS),
     TRAINING_TOPIC: frozenset({"phase", "episode", "episode_return", "force_rmse", "learner_alive"}),
     POLICY_TOPIC: frozenset({"weights"}),
 }
@@ -56,8 +59,8 @@ class Recorded:
     seconds: float
     slot: float
     """s."""
-    values: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
-    """States and corrections: minimum and maximum, shape (slots, columns, 2)."""
+    values: tuple[npt.NDArray[np.float32], ...]
+    """States, corrections and laws: minimum and maximum, shape (slots, columns, 2)."""
     marks: list[Mark]
     curve: dict[str, Any]
     """Learning curve, as drawn by the live page."""
@@ -79,6 +82,7 @@ class _Reading:
     """s, of the first sample."""
     states: GrowingThinner | None = None
     corrections: GrowingThinner | None = None
+    laws: GrowingThinner | None = None
     marks: Marks = field(default_factory=Marks)
     curve: words.Curve = field(default_factory=words.Curve)
     clock: SampleClock = field(default_factory=SampleClock)
@@ -99,6 +103,7 @@ class _Reading:
             first = self.begin + self.span[0]
             self.states = GrowingThinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA), first)
             self.corrections = GrowingThinner(len(series.CORRECTION_COLUMNS), first)
+            self.laws = GrowingThinner(len(series.LAW_COLUMNS), first)
         table = self.within(table)
         if self.states is not None and len(table):
             self.states.add(table["time"], series.state_values(table))
@@ -108,7 +113,13 @@ class _Reading:
         """Add corrections."""
         table = self.within(table)
         if self.corrections is not None and len(table):
-            self.corrections.add(table["time"], series.correction_values(table))
+            self.corrections.add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
+
+    def take_laws(self, table: Table) -> None:
+        """Add states of the compensated law."""
+        table = self.within(table)
+        if self.laws is not None and len(table):
+            self.laws.add(table["time"], series.values(series.LAW_COLUMNS, table))
 
     def take_training(self, table: Table) -> None:
         """Add the trainer's status."""
@@ -152,6 +163,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     tables: dict[str, Callable[[Table], None]] = {
         STATE_TOPIC: lambda table: reading.take_states(as_states(table, source.path)),
         CORRECTION_TOPIC: reading.take_corrections,
+        LAW_TOPIC: reading.take_laws,
         TRAINING_TOPIC: reading.take_training,
         POLICY_TOPIC: lambda table: reading.marks.steps(reading.within(table)),
     }
@@ -187,13 +199,13 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
 
 
 def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> Recorded:
-    states, corrections = reading.states, reading.corrections
-    if states is None or corrections is None:
+    states, corrections, laws = reading.states, reading.corrections, reading.laws
+    if states is None or corrections is None or laws is None:
         there = ", ".join(sorted(messages)) or "nothing"
         raise RecordingError(f"{source.path} has no samples on {STATE_TOPIC} to show; there is {there}")
     begin = reading.begin + reading.span[0]
-    slot = max(states.slot, corrections.slot)
-    values = (states.values(slot), corrections.values(slot))
+    slot = max(states.slot, corrections.slot, laws.slot)
+    values = (states.values(slot), corrections.values(slot), laws.values(slot))
     if not len(values[0]):
         raise RecordingError(f"{source.path} has no samples from {reading.span[0]:g} to {reading.span[1]:g} s")
     seconds = states.end - begin
@@ -209,7 +221,7 @@ def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) ->
         messages=messages,
         metadata=metadata,
         attachments=[name for scan in source.scans for name in scan.attachments],
-        notes=[*source.notes, *_lacking(messages, reading, states.left_out + corrections.left_out)],
+        notes=[*source.notes, *_lacking(messages, reading, states.left_out + corrections.left_out + laws.left_out)],
     )
 
 

@@ -34,14 +34,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.settings import quantity
+from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD
 """Time [s] between two updates."""
@@ -93,8 +96,34 @@ class LoadCell:
 
     bandwidth: Annotated[float, quantity("Hz", 2.0, 2000.0)]
     """Natural frequency."""
-    damping: Annotated[float, quantity("-", 0.3, 2.0)] = math.sqrt(0.5)
+    damping: Annotated[float, quantity("-", 0.3, 2.0)] = LOAD_CELL_DAMPING
     """Damping ratio."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @classmethod
+    def load(cls, path: Path) -> LoadCell:
+        """Read the cell of a bench file or of a diagnosis' corrected.yaml.
+
+        Raises
+        ------
+        SettingsError
+            The file has no load cell with an amplifier, or one that cannot be compensated.
+        ValueError
+            It is no bench file.
+        OSError
+            It cannot be read.
+        """
+        bench = Bench.load(path)
+        for effect in bench.effects:  # it takes the place of the one among the numbers
+            if effect["id"] == "sensor_lag" and effect["sensor"] == "load_force":
+                return cls(**effect["parameters"])
+        if bench.load_cell_bandwidth is None:
+            raise SettingsError(
+                f"{path} has no load cell with an amplifier, neither load_cell_bandwidth nor sensor_lag"
+            )
+        return cls(bandwidth=bench.load_cell_bandwidth)
 
 
 class Compensator:

@@ -27,7 +27,10 @@ def table(session: EvaluationSession) -> Table:
     cases = [case.name for case in session.settings.cases]
     columns = {"controller": "", "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
-    result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}")
+    felt = (
+        "; in brackets of the force on the specimen" if any(math.isfinite(s.true_rmse) for s in session.scores) else ""
+    )
+    result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}{felt}")
     reaches = {controller.name: controller.reach for _, _, controller in session.plan}
     for name in dict.fromkeys(score.controller for score in session.scores):
         cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
@@ -72,10 +75,13 @@ def _cell(scores: list[Score]) -> float | str:
     stopped = sum(score.tripped for score in scores)
     if stopped:
         return f"stopped {stopped}/{len(scores)}"
-    values = [score.rmse for score in scores]
-    if len(values) == 1:
-        return float(f"{values[0]:.2f}")
-    return f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if values else "-"
+    if not scores:
+        return "-"
+    values, felt = [score.rmse for score in scores], float(np.mean([score.true_rmse for score in scores]))
+    shown = f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if len(values) > 1 else f"{values[0]:.2f}"
+    if math.isfinite(felt):
+        return f"{shown} ({felt:.2f})"
+    return shown if len(values) > 1 else float(shown)
 
 
 def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
@@ -100,7 +106,15 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
     content = {
         **notes,
         "settings": asdict(session.settings),
-        "units": {"rmse": "N", "peak": "N", "chatter": "A/s", "frequency": "Hz", "lost": "samples", "held": "samples"},
+        "units": {
+            "rmse": "N",
+            "true_rmse": "N",
+            "peak": "N",
+            "chatter": "A/s",
+            "frequency": "Hz",
+            "lost": "samples",
+            "held": "samples",
+        },
         "warnings": session.warnings,
         "runs": [plain(score) for score in session.scores],
     }

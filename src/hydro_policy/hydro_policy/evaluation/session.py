@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE_RATE
 from hydro_policy.task.scoring import Score, Trace, score
 from hydro_policy.task.step_aggregator import HELD, StepClock
+from hydro_sim.files import load_force
 
 HELD_MAX = 0.01
 """Share of a run's samples for which the box may hold base gains."""
@@ -76,6 +78,8 @@ class EvaluationSession:
         Requirements before arming, besides plant and filter.
     compensation
         Estimator of the controller under the compensated law, if there is one.
+    felt
+        File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one.
     lead
         s that each controller's first run settles longer; then each controller makes all its runs before the next.
     """
@@ -94,6 +98,7 @@ class EvaluationSession:
         retries: int = 0,
         requirements: Sequence[Requirement] = (),
         compensation: LiveCompensation | None = None,
+        felt: Path | None = None,
         lead: float = 0.0,
     ) -> None:
         if not controllers:
@@ -109,7 +114,7 @@ class EvaluationSession:
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
-        self._outputs, self.monitor = outputs, monitor
+        self._outputs, self.monitor, self._felt = outputs, monitor, felt
         self._retries, self._retried = retries, 0
         self._clock = StepClock()
         self._run: _Run | None = None
@@ -273,7 +278,8 @@ class EvaluationSession:
         self._retried = 0
         self._check_gains(run.controller, trace)
         self._check_held(trace, held)
-        self.scores.append(score(trace, run.repeat))
+        felt = None if self._felt is None else load_force.read(self._felt, trace.states["sequence"])
+        self.scores.append(score(trace, run.repeat, felt))
         self.traces.append(trace)
 
     def _stop(self, run: _Run, reason: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD, StateArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, StateArray
 from hydro_policy.task.step_aggregator import HELD
 
 
@@ -24,6 +24,8 @@ class Score:
     repeat: int
     rmse: float = math.nan
     """Force RMSE [N]; NaN if the run was stopped."""
+    true_rmse: float = math.nan
+    """N, the same of the force on the specimen, in front of the load cell; NaN unless the plant is emulated."""
     peak: float = math.nan
     """N, largest |e|."""
     chatter: float = math.nan
@@ -55,8 +57,8 @@ class Trace:
     states: StateArray  # shape (n,)
 
 
-def score(trace: Trace, repeat: int) -> Score:
-    """Compute the score of a completed run."""
+def score(trace: Trace, repeat: int, felt: FloatArray | None = None) -> Score:
+    """Compute the score of a completed run; `felt` is the force on the specimen [N], shape (n,), if it is known."""
     states = trace.states
     error = states["reference_force"] - states["load_force"]
     steps = np.diff(states["sequence"].astype(np.int64))
@@ -67,6 +69,7 @@ def score(trace: Trace, repeat: int) -> Score:
         frequency=trace.frequency,
         repeat=repeat,
         rmse=float(np.sqrt(np.mean(error**2))),
+        true_rmse=math.nan if felt is None else float(np.sqrt(np.mean((states["reference_force"] - felt) ** 2))),
         peak=float(np.abs(error).max()),
         chatter=float(np.sqrt(np.mean(current_rate**2))),
         proportional_gain=float(states["proportional_gain"].mean()),

@@ -31,6 +31,7 @@ from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import Log, RealTime, raise_priority
 from hydro_sim.emulator.truth.config import truth_to_mapping
+from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
 
 
@@ -84,6 +85,10 @@ def _parser() -> argparse.ArgumentParser:
         "Python one, or the one in C (firmware/) in double or in single precision (default: python)",
     )  # fmt: skip
     line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
+    line.add_argument(
+        "--load-force", type=Path, metavar="FILE", help="keep the last forces on the load there meanwhile, in front of "
+        "its cell, for scoring only",
+    )  # fmt: skip
     offline = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
     offline.add_argument("--offline", action="store_true")
     offline.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
@@ -134,7 +139,8 @@ def _serve(options: argparse.Namespace) -> None:
     control = ControlPipe(options.control) if options.control else None
     log = Log() if options.noise_free else None
     status = _show if sys.stderr.isatty() else None
-    running = RealTime(machine, link, faults, control, log, status)
+    felt = load_force.create(options.load_force) if options.load_force else None
+    running = RealTime(machine, link, faults, control, log, felt, status)
     stop = _stopper()
     print(
         f"port {terminal.path}, 1 kHz, {raise_priority()}: ros2 run hydro_bridge bridge --port {terminal.path}",
@@ -147,6 +153,8 @@ def _serve(options: argparse.Namespace) -> None:
         terminal.unplug()
         if control is not None:
             control.close()
+        if options.load_force:
+            options.load_force.unlink(missing_ok=True)
         if log is not None:
             log.recording().save_noise_free(options.noise_free)
     print(

@@ -23,7 +23,9 @@ from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import Recording, noise_free_states
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
+from hydro_sim.files import load_force
 
+_LOAD_FORCE = TRUTH_FIELDS.index("load_force")
 _PERIOD_NS = round(SAMPLE_PERIOD * 1e9)
 _GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up
 _CONTROL_EVERY = 20  # samples between looks at the control pipe
@@ -78,6 +80,7 @@ class RealTime:
     faults: LinkFaults
     control: ControlPipe | None = None
     log: Log | None = None
+    load_force: load_force.Ring | None = None
     status: Callable[[str], None] | None = None  # takes one line a second
 
     def __post_init__(self) -> None:
@@ -131,6 +134,8 @@ class RealTime:
         if command is not None:
             self.machine.receive(command)
         sample = self.machine.tick()
+        if self.load_force is not None:
+            load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
         self.link.send(sample, now)
         if self.log is not None:
             self.log.add(sample, self.machine.clean, self.machine.physical)

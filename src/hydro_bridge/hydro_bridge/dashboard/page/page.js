@@ -129,6 +129,15 @@ function words(told) {
     ["gains by hand", trainer.override ?? "-", trainer.override && trainer.override !== "no"],
   ] : [["", "no trainer runs"]]);
   curve.draw(told.curve);
+  const estimator = nodes.find((one) => one.name === "compensation" && one.age <= 3);
+  const health = estimator?.values ?? {};
+  list("law", [
+    ["acts", told.law],
+    ["estimator", estimator ? estimator.message : "none runs", health.frozen && health.frozen !== "no"],
+    ["excitation", health.excitation ? shown(Number(health.excitation)) : "-"],
+    ["at a bound", health["at a bound"] ?? "-", health["at a bound"] === "yes"],
+    ["policy steps held", health["policy steps held"] ?? "-"],
+  ]);
   const decided = Object.entries(told.filter).map(([status, count]) => [status, `${count} in the last ½ s`, !["pass", "modified"].includes(status)]);
   list("filter", [
     ["status", filter ? filter.message : "no filter runs", !filter || filter.level > 0],
@@ -224,7 +233,7 @@ addEventListener("keydown", (event) => {
 }, true);
 pressedTwice($("arm"), "arm it now", "arm");
 pressedTwice($("end"), "end it now", "end");
-$("release").onclick = () => send("release");
+for (const command of ["release", "freeze", "adapt"]) $(command).onclick = () => send(command);
 const entered = (id) => (Number.isFinite($(id).valueAsNumber) ? $(id).valueAsNumber : undefined);
 $("override").onclick = () => send("override", { kp: entered("kp"), ki: entered("ki"), seconds: entered("seconds") });
 $("commands").onsubmit = (event) => event.preventDefault();

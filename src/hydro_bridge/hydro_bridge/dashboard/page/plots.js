@@ -8,11 +8,15 @@ const GREEN = "#00795a";
 const HEIGHT = 168;
 const POINTS = 500; // groups of slots in a plot: of two points each, about as many as it has pixels
 
-// title, [series of states or corrections, name, colour, dash, own axis], least span of the axis
+// title, [series of states, corrections or laws, name, colour, dash, own axis], least span of the axis
 const PLOTS = [
-  { title: "Force", unit: "N", span: 40, wide: true, lines: [[0, "force", BLUE], [0, "reference", INK, [6, 4]]] },
+  { title: "Force", unit: "N", span: 40, wide: true, lines: [[0, "force", BLUE], [0, "reference", INK, [6, 4]], [2, "f_c", GREEN, [2, 3]]] },
   { title: "Error", unit: "N", span: 10, lines: [[0, "error", VERMILION]] },
   { title: "Gains", unit: "1/s, 1/s²", span: 10, lines: [[0, "K_p", BLUE], [0, "K_i", VERMILION, [6, 3]]] },
+  {
+    title: "Coefficients of f_c", unit: "%, ms, 10⁻⁵ s², N", span: 10,
+    lines: [[2, "a_0", INK], [2, "a_1", BLUE], [2, "a_2", VERMILION, [6, 3]], [2, "a_3", GREEN, [2, 3]]],
+  },
   { title: "Valve current", unit: "mA", span: 4, lines: [[0, "current", BLUE]] },
   { title: "Correction of the filter", unit: "mA", span: 0.4, lines: [[1, "correction", VERMILION]] },
   {
@@ -20,7 +24,7 @@ const PLOTS = [
     lines: [[1, "without correction", VERMILION, [6, 3]], [1, "with correction", GREEN]],
   },
   { title: "Pressures", unit: "bar", span: 4, lines: [[0, "pressure a", BLUE], [0, "pressure b", VERMILION, [6, 3]]] },
-  { title: "Position", unit: "mm", span: 1, wide: true, lines: [[0, "position", BLUE]] },
+  { title: "Position", unit: "mm", span: 1, lines: [[0, "position", BLUE]] },
 ];
 
 export function shown(value) {

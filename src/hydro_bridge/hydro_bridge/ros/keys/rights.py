@@ -136,10 +136,10 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
             Rights(
                 publishes=(DIAGNOSTICS,),
                 subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
-                calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE),
+                calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
             ),
         ),
-        "dashboard_samples": Rights(publishes=(PARAMETER_EVENTS,), subscribes=(STATE, CORRECTION)),
+        "dashboard_samples": Rights(publishes=(PARAMETER_EVENTS,), subscribes=(STATE, LAW_STATE, CORRECTION)),
     },
     "arm": {"arm": node("arm", Rights(calls=(CLAIM_SERVICE,)))},
     "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},

@@ -171,7 +171,7 @@ $("next").onclick = () => jump(1);
 $("previous").onclick = () => jump(-1);
 addEventListener("resize", () => go(at));
 
-const values = await Promise.all(["states", "corrections"].map(unpacked));
+const values = await Promise.all(["states", "corrections", "laws"].map(unpacked));
 series = about.series.map((columns, n) => {
   const made = new Series(columns, Math.max(1, values[n].length / (2 * columns.length)));
   made.add(0, values[n]);

@@ -69,6 +69,8 @@ def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
         told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
     if options.plant == "emulator":
         told |= {"truth": str(options.truth or "the default one"), "faults of the line": options.faults or "none"}
+    if options.load_cell:
+        told["load cell"] = str(options.load_cell)
     if options.base_gains:
         told["base gains"] = "{:g} {:g}".format(*options.base_gains)
     return {**told, **more, "code_version": code_version()}

@@ -21,6 +21,7 @@ from hydro_bridge.ros import (
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.serial.frames import BoxLaw
+from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains, policy_file
@@ -37,9 +38,9 @@ from hydro_policy.nodes.evaluation.results import (
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import EvaluationProgress
 from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box
-from hydro_policy.nodes.startup.companions import start_companions
+from hydro_policy.nodes.startup.companions import LOAD_FORCE, start_companions
 from hydro_policy.nodes.startup.guard_range import guard_range, protection_gap
-from hydro_policy.nodes.startup.options import may_rearm, plant_options
+from hydro_policy.nodes.startup.options import load_cell, may_rearm, plant_options
 from hydro_policy.nodes.startup.provenance import describe_policy
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride
@@ -51,6 +52,7 @@ from hydro_sim.files.pairing import BoxIdentity
 def evaluate(options: argparse.Namespace) -> int:
     """Run the evaluation of the command line; returns the exit status."""
     make_controllers(options, expected_box(options))  # invalid input is refused before anything is created
+    load_cell(options)
     evaluation_settings(options)
     with new_evaluation(Path(options.runs), options.name) as run:
         return evaluate_in(run, options)
@@ -101,7 +103,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
                 node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
         results = evaluate_on(
             node, controllers, rearm=may_rearm(options), settings=settings, after=before.watch if before else None,
-            law=node.law if options.law == "compensated" else None,
+            law=node.law if options.law == "compensated" else None, cell=load_cell(options),
         )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
@@ -134,6 +136,7 @@ def start_plant(
         node.say(sentence, warning=True)
     node.box_fault = partial(box_mismatch, box)
     node.watch_companions(start_companions(stack, plant, wanted, folder, node.announcer.keep), recording)
+    node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
 
 
 def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSession:
@@ -164,13 +167,14 @@ def evaluate_on(
     settings: EvaluationSettings | None = None,
     after: PlantSupervisor | None = None,
     law: BoxLaw | None = None,
+    cell: LoadCell | None = None,
 ) -> EvaluationSession:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
     `after` is the watch of the previous session, if there was one; with `law`, the box's compensated law is compared,
-    too.
+    too; with `cell`, for the force in front of that.
     """
-    compensation = None if law is None else LiveCompensation(law)
+    compensation = None if law is None else LiveCompensation(law, cell=cell)
     if compensation is not None:
         node.compensate(compensation)
         controllers = [*controllers, Compensated(compensation, node.override.base)]
@@ -183,6 +187,7 @@ def evaluate_on(
         override=node.override,
         requirements=node.requirements,
         compensation=compensation,
+        felt=node.load_force,
     )
     bar = EvaluationProgress(session)
     try:

@@ -93,6 +93,8 @@ class GraphNode(Node):
         """Description of the plant's box, once received."""
         self.law: BoxLaw | None = None
         """The box's compensated law, once received; None: not yet, or it has none."""
+        self.load_force: Path | None = None
+        """File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one."""
         self._laws_told = False
         self.successor = ""
         """Name of the node that receives the plant at the end; empty: the first to ask."""

@@ -21,6 +21,8 @@ from hydro_policy.nodes.startup.guard_range import filter_command, guard_paramet
 from hydro_policy.task.mdp import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
+LOAD_FORCE = "load_force"
+"""File, in the folder of the companions, of the last forces on the emulated load (`evaluation.load_force`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +95,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "emulator":
         port = port or str(folder / "port")
         arguments = ["--link", port, "--seed", str(options.seed), *bench]
-        arguments += ["--control", str(folder / "emulator_control")]
+        arguments += ["--control", str(folder / "emulator_control"), "--load-force", str(folder / LOAD_FORCE)]
         arguments += ["--truth", str(options.truth)] if options.truth else []
         arguments += ["--faults", options.faults] if options.faults else []
         started.append(("hydro_sim", "emulator", arguments))

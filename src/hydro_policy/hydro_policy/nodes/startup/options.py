@@ -15,13 +15,14 @@ from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros import add_page_option, declare_parameters
+from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
 
 SCRATCH = "scratch"
 """Value of `--from` for no agent, besides a run's folder."""
 
-_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "model", "base_gains", "filter", "rearm")
+_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "load_cell", "model", "base_gains", "filter", "rearm")
 _NEEDS = {
     "hand_over": ("external",),
     "truth": ("emulator",),
@@ -48,6 +49,13 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
+    group.add_argument(
+        "--load-cell",
+        type=Path,
+        metavar="FILE",
+        help="bench file or corrected.yaml: under the compensated law the force in front of this load cell's amplifier "
+        "follows the reference (default: the measured force does)",
+    )
     group.add_argument(
         "--model",
         type=Path,
@@ -92,13 +100,32 @@ def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any]
     if said.get("plant", plant.get("plant")) != plant.get("plant"):
         return
     words = {name: value for name, value in plant.items() if name in _PLANT_WORDS}
-    result.set_defaults(**{n: Path(v) if n in ("truth", "bench", "model") else v for n, v in words.items()})
+    result.set_defaults(
+        **{n: Path(v) if n in ("truth", "bench", "load_cell", "model") else v for n, v in words.items()}
+    )
 
 
 def _absolute(value: str | Path | list[float]) -> str | list[float]:
     if isinstance(value, list):  # gains
         return value
     return str(Path(value).absolute()) if os.path.exists(value) else str(value)
+
+
+def load_cell(options: argparse.Namespace) -> LoadCell | None:
+    """Return the load cell of --load-cell.
+
+    Raises
+    ------
+    UserError
+        The compensated law is not to run.
+    ValueError, OSError
+        As `LoadCell.load`.
+    """
+    if options.load_cell is None:
+        return None
+    if getattr(options, "law", "compensated") != "compensated":
+        raise UserError("--load-cell is of no use without --law compensated")
+    return LoadCell.load(options.load_cell)
 
 
 def may_rearm(options: argparse.Namespace) -> bool:

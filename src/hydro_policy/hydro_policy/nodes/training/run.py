@@ -19,7 +19,7 @@ from hydro_policy.nodes.evaluation.results import conditions, show_results
 from hydro_policy.nodes.evaluation.run import evaluate_on
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrainingProgress
-from hydro_policy.nodes.startup.options import may_rearm
+from hydro_policy.nodes.startup.options import load_cell, may_rearm
 from hydro_policy.nodes.startup.provenance import describe_policy
 from hydro_policy.nodes.training.results import (
     paper_controllers,
@@ -146,7 +146,8 @@ def drive(
     rearm = may_rearm(options)
     if node.law is not None and not rearm:
         node.say(LAW_LEFT_OUT)
-    results = evaluate_on(node, controllers, rearm=rearm, after=session.watch, law=node.law if rearm else None)
+    law, cell = node.law if rearm else None, load_cell(options)
+    results = evaluate_on(node, controllers, rearm=rearm, after=session.watch, law=law, cell=cell)
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots

@@ -25,9 +25,15 @@ from hydro_policy.nodes.startup.box_expectation import (
     require_same_box,
     training_stamp,
 )
-from hydro_policy.nodes.startup.companions import start_companions
+from hydro_policy.nodes.startup.companions import LOAD_FORCE, start_companions
 from hydro_policy.nodes.startup.guard_range import guard_range, protection_gap, requested_filter
-from hydro_policy.nodes.startup.options import SCRATCH, declare_settings, plant_options, plant_options_as_yaml
+from hydro_policy.nodes.startup.options import (
+    SCRATCH,
+    declare_settings,
+    load_cell,
+    plant_options,
+    plant_options_as_yaml,
+)
 from hydro_policy.nodes.startup.plant_choice import choose_plant
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
@@ -87,6 +93,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     Invalid input is refused before anything is created.
     """
     start, box = None, expect_box(options, node)
+    load_cell(options)
     if options.resume is not None:
         run = RunDirectory(options.resume)
         writable_folder(run.path)
@@ -235,6 +242,7 @@ def start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepare
     plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
     companions = start_companions(stack, plant, prepared.settings.task.gains, run.path, node.announcer.keep)
     node.watch_companions(companions, recording)
+    node.load_force = run.path / LOAD_FORCE if options.plant == "emulator" else None
     return recording
 
 
