@@ -58,7 +58,7 @@ def run() -> dict[str, FloatArray]:
         sequence, flags = int(sample["sequence"]), int(sample["flags"])
         if not KILLED[0] <= time < KILLED[1]:
             live.on_law_state(sequence, law.law, law.compensated_reference)
-            live.on_sample(sequence, float(sample["load_force"]), flags)
+            live.on_sample(sequence, float(sample["load_force"]), flags, float(sample["reference_force_rate"]))
             if k % 10 == 0:
                 guard.set_law(live.command, time)
                 guard.set_gains(0.0, 0.0, time)
@@ -125,10 +125,7 @@ def main() -> None:
     add_json_argument(parser)
     asked = parser.parse_args()
     found = run()
-    made = table(found)
-    made.show()
-    if asked.json:
-        made.write(asked.json)
+    table(found).show(asked.json)
     if asked.plot:
         draw(found, asked.plot)
 
