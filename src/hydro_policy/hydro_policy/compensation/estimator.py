@@ -76,6 +76,8 @@ class CompensatorSettings:
     """Time constant with which the coefficients follow the fit."""
     weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-4
     """Of neutral coefficients in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
+    valve_weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-2
+    """Of the absence of the valve's terms: smooth steps tell them badly from f'."""
     force_scale: Annotated[float, quantity("N", 0.1, 1e6)] = 300.0
     """Usual amplitude of the force."""
     good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
@@ -154,6 +156,7 @@ class Compensator:
         self._bounds = least, np.array((*limits.coefficient_max, limits.coefficient_max[3], -limits.coefficient_min[1]))
         omega, level = 2.0 * math.pi, 1.0 / self.settings.force_scale  # 1 Hz
         self._scale = np.array((1.0, omega, omega * omega, level, level, omega))
+        self._weights = np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * 2)
         self._transition, self._input = _filter(self.settings.bandwidth)
         self._regressors = _regressors(cell) / self._scale[:3, np.newaxis] / self.settings.force_scale
         self.coefficients: FloatArray = np.empty((count, 4))
@@ -238,8 +241,8 @@ class Compensator:
             kept[..., np.newaxis] * self._matrix[rows] + STEP * phi[:, :, np.newaxis] * phi[:, np.newaxis]
         )
         self._vector[rows] = kept * self._vector[rows] + STEP * phi * target
-        right = self._vector[rows] + settings.weight * _NEUTRAL
-        matrix = self._matrix[rows] + settings.weight * np.eye(len(_NEUTRAL))
+        right = self._vector[rows] + self._weights * _NEUTRAL
+        matrix = self._matrix[rows] + np.diag(self._weights)
         fit = np.clip(np.linalg.solve(matrix, right[..., np.newaxis])[..., 0] / self._scale, *self._bounds)
         present = self._found[rows]
         resting = present.copy()
