@@ -71,13 +71,9 @@ REFUSED = {
         ("--seconds nan", "--seconds nan"),
     ),
     "hydro_sim learn": (
-        ("@bag --out @new --horizon 0", "--horizon is 0, needs 1 or more"),
-        ("@bag --out @new --learning-rate nan", "--learning-rate is nan"),
+        ("@bag --out @new", "a bench file's name ends in .yaml or .yml"),
+        ("@bag --out @new.yaml --windows 0", "--windows needs 1 or more"),
         ("@bag --out /dev/null/x", "/dev/null/x cannot be written"),
-        ("@bag --out @new --structure bench", "name one by --bench"),
-        ("@bag --out @new.yaml --structure bench --bench @plain.yaml", "plain.yaml names no effects"),
-        ("@bag --out @new --structure residual --printed-loss", "--printed-loss"),
-        ("@bag --out @new --hidden 8 8 8", "--hidden names 3 layers"),
     ),
     "hydro_sim validate": (
         ("nowhere --horizon 0", "--horizon 0: 1 to 5000 samples are meant"),
