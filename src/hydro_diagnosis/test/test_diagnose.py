@@ -106,6 +106,15 @@ def test_recording_without_pressures_is_diagnosed_for_what_it_shows(
     assert any("pressure_a" in name for name in report.not_checked)
 
 
+def test_recordings_with_which_no_equation_can_be_checked_are_a_sentence(
+    tmp_path: Path, record: Record, frame: Frame
+) -> None:
+    path = tmp_path / "bare.csv"
+    frame(record(Bench.nominal(), 31))[["time", "valve_current", "piston_position"]].to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"no equation can be checked with .*: both pressures or a force are needed"):
+        diagnose([path])
+
+
 def test_equation_errors_do_not_contradict_the_verdict(tmp_path: Path, record: Record, frame: Frame) -> None:
     """Near reversals dry friction may have either sign: counted in full, they would leave ten times the noise."""
     friction = Claim(next(one for one in LIBRARY if one.label == "friction_coulomb"), {"force": 15.0})

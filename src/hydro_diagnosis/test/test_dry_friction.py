@@ -96,6 +96,9 @@ def test_kink_of_a_velocity_is_misplaced_by_as_much_as_its_doubt_says() -> None:
     np.testing.assert_allclose(off[10:390], kink[10:390], atol=1e-4)
     assert np.all(doubt[10:390] >= off[10:390] - 1e-4)
     assert doubt[200] < 2.0 * off[200] and doubt[190] < 1e-5 and doubt[210] < 1e-5
+    moving = SegmentModel(Segment("moving", 0.0, STEP, {"piston_position": 0.01 + 0.1 * STEP * np.arange(400)}), BENCH)
+    assert moving.reversals == 0
+    np.testing.assert_allclose(moving.velocity_kink([claim("friction_coulomb", force=FORCE)]), 0.0, atol=1e-12)
 
 
 def test_rise_near_standstill_is_not_read_off_reversals() -> None:

@@ -29,7 +29,7 @@ from hydro_diagnosis.preprocessing.smoothing import (
     VELOCITY_NOISE_GAIN,
     white_noise,
 )
-from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.recording import InputError, Segment
 from hydro_sim.model.bench import Bench
 
 FOLDS = 4
@@ -304,6 +304,9 @@ class Problem:
     def _checked_blocks(self) -> tuple[str, ...]:
         have = set.intersection(*(set(model.channels) for model in self.models))
         present = {one.block for one in connected(have, self.bench)}
+        if not present:
+            names = ", ".join(sorted(have))
+            raise InputError(f"no equation can be checked with {names}: both pressures or a force are needed, too")
         return tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
 
     def weighed(self, claims: Sequence[Claim]) -> Problem:

@@ -141,7 +141,7 @@ class SegmentModel(SegmentRecord):
     def _since_rest(self) -> FloatArray:
         """Samples to the nearest one at which the piston stands or turns round."""
         if not self._resting.any():
-            return np.full_like(self.v, np.inf)
+            return np.full_like(self.v, len(self.v))
         return np.asarray(distance_transform_edt(~self._resting))
 
     def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:

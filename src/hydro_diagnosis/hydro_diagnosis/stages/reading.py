@@ -16,6 +16,7 @@ from math import pi, sqrt
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydro_bridge.bags.recording import RecordingError, stream_bag
@@ -234,8 +235,10 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         fitted, believed, baseline_claims,
         estimated=estimated_claims(believed, estimate), ruled_out=_acting(ruled_out, believed),
     )  # fmt: skip
-    if not problem.blocks:
-        raise InputError("the recordings hold no channels that any equation connects")
+    if not np.isfinite(problem.residual(())).all():
+        raise InputError(
+            "the recordings and the bench file give residuals that are not finite: check units and numbers"
+        )
     facts = {
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
