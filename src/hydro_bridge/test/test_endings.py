@@ -68,6 +68,24 @@ main()
     assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "imported\n", "")
 
 
+def test_an_exception_that_compiled_code_drops_comes_again_but_not_into_the_clean_up() -> None:
+    ended = run("""
+@command()
+def main():
+    try:
+        try:
+            me(signal.SIGTERM)  # as PyObject_HasAttr and PyDict_GetItem do with an exception of Python code below them
+        except endings.Ended:
+            pass
+        time.sleep(10)
+    finally:
+        time.sleep(1.2)
+        print("put in order")
+main()
+""")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "put in order\n", "")
+
+
 def test_putting_in_order_is_not_disturbed() -> None:
     ended = run("""
 @command()

@@ -21,6 +21,7 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _INSIST_AFTER = 0.05  # s
+_DROPPED_AFTER = 0.5  # s after which an exception that nobody handles was dropped
 _IMPORT_SYSTEM = "<frozen importlib._bootstrap>"  # file of its code objects
 Handlers = Mapping[int, Any]
 """Handler of each signal, as returned by `signal.signal`."""
@@ -60,18 +61,19 @@ def end(number: int, _: FrameType | None = None) -> None:
     """Signal handler of a running program: raise `Ended`. A forked child dies, as by default.
 
     During an import the exception is raised after it: compiled modules do not expect one in their initialisation
-    (torch's terminates the process). So it is where signals are ignored meanwhile.
+    (torch's terminates the process). So it is where signals are ignored meanwhile. Compiled code may also drop it
+    (looking up an attribute, for one): it is raised again unless somebody handles it half a second later.
     """
     if os.getpid() != _program:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
     if _importing() or signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
-        _raise_later(number)
+        _raise_later(number, _INSIST_AFTER)
         return
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
     let_go_of_terminal()
     global _ended
     _ended = True
+    _raise_later(number, _DROPPED_AFTER)
     raise Ended(number)
 
 
@@ -103,7 +105,7 @@ def raised() -> Iterator[None]:
     def insist(what: sys.UnraisableHookArgs) -> None:
         error = what.exc_value
         if isinstance(error, Ended):
-            _raise_later(error.number)
+            _raise_later(error.number, _INSIST_AFTER)
         elif not (_ended and isinstance(error, AttributeError) and getattr(what.object, "__name__", "") == "__del__"):
             dropped(what)
 
@@ -157,9 +159,17 @@ def _importing() -> bool:
     return False
 
 
-def _raise_later(number: int) -> None:
-    signal.signal(signal.SIGALRM, lambda *_: end(number))
-    signal.setitimer(signal.ITIMER_REAL, _INSIST_AFTER)
+def _raise_later(number: int, seconds: float) -> None:
+    signal.signal(signal.SIGALRM, lambda *_: None if _handled() else end(number))
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def _handled() -> bool:
+    """Whether an `except`, a `finally` or a context manager is at work on `Ended`."""
+    error = sys.exc_info()[1]
+    while error is not None and not isinstance(error, Ended):
+        error = error.__context__
+    return error is not None
 
 
 _program = os.getpid()
