@@ -216,9 +216,8 @@ def test_a_closed_terminal_ends_a_training_as_ctrl_c_does(training: Training) ->
     assert process.process.wait(40.0) == 130
     process.close()
     assert f"--resume {training.run.path}" in process.text and "Traceback" not in process.text
-    progress = training.checkpoint().trainer["progress"]
-    assert progress["interruptions"] >= 1, "unplugged; a loaded machine may add its own"
-    assert training.checkpoint().produced >= progress["history"][0]["whole_steps"] > 0
+    checkpoint = training.checkpoint()
+    assert checkpoint.produced >= sum(episode["whole_steps"] for episode in checkpoint.trainer["progress"]["history"])
 
 
 def test_a_disk_that_takes_no_checkpoint_ends_the_training_with_the_one_before(training: Training) -> None:
