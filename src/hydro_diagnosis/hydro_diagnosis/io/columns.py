@@ -37,6 +37,8 @@ _SPELLINGS = {
     "m*s^-1": "m/s", "m s-1": "m/s", "inch": "in",
 }  # fmt: skip
 _IN_NAME = re.compile(r"[\[(]\s*([^\])]{1,12})\s*[\])]\s*$")
+_SUFFIX = re.compile(r"_(s|ms|us|ns|mm|cm|um|N|kN|kPa|MPa|mbar|bar|psi|mA)$")
+"""Units behind an underscore; `_a`, `_m`, `_A` are more often chambers and what was measured."""
 
 
 def known(text: str) -> str:
@@ -48,14 +50,19 @@ def known(text: str) -> str:
 
 
 def in_name(name: str) -> str:
-    """The unit in brackets at the end of a column's name (`pos [mm]`), as `UNITS` spells it; empty if there is none."""
+    """The unit at the end of a column's name (`pos [mm]`, `pos_mm`), as `UNITS` spells it; empty if there is none."""
     found = _IN_NAME.search(name)
-    return known(found[1]) if found else ""
+    suffix = _SUFFIX.search(name)
+    return known(found[1]) if found else suffix[1] if suffix else ""
+
+
+def without_unit(name: str) -> str:
+    """A column's name without the unit at its end."""
+    return _SUFFIX.sub("", _IN_NAME.sub("", name)).strip()
 
 
 _TIME = re.compile(
-    r"^(.*[./\\ _-])?(time|t|zeit|timestamp|timestamps|time_?s|x-?axis|xaxis|elapsed)([ _.]*[\[(].*[\])])?(\.\d+)?$",
-    re.IGNORECASE,
+    r"^(.*[./\\ _-])?(time|t|\w*zeit|timestamp|timestamps|x-?axis|xaxis|elapsed)(\.\d+)?$", re.IGNORECASE
 )
 
 
@@ -79,7 +86,7 @@ class Columns:
 
 def named_like_time(name: str) -> bool:
     """Return whether a column's name says that it is the time."""
-    return _TIME.match(name.strip()) is not None
+    return _TIME.match(without_unit(name)) is not None
 
 
 def runs_forward(values: FloatArray) -> bool:

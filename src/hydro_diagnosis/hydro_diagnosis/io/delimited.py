@@ -6,9 +6,9 @@ in rows of their own, one column of times per raster or one block below the othe
 decimal commas.
 
 Three shapes of header are read: a row of names, with a row of units below it or units in brackets behind the names;
-rows that begin with a key, as ControlDesk writes them (`path;...`, `unit;...`, then `trace_values;` before the first
-row of numbers and an empty cell before the others); lines of anything else above either. Without names, columns are
-numbered.
+rows that begin with a key, as ControlDesk writes them (`trace_names;...`, `path;...`, `unit;...`, then `trace_values;`
+before the first row of numbers and an empty cell before the others); lines of anything else above either. Without
+names, columns are numbered.
 """
 
 from __future__ import annotations
@@ -27,10 +27,15 @@ import pandas as pd
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.io.columns import Columns, in_name, known, named_like_time, runs_forward, unique
 
-NAME_KEYS = ("name", "names", "trace_name", "signal", "signals", "channel", "label", "path", "variable", "bezeichnung")
-"""First cells of rows that hold names, the best first."""
-UNIT_KEYS = ("unit", "units", "einheit", "einheiten")
+NAME_KEYS = (
+    "name", "names", "trace_name", "trace_names", "displayidentifier", "signal", "signals", "channel", "label", "path",
+    "variable", "bezeichnung",
+)  # fmt: skip
+"""First cells of rows that hold names, the best first: those in which names differ come before."""
+UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten")
 """First cells of rows that hold units."""
+FIRST_NUMBERS = "trace_values"
+"""ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)."""
 _NUMBER = re.compile(r"[+-]?(\d+([.]\d*)?|[.]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 _FOLLOWING = 4
 """Rows below the first that must be numbers too."""
@@ -60,7 +65,10 @@ def header_of(lines: list[str], separator: str, decimal: str) -> Header:
     """
     rows = list(csv.reader([line.replace("\0", "") for line in lines], delimiter=separator, skipinitialspace=True))
     rows = [[cell.strip() for cell in row] for row in rows]
-    first = next((k for k in range(len(rows)) if _numbers_begin(rows, k, decimal)), None)
+    marked = (k for k, row in enumerate(rows) if row and row[0].lower() == FIRST_NUMBERS)
+    first = next(marked, None)
+    if first is None:
+        first = next((k for k in range(len(rows)) if _numbers_begin(rows, k, decimal)), None)
     if first is None:
         raise ValueError("there is no row of numbers in it")
     lead = 1 if rows[first] and rows[first][0] and not _is_number(rows[first][0], decimal) and _led(rows, first) else 0
@@ -110,7 +118,8 @@ def _ends_empty(rows: list[list[str]]) -> bool:
 
 def _keyed(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
     rows = {row[0].lower().strip("[]:"): row[1 : width + 1] for row in above if row and row[0]}
-    names = next((rows[key] for key in NAME_KEYS if any(rows.get(key, ()))), [])
+    there = [rows[key] for key in NAME_KEYS if any(rows.get(key, ()))]
+    names = max(there, key=lambda names: len(set(names)), default=[])
     units = next((rows[key] for key in UNIT_KEYS if any(rows.get(key, ()))), [])
     names = [name or "time" for name in [*names, *[""] * (width - len(names))]] if names else names
     return _filled_cells(names, width), [*units, *[""] * (width - len(units))]
@@ -166,6 +175,8 @@ def delimited_columns(path: Path) -> Columns:
         head = file.read(_HEAD)
     if not head.strip():
         raise pd.errors.EmptyDataError(str(path))
+    if head.lstrip()[:1] == b"<":
+        raise ValueError("it is a web page or XML, not a table")
     encoding = _encoding(head)
     text = head.decode(encoding, errors="replace")
     separator, decimal = _style(text.splitlines()[:-1] if len(head) == _HEAD else text.splitlines())
@@ -181,7 +192,10 @@ def delimited_columns(path: Path) -> Columns:
 
 
 def _encoding(head: bytes) -> str:
-    """Encoding by the byte order mark; without one UTF-8 if valid, else the code page of Windows in Western Europe."""
+    """Encoding by the byte order mark; without one UTF-8 if valid, else a code page of Windows.
+
+    That of Western Europe, or that of Korea where bytes beyond ASCII come in pairs.
+    """
     marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
     for mark, encoding in marks.items():
         if head.startswith(mark):
@@ -194,7 +208,7 @@ def _encoding(head: bytes) -> str:
         except UnicodeDecodeError:
             continue
         return "utf-8"
-    return "cp1252"
+    return "cp1252" if any(len(run) % 2 for run in re.findall(rb"[\x80-\xff]+", head[:-1])) else "cp949"
 
 
 def _style(lines: list[str]) -> tuple[str, str]:

@@ -2,7 +2,9 @@
 """`ros2 run hydro_diagnosis inspect FILE...`: contents of recordings, and a proposed column map.
 
 A column scores for words of its name that stand for a field, for a unit of the field's quantity, and for numbers of the
-bench's size. The best pairs are taken one by one; what scores too little stays unmapped. A person confirms the map.
+bench's size. The best pairs are taken one by one. Columns whose names say nothing are told apart by their units and by
+what they are to each other: chamber A is the one whose pressure rises with the load, the hydraulic force is
+A_A p_A - A_B p_B. What scores too little stays unmapped. A person confirms the map.
 """
 
 from __future__ import annotations
@@ -20,8 +22,9 @@ import yaml
 from hydro_bridge.cli.console import Table, add_json_argument, command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_diagnosis.bench_numbers import CONNECTIONS
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
-from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward
+from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward, without_unit
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
@@ -32,15 +35,19 @@ _QUANTITY_OF = {
     "piston_position": "length", "piston_velocity": "velocity", "valve_current": "current", "reference_force": "force",
     "hydraulic_force_rate": "force rate", "load_force_rate": "force rate", "nominal_valve_current": "current",
 }  # fmt: skip
+_PRESSURE = r"(p|press\w*|druck\w*)"
 _WORDS: Mapping[str, str] = {
-    "hydraulic_force": r"hydraulic.?force|f_?h(yd\w*)?|zylinderkraft|kolbenkraft|(piston|actuator)_?force|f_?cyl\w*",
-    "load_force": r"load_?(cell|force)?|f_?l(oad)?|kraft|last|lastkraft|force|kraftmess\w*",
-    "pressure_a": r"p_?a|p_?1|pressure_?(a|1)|druck_?(a|1)|press_?a|a_?side|kammer_?a|chamber_?a",
-    "pressure_b": r"p_?b|p_?2|pressure_?(b|2)|druck_?(b|2)|press_?b|b_?side|kammer_?b|chamber_?b",
-    "piston_position": r"x|x_?p|s|pos\w*|position|piston_?pos\w*|weg|hub|stroke|displacement|lvdt|encoder|q",
-    "piston_velocity": r"v|x_?dot|dx|vel\w*|velocity|speed|geschwindigkeit|piston_?vel\w*|qd",
-    "valve_current": r"i|u|i_?v|u_?v|cur\w*|current|valve\w*|strom|ventil\w*|servo\w*|spool_?cmd",
-    "reference_force": r"ref\w*|f_?ref|setpoint|soll\w*|force_?ref\w*|desired",
+    "hydraulic_force": r"hydraulic_?force|f_?h(yd\w*)?|zylinderkraft|kolbenkraft|(piston|actuator)_?force|f_?cyl\w*",
+    "load_force": r"load_?(cell|force)?|f_?l(oad)?|kraft(mess\w*|aufn\w*|sensor)?|last|lastkraft|force|f|f_?mess",
+    "pressure_a": rf"{_PRESSURE}_?(a|1)|(a_?side|bore_?side|cap_?(side|end)|kolbenseit\w*|kammer_?a|"
+    rf"chamber_?a)(_?{_PRESSURE})?",
+    "pressure_b": rf"{_PRESSURE}_?(b|2)|(b_?side|rod_?(side|end)|ringseit\w*|stangenseit\w*|kammer_?b|chamber_?b)"
+    rf"(_?{_PRESSURE})?",
+    "piston_position": r"x|y|x_?p|s|pos\w*|piston_?pos\w*|\w*weg(aufn\w*|sensor)?|\w*hub|(\w*_)?stroke|displacement|"
+    r"lvdt|encoder|q",
+    "piston_velocity": r"v|x_?dot|dx|vel\w*|speed|\w*geschwindigkeit|piston_?vel\w*|qd",
+    "valve_current": r"i|u|i_?v|u_?v|cur\w*|(servo_?)?valve\w*|\w*strom|ventil\w*|servo\w*|spool_?cmd",
+    "reference_force": r"(\w*_)?(ref\w*|set_?point|soll\w*|desired)|(f|force)_?(ref|set|des)\w*|soll\w*",
 }
 """Names of columns, or words in them, that stand for a field."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
@@ -52,9 +59,11 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
     """Propose a source for each field; unknown fields are left out, as is the time where clocks are stated."""
     sources: dict[str, Source] = {}
     if not found.clocks:
-        times = [name for name, values in found.series.items() if named_like_time(name) and runs_forward(values)]
-        if times:
-            best = "time" if "time" in times else times[0]
+        times = [name for name, values in found.series.items() if runs_forward(values)]
+        named = [name for name in times if named_like_time(name)]
+        even = [name for name in times if _even(found.series[name])]
+        if named or even:
+            best = "time" if "time" in named else (named or even)[0]
             sources["time"] = Source(best, unit=_time_unit(best, found))
     taken = set(found.clocks.values()) | {source.column for source in sources.values()}
     pairs = [
@@ -68,7 +77,52 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
         if score >= ENOUGH and field not in sources and name not in taken:
             taken.add(name)
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
+    _add_by_physics(sources, found, bench)
     return ColumnMap({field: sources[field] for field in TARGETS if field in sources})
+
+
+def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) -> None:
+    """Add columns of a stated unit whose names say nothing; where several may be meant, by how they move together."""
+    left: dict[str, list[str]] = {}
+    for name, values in found.series.items():
+        unit = found.units.get(name) or in_name(name)
+        if unit and np.isfinite(values).all() and np.ptp(values) > 0.0 and not _NEVER.search(_own_name(name)):
+            left.setdefault(QUANTITY[unit], []).append(name)
+    for source in sources.values():
+        for names in left.values():
+            if source.column in names:
+                names.remove(source.column)
+
+    def take(field: str, name: str | None) -> None:
+        if name is not None and field not in sources:
+            sources[field] = Source(name, unit=_unit(field, name, found, bench))
+            left[_QUANTITY_OF[field]].remove(name)
+
+    def nearest(field: str, like: FloatArray, *, unsure: int) -> str | None:
+        """Return the column that moves most like `like`; None where fewer than `unsure` may be meant."""
+        names = left.get(_QUANTITY_OF[field], [])
+        alike = {name: _correlation(found.series[name], like) for name in names}
+        return max(alike, key=lambda name: alike[name]) if len(names) >= unsure else None
+
+    def only(field: str) -> str | None:
+        names = left.get(_QUANTITY_OF[field], [])
+        return names[0] if len(names) == 1 else None
+
+    for field in ("piston_position", "valve_current"):
+        take(field, only(field))
+    if "piston_position" in sources:  # an actuator that pushes a load against its spring
+        take("pressure_a", nearest("pressure_a", found.series[sources["piston_position"].column], unsure=2))
+    take("pressure_a", only("pressure_a"))
+    take("pressure_b", only("pressure_b"))
+    if {"pressure_a", "pressure_b"} <= sources.keys():
+        a, b = (found.series[sources[field].column] for field in ("pressure_a", "pressure_b"))
+        if len(a) == len(b):
+            take("hydraulic_force", nearest("hydraulic_force", a - bench.area_ratio * b, unsure=2))
+    take("load_force", only("load_force"))
+
+
+def _correlation(one: FloatArray, other: FloatArray) -> float:
+    return float(np.corrcoef(one, other)[0, 1]) if len(one) == len(other) else 0.0
 
 
 def as_yaml(columns: ColumnMap) -> str:
@@ -81,14 +135,14 @@ def as_yaml(columns: ColumnMap) -> str:
 
 def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
     """Score of a column for a field."""
-    own = _own_name(name)
+    own = re.sub(r"\W+", "_", _own_name(name))
     if _NEVER.search(own):
         return 0.0
     score = 0.0
     pattern = re.compile(_WORDS[field], re.IGNORECASE)
     if pattern.fullmatch(own):
         score += 2.5
-    elif any(pattern.fullmatch(word) for word in re.split(r"[_\W]+", own) if word):
+    elif any(pattern.fullmatch(word) for word in own.split("_") if word):
         score += 2.0
     unit = found.units.get(name) or in_name(name)
     if unit:
@@ -99,8 +153,7 @@ def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
 
 def _own_name(name: str) -> str:
     """The last part of a path: `Model Root/Sensors/pA/Out1` is pA, `/cylinder/pressure_a.data` is pressure_a."""
-    bare = re.sub(r"[\[(][^\])]*[\])]\s*$", "", name).strip()
-    parts = [part for part in re.split(r"[/\\.]", bare) if part]
+    parts = [part for part in re.split(r"[/\\.]", without_unit(name)) if part]
     telling = [
         part for part in parts if not re.fullmatch(r"(out|in|value|data|samples|fluid_pressure)?\d*", part, re.I)
     ]
@@ -134,6 +187,12 @@ def _fits(field: str, values: FloatArray, bench: Bench) -> bool:
     }.get(_QUANTITY_OF.get(field, ""), False)
 
 
+def _even(values: FloatArray) -> bool:
+    """Return whether the numbers grow in equal steps, as times do."""
+    steps = np.diff(values)
+    return bool(len(steps) > 1 and np.ptp(steps) < 1e-3 * steps.mean())
+
+
 def _time_unit(name: str, found: Columns) -> str:
     unit = found.units.get(name) or in_name(name)
     if unit:
@@ -141,6 +200,13 @@ def _time_unit(name: str, found: Columns) -> str:
     return ""
 
 
+COSTS = {
+    "pressure equations": "leaks, valve, oil and volumes",
+    "motion equation": "friction, mass and end stops",
+    "load equation": "the load's spring, damping and play, and the load cell",
+    "force of the pressures": "the pressure sensors and the hydraulic force's scale",
+}
+"""What each equation is for."""
 LEVELS = "▁▂▃▄▅▆▇█"
 WIDTH = 24
 """Width in characters."""
@@ -265,6 +331,8 @@ def main() -> int:
     if columns is None:
         for path, proposal in zip(chosen.recordings, maps, strict=True):
             print(_advice(path, proposal))
+            for sentence in _missing(path, proposal):
+                print(sentence)
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
         write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
@@ -278,6 +346,19 @@ def _advice(path: Path, proposal: ColumnMap) -> str:
     if not proposal.corrections().sources:
         return f"{path.name}: its columns carry the fields' own names: no map is needed"
     return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
+
+
+def _missing(path: Path, proposal: ColumnMap) -> list[str]:
+    """Return what is not checked for lack of which fields, a sentence per equation."""
+    there = proposal.sources.keys()
+    lacking: dict[str, list[str]] = {}
+    for one in CONNECTIONS:
+        lacking.setdefault(one.equation, []).append(", ".join(sorted(one.channels - there)))
+    return [
+        f"{path.name}: {COSTS[equation]} cannot be told without {' or '.join(ways)}"
+        for equation, ways in lacking.items()
+        if all(ways)
+    ]
 
 
 if __name__ == "__main__":

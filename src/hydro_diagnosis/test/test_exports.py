@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exports of other programs, as they name, space and encode their columns: `inspect` finds the whole map by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis.io.columns import UNITS
+from hydro_diagnosis.io.listing import proposed
+from hydro_diagnosis.io.table import columns_of, read_table
+from hydro_diagnosis.recording import InputError
+from hydro_sim.model.bench import Bench
+
+Array = npt.NDArray[np.float64]
+FIELDS = ("piston_position", "pressure_a", "pressure_b", "load_force", "valve_current", "reference_force")
+PER_UNIT = {
+    "m": 1.0,
+    "mm": 1e-3,
+    "Pa": 1.0,
+    "bar": 1e5,
+    "N": 1.0,
+    "kN": 1e3,
+    "A": 1.0,
+    "mA": 1e-3,
+    "s": 1.0,
+    "ms": 1e-3,
+}
+
+
+def columns(states: StateArray, units: Sequence[str], fields: Sequence[str] = FIELDS) -> list[Array]:
+    """The time [unit] and the fields, each in its unit of the file, shape (n,)."""
+    values = [np.arange(len(states)) * 1e-3, *(states[field] for field in fields)]
+    return [one / UNITS[unit] for one, unit in zip(values, units, strict=True)]
+
+
+def rows(values: Sequence[Array], separator: str, decimal: str = ".", first: Sequence[str] = ()) -> list[str]:
+    """Lines of numbers; where the lines begin with a key, the first of `first`, then empty cells."""
+    lines = [separator.join(repr(float(one)).replace(".", decimal) for one in row) for row in zip(*values, strict=True)]
+    return [f"{first[0] if k == 0 else ''}{separator}{line}" for k, line in enumerate(lines)] if first else lines
+
+
+def control_desk(states: StateArray) -> bytes:
+    """ControlDesk 7.2: rows of keys, among them numbers; one raster; names of ports, told apart by their path."""
+    units = ["s", "mm", "bar", "bar", "N", "mA", "N"]
+    blocks = ["", "Position", "pA", "pB", "LoadCell", "ServoValve", "ForceRef"]
+    ports = ["xAxis", *["In1"] * 6]
+    keyed: dict[str, Sequence[object]] = {
+        "descriptions": ["General", "", "Recording", "", "Measurement"],
+        "": ["Author", "Lee", "Name", "exp1_002"],
+        "trace_size": [len(states)] * 7,
+        "trace_types": ["xAxis", *["yAxis"] * 6],
+        "trace_names": ports,
+        "trace_units": units,
+        "devices": ["Platform"] * 7,
+        "raster": ["HostService"] * 7,
+        "description": ["실험", *["측정"] * 6],
+        "displayidentifier": ports,
+        "path": ["", *(f"Platform()://Model Root/{block}/In1" for block in blocks[1:])],
+        "flags": [0, *[1] * 6],
+        "min": [0, *[-1e3] * 6],
+        "max": [0, *[1e3] * 6],
+        "minWeak": [0] * 7,
+        "maxWeak": [0] * 7,
+    }
+    head = [",".join([key, *map(str, cells)]) for key, cells in keyed.items()]
+    return "\r\n".join([*head, *rows(columns(states, units), ",", first=["trace_values"])]).encode("cp949")
+
+
+def german(states: StateArray) -> bytes:
+    units = ["s", "mm", "bar", "bar", "kN", "mA", "N"]
+    names = ["Zeit", "Zylinderweg", "Druck A", "Druck B", "Kraftmessdose", "Ventilstrom", "Sollkraft"]
+    head = ";".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
+    return "\r\n".join(["Prüfstand 3", "", head, *rows(columns(states, units), ";", ",")]).encode("cp1252")
+
+
+def suffixes(states: StateArray) -> bytes:
+    units = ["ms", "mm", "bar", "bar", "N", "mA", "N"]
+    names = ["t_ms", "x_mm", "p1_bar", "p2_bar", "F_N", "i_mA", "F_ref_N"]
+    return "\n".join([",".join(names), *rows(columns(states, units), ",")]).encode()
+
+
+def words(states: StateArray) -> bytes:
+    units = ["s", "mm", "bar", "bar", "kN", "mA", "kN"]
+    names = [
+        "Elapsed time", "Cylinder stroke", "Bore side pressure", "Rod side pressure", "Load cell",
+        "Servo valve command", "Force setpoint",
+    ]  # fmt: skip
+    head = "\t".join(f"{name} ({unit})" for name, unit in zip(names, units, strict=True))
+    above = ["LabVIEW Measurement", "Operator\tx", "***End_of_Header***"]
+    return "\n".join([*above, head, *rows(columns(states, units), "\t")]).encode()
+
+
+def letters(states: StateArray) -> bytes:
+    units = ["s", "m", "Pa", "Pa", "N", "A", "N"]
+    return "\n".join(["t,y,pA,pB,F,u,Fset", *rows(columns(states, units), ",")]).encode()
+
+
+def numbered(states: StateArray) -> bytes:
+    """Channels without names: units alone, and what the numbers are to each other."""
+    fields = ("pressure_b", "piston_position", "load_force", "pressure_a", "valve_current", "hydraulic_force")
+    units = ["s", "bar", "mm", "kN", "bar", "mA", "kN"]
+    head = ["\t".join(f"CH{k}" for k in range(7)), "\t".join(units)]
+    return "\n".join([*head, *rows(columns(states, units, fields), "\t")]).encode()
+
+
+def transducers(states: StateArray) -> bytes:
+    units = ["s", "mm", "bar", "bar", "N", "mA", "N"]
+    names = ["Messzeit", "Wegaufnehmer", "Druckaufnehmer 1", "Druckaufnehmer 2", "Kraftaufnehmer", "Servoventil"]
+    names += ["Kraft Sollwert"]
+    head = ["HBM Catman", "\t".join(names), "\t".join(units)]
+    return "\n".join([*head, *rows(columns(states, units), "\t", ",")]).encode("utf-8-sig")
+
+
+def scope(states: StateArray) -> bytes:
+    """A scope that writes a column of times before each signal."""
+    units = ["ms", "mm", "bar", "bar", "N", "mA", "N"]
+    time, *values = columns(states, units)
+    names = ["Axis.Position", "Press_A", "Press_B", "LoadCell", "ValveCmd", "ForceRef"]
+    head = [";".join(f"Time [ms];{name} [{unit}]" for name, unit in zip(names, units[1:], strict=True))]
+    return "\n".join([*head, *rows([one for pair in values for one in (time, pair)], ";", ",")]).encode()
+
+
+EXPORTS = {f.__name__: f for f in (control_desk, german, suffixes, words, letters, numbered, transducers, scope)}
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_the_map_that_inspect_proposes_reads_an_export_as_the_bench_was(
+    name: str, tmp_path: Path, nominal: StateArray
+) -> None:
+    states = nominal[:4000]
+    path = tmp_path / f"{name}.csv"
+    path.write_bytes(EXPORTS[name](states))
+    found = read_table(path, proposed(columns_of(path), Bench.nominal()))
+    expected = set(FIELDS) if name != "numbered" else {*FIELDS[:-1], "hydraulic_force"}
+    assert set(found.columns) == expected
+    np.testing.assert_allclose(np.diff(found.time), 1e-3, atol=1e-9)
+    for field in expected:
+        np.testing.assert_allclose(found.columns[field], states[field], rtol=1e-9, atol=1e-12, err_msg=field)
+
+
+def test_a_page_that_was_saved_as_a_table_is_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "download.csv"
+    path.write_text("<!DOCTYPE html>\n<html><body>, 404, 1, 2</body></html>\n" + "<p>1,2,3</p>\n" * 40)
+    with pytest.raises(InputError, match=r"download\.csv: it is a web page"):
+        columns_of(path)
