@@ -269,7 +269,7 @@ def _rms(parts: list[FloatArray]) -> float:
 _UNITS = {"hydraulic_force": "N", "load_force": "N", "pressure_a": "Pa", "pressure_b": "Pa", "piston_position": "m"}
 
 
-_SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
+SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
 """Channels without which nothing can be simulated."""
 _MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hydraulic_force"}
 _EQUATION_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
@@ -300,7 +300,7 @@ def held_out(
     what has been simulated of them already, added to.
     """
     equations = equation_report(unseen, claims)
-    if not models or not all(model.channels.keys() >= _SIMULATED for model in models) or MOTION not in problem.blocks:
+    if not models or not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
         why = "a forward simulation needs current, position and both pressures, and the moving mass"
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise

@@ -6,16 +6,28 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hydro_diagnosis.report.comparison import nrmse
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-SECTIONS = ("Where", "Spring stiffness", "Held-out error", "Residuals of the first recording",
+SECTIONS = ("Measured and simulated", "Where", "Spring stiffness", "Held-out error", "Residuals of the first recording",
             "How evidence converged", "Checked equations")  # fmt: skip
-PROBE = """<script>addEventListener("load", () => {
+PROBE = """<script>
+function zooms(svg) {
+  const whole = svg.viewBox.baseVal.width;
+  svg.dispatchEvent(new WheelEvent("wheel", {deltaY: -1, clientX: 200, clientY: 300, cancelable: true}));
+  const closer = svg.viewBox.baseVal.width < whole;
+  svg.dispatchEvent(new MouseEvent("dblclick"));
+  return closer && svg.viewBox.baseVal.width === whole;
+}
+addEventListener("load", () => {
   const box = (e) => e.getBoundingClientRect(), bad = [...document.images].filter((e) => !e.naturalWidth);
   document.title = JSON.stringify({
     sections: [...document.querySelectorAll("h2")].map((e) => e.firstChild.textContent),
     plots: [...document.querySelectorAll("svg")].filter((e) => box(e).width > 300 && box(e).height > 50).length,
+    zooms: zooms(document.querySelector(".zoom svg")),
     missing: bad.length + [...document.querySelectorAll("use")].filter((e) =>
       !document.querySelector(e.getAttribute("xlink:href") || e.getAttribute("href"))).length,
     wide: document.documentElement.scrollWidth > innerWidth}); })</script>"""
@@ -37,14 +49,30 @@ def test_page_in_a_real_browser(written: Path, tmp_path: Path) -> None:
     assert "CONSOLE" not in log, log
     for section in SECTIONS:
         assert f'"{section}"' in title[1], title[1]
-    assert '"plots":4,"missing":0,"wide":false' in title[1]
+    assert '"plots":5,"zooms":true,"missing":0,"wide":false' in title[1]
+
+
+def test_page_shows_how_well_the_corrected_model_follows_what_was_measured(written: Path) -> None:
+    table = (written / "report.html").read_text().split("<h2>Measured and simulated</h2>")[1].split("</table>")[0]
+    rows = dict(re.findall(r"<tr><td>([\w ]+)</td>(.*?)</tr>", table, re.DOTALL))
+    assert {"piston position", "pressure A", "pressure B", "load force", "hydraulic force"} == set(rows)
+    for name, row in rows.items():
+        before, after = (float(cell) for cell in re.findall(r'<td class="n">([\d.-]+)</td>', row))
+        assert after > 98.0 and after > before, name
+
+
+def test_fit_of_the_mean_is_zero_and_of_the_signal_itself_a_hundred() -> None:
+    measured = np.sin(np.linspace(0.0, 20.0, 500))
+    assert nrmse(measured, measured) == 100.0
+    assert nrmse(measured, np.full(500, measured.mean())) == pytest.approx(0.0)
+    assert nrmse(measured, np.full(500, np.inf)) is None
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 def test_page_prints(written: Path, tmp_path: Path) -> None:
     browse(written / "report.html", tmp_path, f"--print-to-pdf={tmp_path / 'report.pdf'}")
     pages = re.findall(rb"/Type\s*/Page\b", (tmp_path / "report.pdf").read_bytes())
-    assert 1 <= len(pages) <= 4
+    assert 1 <= len(pages) <= 5
 
 
 def browse(page: Path, folder: Path, *options: str) -> tuple[str, str]:

@@ -15,6 +15,7 @@ from hydro_bridge.pages import environment
 from hydro_diagnosis.findings import EffectReport, Report
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report import plots
+from hydro_diagnosis.report.comparison import compare
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report.plots import STATIC, location_plot, valve_plot
 from hydro_sim.plotting import UNITS
@@ -33,7 +34,7 @@ _MINUS = "\N{MINUS SIGN}"
 
 def write_page(found: Diagnosis, path: Path) -> None:
     """Write report.html."""
-    report = found.report
+    report, comparison = found.report, compare(found)
     page = _environment().get_template("report.html").render(
         title="Diagnosis",
         report=report,
@@ -41,6 +42,7 @@ def write_page(found: Diagnosis, path: Path) -> None:
         checked=_names(found.holdout),
         verdict=_VERDICTS[report.verdict],
         effects=[(effect, _picture(found, effect)) for effect in report.effects],
+        comparison=comparison,
         held_out=_held_out(report),
         equations=_equations(report),
         location_plot=location_plot(found) if report.location else "",

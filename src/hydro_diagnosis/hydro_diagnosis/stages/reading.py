@@ -243,7 +243,7 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
         "recordings": [recording_entry(path) for path in (*question.recordings, *question.holdout)],
-        "data_quality": [*base.notes, *left_out(channels, believed), *quality],
+        "data_quality": [*base.notes, *_untried(question.without), *left_out(channels, believed), *quality],
         "baseline": {"bench": given.to_mapping(), "model": base.model},
         "versions": {"hydro_diagnosis": _version()},
     }
@@ -256,6 +256,10 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         facts=facts,
         numbers=numbers,
     )
+
+
+def _untried(without: Sequence[str]) -> list[str]:
+    return [f"--without {' '.join(without)}: these causes were not tried"] if without else []
 
 
 def _acting(effects: Sequence[Effect], bench: Bench) -> list[Effect]:
