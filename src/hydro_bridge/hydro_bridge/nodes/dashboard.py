@@ -59,7 +59,7 @@ class DashboardNode(Node):
 
     def _status(self) -> Status:
         values = {"address": self._server.address, "viewers": self._server.viewers, **self._feed.counts()}
-        return Status(message=f"{self._server.viewers} viewers", values=values)
+        return Status(message=f"viewers: {self._server.viewers}", values=values)
 
 
 def _port(text: str) -> int:

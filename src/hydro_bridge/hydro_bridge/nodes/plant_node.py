@@ -95,6 +95,7 @@ class PlantNode(Node):
         self._box_publisher = self.create_publisher(BoxInfo, BOX, BOX_QOS)
         self._box_law_publisher = self.create_publisher(BoxLawMessage, BOX_LAW, BOX_LAW_QOS)
         self._flags, self._tripped = 0, False
+        self._beside_another = False
 
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
         """Accept commands for `side`, and report its status; `clock` is the guard's [s]."""
@@ -178,6 +179,9 @@ class PlantNode(Node):
             message = f"{status.message}: {given_up}"
             status = replace(status, level=max(status.level, Level.WARN), message=message)
         status = replace(status, values={**status.values, **self.gate.values()})
+        if self.count_publishers(STATE) > 1 and not self._beside_another:
+            self.get_logger().error("another plant publishes /hydro/state: end one of them; nothing can be armed")
+        self._beside_another = self.count_publishers(STATE) > 1
         return with_publisher_conflicts(status, self.gate.crowd())
 
     def _tell_events(self) -> None:

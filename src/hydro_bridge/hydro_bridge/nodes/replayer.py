@@ -42,6 +42,7 @@ class ReplayerNode(Node):
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
+        self._bag = options.bag
         self._publishers_by_topic = {topic: self.create_publisher(*_kind(topic)) for topic in options.topics}
         self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
@@ -61,6 +62,7 @@ class ReplayerNode(Node):
 
     def begin(self) -> None:
         """Start replaying."""
+        self.get_logger().info(f"replays {self._bag} as the plant; Ctrl-C ends it")
         self._thread.start()
 
     def close(self) -> None:
@@ -74,6 +76,7 @@ class ReplayerNode(Node):
             self.replay.run()
         except RecordingError as error:
             self.failure = error
+        self.get_logger().info(f"{self.replay.published} messages replayed")
         self.done.set_result(None)
 
     def _refuse_to_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -78,6 +78,9 @@ FOREIGN = 1.0
 ANOTHER_LAW = 50
 """Samples for which a message of another law than the paper's holds: one of them may be lost."""
 
+WORTH_A_LINE = 0.01
+"""Share of late, stale or failed corrections from which a warning is logged; /diagnostics has each of them."""
+
 BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
 MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
@@ -290,9 +293,10 @@ class FilterNode(Node):
         level = Level.OK
         if not news:
             level, told = Level.STALE, "no states"
-        elif any(news[status] for status in TROUBLE):
+        elif trouble := sum(news[status] for status in TROUBLE):
             level = Level.WARN
-            self.get_logger().warning(told, throttle_duration_sec=5.0)
+            if trouble > WORTH_A_LINE * news.total():
+                self.get_logger().warning(told, throttle_duration_sec=5.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
