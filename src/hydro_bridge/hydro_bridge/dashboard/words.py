@@ -7,6 +7,7 @@ All of it is bounded: the latest status of each node, and a curve of at most `CU
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite, nan
 from typing import Any
 
 import msgspec
@@ -42,20 +43,24 @@ class Curve:
         self.episodes: list[int] = []
         self.rmse: list[float] = []  # N
         self.returns: list[float] = []
-        self._last = -1
+        self._last = 0
+        self._result = (nan, nan)
 
-    def add(self, episode: int, rmse: float, episode_return: float) -> None:
-        """Add a TrainingStatus; `episode` is the one in progress, the values are those of the one before.
+    def add(self, phase: int, episode: int, rmse: float, episode_return: float) -> None:
+        """Add a TrainingStatus; `episode` is the present one, in other phases than training the last one.
 
-        An episode number that falls back starts another run.
+        The other values are of the last finished episode: another result is another episode's. An episode number that
+        falls back starts another run.
         """
         if episode < self._last:
             for series in (self.episodes, self.rmse, self.returns):
                 series.clear()
-        finished, self._last = episode != self._last and episode > 0, episode
-        if not finished:
+        result, self._last = (rmse, episode_return), episode
+        if result == self._result or not isfinite(episode_return):
             return
-        self.episodes.append(episode)
+        self._result = result
+        under_way = PHASES[phase : phase + 1] == ("training",)
+        self.episodes.append(episode - 1 if under_way else episode)
         self.rmse.append(rmse)
         self.returns.append(episode_return)
         if len(self.episodes) > CURVE:

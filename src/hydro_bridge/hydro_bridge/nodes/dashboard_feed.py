@@ -164,7 +164,7 @@ class Feed:
 
     def _on_training(self, message: TrainingStatus) -> None:
         phase = words.PHASES[message.phase] if message.phase < len(words.PHASES) else str(message.phase)
-        self._curve.add(message.episode, message.force_rmse, message.episode_return)
+        self._curve.add(message.phase, message.episode, message.force_rmse, message.episode_return)
         self._training = {
             "phase": phase,
             "episode": message.episode,

@@ -125,7 +125,8 @@ class _Reading:
         """Add the trainer's status."""
         for row in self.within(table):
             self.marks.training({name: row[name] for name in row.dtype.names})
-            self.curve.add(int(row["episode"]), float(row["force_rmse"]), float(row["episode_return"]))
+            phase, episode = int(row["phase"]), int(row["episode"])
+            self.curve.add(phase, episode, float(row["force_rmse"]), float(row["episode_return"]))
 
     def take_object(self, topic: str, time: float, message: Any) -> None:
         """Add a message about the authority, of the diagnostics or of the log."""
