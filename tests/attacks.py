@@ -122,11 +122,7 @@ class Defended:
         return int(own[-1].flags) if own else int(Flag.ARMED)
 
     def _armed(self) -> bool:
-        answer = self.probe.commander.arm(True)
-        if answer is None:
-            return False
-        self.probe.wait(answer.done, 5.0)
-        return bool(answer.result().success)
+        return bool(self.probe.ask(True).success)  # as a person, who alone may after a person's disarm
 
     def drive(
         self, seconds: float, besides: Callable[[], None] = lambda: None, until: Callable[[], bool] = lambda: False

@@ -161,6 +161,20 @@ def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Tr
     probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
 
 
+def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Training) -> None:
+    probe, process = training.probe, training.process
+    assert process is not None
+    probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
+    probe.arm(False)
+    probe.wait(lambda: "a person disarmed the plant: arm it on the live page" in process.text, 5.0)
+    probe.forget()
+    probe.spin(2.5)
+    assert not any(state.flags & Flag.ARMED for _, state in probe.heard[STATE])
+    assert process.text.count("a person disarmed the plant") == 1
+    probe.arm(True)
+    probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
+
+
 def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
     probe, process = training.probe, training.process
     assert process is not None

@@ -7,6 +7,8 @@
     /hydro/authority  its holder, and the epoch that commands must carry
     /hydro/arm        disarms at once for any caller; never arms
 
+What a person has disarmed only a person arms again, as long as the same node holds the authority.
+
 A publisher is matched with the subscription before its messages can arrive. A second publisher is therefore known by
 the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
 """
@@ -32,7 +34,7 @@ from hydro_bridge.ros import (
     STATE,
     publisher_conflicts,
 )
-from hydro_bridge.safety.authority import Authority
+from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.srv import Claim
@@ -74,6 +76,7 @@ class Gate:
         self.authority = Authority()
         self._node, self._plant, self._tripped = node, plant, tripped
         self._armed, self._crowd = False, ""
+        self._disarmed_by_hand = 0  # claim of the holder at that time; 0: no person has
         self._heard: dict[str, Subscription] = {}
         self._clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._words = GateWords(node, self.authority)
@@ -121,7 +124,7 @@ class Gate:
                 f"armed for {self.authority.holder or 'nobody: base gains'}",
             )
         elif request.act == Claim.Request.DISARM:
-            trouble, done = self._disarm(), "disarmed"
+            trouble, done = self._disarm(by_hand=request.claim != self.authority.claim), "disarmed"
         elif request.act == Claim.Request.GIVE:
             trouble = self._take_back(request.claim, request.whom)
             done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
@@ -139,12 +142,14 @@ class Gate:
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = BY_NAME if request.data else self._disarm()
+        trouble = BY_NAME if request.data else self._disarm(by_hand=True)
         response.success, response.message = not trouble, trouble or "disarmed"
         self._words.called("somebody, by /hydro/arm", response.message)
         return response
 
-    def _disarm(self) -> str:
+    def _disarm(self, *, by_hand: bool) -> str:
+        if by_hand:
+            self._disarmed_by_hand = self.authority.claim
         trouble = self._plant.arm(False)
         self._follow()
         return trouble
@@ -156,14 +161,18 @@ class Gate:
             return f"{self.authority.holder or 'nobody'} commands this plant now"
         if epoch not in (0, self.authority.epoch):
             return "the plant was disarmed, tripped or changed hands since: look, and ask again"
+        if claim and claim == self._disarmed_by_hand:
+            return BY_HAND
         trouble = self.crowd() or self._plant.arm(True)
+        if not trouble:
+            self._disarmed_by_hand = 0
         self._follow()
         return trouble
 
     def _take_back(self, claim: int, heir: str) -> str:
         if not claim or claim != self.authority.claim:
             return f"{self.authority.holder or 'nobody'} commands this plant now"
-        trouble = self._disarm()
+        trouble = self._disarm(by_hand=False)
         self.authority.give(claim, self._now(), heir)
         return trouble
 

@@ -25,6 +25,9 @@ LEASE = 3.0
 KEPT = 10.0
 """s for which a plant that was handed over is reserved for its heir."""
 
+BY_HAND = "a person disarmed the plant: arm it on the live page, or by `ros2 run hydro_bridge arm`"
+"""Why a holder's request to arm is refused."""
+
 _LATE = 0.5  # s in which commands of the previous epoch count as late, not as foreign
 
 

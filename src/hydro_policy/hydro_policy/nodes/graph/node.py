@@ -41,6 +41,7 @@ from hydro_bridge.ros import (
     spin,
     state_from_message,
 )
+from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.frames import BoxLaw
@@ -62,6 +63,7 @@ from hydro_policy.supervision.override import GainOverride
 TICK = 0.05  # s
 PRIORITY = 10
 """Priority under SCHED_FIFO: below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
+REMINDER = 30.0  # s, that a person disarmed the plant
 DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
 
 
@@ -105,6 +107,7 @@ class GraphNode(Node):
         self._session: Session | None = None
         self._failure: Exception | None = None  # in a callback; raised there, rclpy would print it as well
         self._each_tick: Callable[[], None] = lambda: None
+        self._waits_for_person = -math.inf  # last reminder that a person disarmed the plant, s
         self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
         self._done = Future()
         self._gains_out = 0.0
@@ -344,7 +347,13 @@ class GraphNode(Node):
         if response is None or response.success:
             self._unarmed_since = math.inf
             return
-        self._unarmed_since = min(self._unarmed_since, now := time.monotonic())
+        now = time.monotonic()
+        if response.message == BY_HAND:  # for as long as the person wants; told now and then
+            if now - self._waits_for_person > REMINDER:
+                self.warn(response.message)
+                self._waits_for_person = now
+            return
+        self._unarmed_since = min(self._unarmed_since, now)
         self.warn(f"the plant was not armed: {response.message}")
         if now - self._unarmed_since > ALONE_WITHIN:
             self._fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
