@@ -30,7 +30,7 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGHUP, lambda *_: None)
     os.environ.setdefault("HYDRO_DASHBOARD", "off")  # tests of the live page start their own
     with suppress(ModuleNotFoundError):  # nothing is built
-        from hydro_bridge.ros.network import stay_on_this_machine
+        from hydro_bridge.ros.node import stay_on_this_machine
 
         stay_on_this_machine()
 

@@ -18,7 +18,8 @@ import rclpy
 from hydro_bridge.bags.recording import BagWriter, read_bag, stream_bag
 from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.link.clock import BoxClock
-from hydro_bridge.ros import GRAPH, STATE, StateMessage
+from hydro_bridge.ros.messages import StateMessage
+from hydro_bridge.ros.topics import GRAPH, STATE
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.protocol import encode_command, encode_state
 from hydro_bridge.serial.stream import Decoder, SequenceTracker

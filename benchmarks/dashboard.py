@@ -27,7 +27,7 @@ from websockets.sync.client import ClientConnection, connect
 from benchmarks.latency import Driver, cpu_seconds, start
 from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
-from hydro_bridge.ros import executable_path
+from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.signals import Flag
 
 COLUMNS = {

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks._filter_differences import DifferencedLoopFilter
 from benchmarks._report import percentiles
 from hydro_bridge.cli.console import Table, add_json_argument, progress
-from hydro_bridge.ros import request_realtime
+from hydro_bridge.ros.node import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import CONSTANT, LEARNED, Filter, FilterChoice, warm_up
 from hydro_filter.controller.filter import ContractionFilter

@@ -25,12 +25,9 @@ from rclpy.executors import SingleThreadedExecutor
 
 from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
-from hydro_bridge.ros import (
-    DIAGNOSTICS,
-    DIAGNOSTICS_QOS,
-    Commander,
-    Companion,
-)
+from hydro_bridge.ros.commander import Commander
+from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
 from hydro_bridge.signals import ReferenceSignal, Waveform
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)

@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 import yaml
 
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_bridge.ros import executable_path
+from hydro_bridge.ros.companion import executable_path
 from hydro_filter.metric import learned as learned_metric
 from hydro_policy.runs.initial_agent import shipped_agent
 from hydro_sim.files import weights

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from benchmarks import _report
 from hydro_bridge.cli.console import Table, command, progress
-from hydro_bridge.ros import executable_path
+from hydro_bridge.ros.companion import executable_path
 from hydro_sim.compilations import VARIABLE, read_compilations
 
 COLUMNS = {

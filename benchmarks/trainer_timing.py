@@ -25,7 +25,8 @@ import numpy as np
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
-from hydro_bridge.ros import GAINS, TRAINING, executable_path
+from hydro_bridge.ros.companion import executable_path
+from hydro_bridge.ros.topics import GAINS, TRAINING
 from hydro_bridge.signals import FloatArray
 
 STEP = 0.01  # s

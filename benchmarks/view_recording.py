@@ -24,7 +24,7 @@ from hydro_bridge.bags.cdr import fixed_layout
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.bags.schema import definition
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_bridge.ros import executable_path
+from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Flag, StateArray
 
 COLUMNS = {

@@ -20,19 +20,9 @@ from typing import Any
 import rclpy
 from std_srvs.srv import SetBool
 
-from hydro_bridge.ros import (
-    ARM_SERVICE,
-    AUTHORITY,
-    CLAIM_SERVICE,
-    CORRECTION,
-    GAINS,
-    GRAPH,
-    REFERENCE,
-    STATE,
-    reference_to_message,
-    seconds,
-)
-from hydro_bridge.ros.network import PROFILES, RANGE
+from hydro_bridge.ros.messages import reference_to_message, seconds
+from hydro_bridge.ros.node import PROFILES, RANGE
+from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, CLAIM_SERVICE, CORRECTION, GAINS, GRAPH, REFERENCE, STATE
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from hydro_msgs.srv import Claim
@@ -193,7 +183,7 @@ def stranger() -> Iterator[Any]:
 
 LISTEN = """
 import sys, time, rclpy
-from hydro_bridge.ros import STATE, STATE_QOS
+from hydro_bridge.ros.topics import STATE, STATE_QOS
 from hydro_msgs.msg import BenchState
 rclpy.init()
 node, heard = rclpy.create_node("tool"), []

@@ -17,7 +17,9 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool
 
-from hydro_bridge.ros import ARM_SERVICE, CLAIM_SERVICE, GAINS, GRAPH, STATE, TRAINING, Commander, executable_path
+from hydro_bridge.ros.commander import Commander
+from hydro_bridge.ros.companion import executable_path
+from hydro_bridge.ros.topics import ARM_SERVICE, CLAIM_SERVICE, GAINS, GRAPH, STATE, TRAINING
 from hydro_bridge.signals import Flag
 from hydro_msgs.srv import Claim
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_bridge.ros import Companion
+from hydro_bridge.ros.companion import Companion
 from hydro_bridge.signals import Flag
 from hydro_policy.nodes.startup.companions import PlantOptions
 from tests.attacks import Defended

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros import executable_path
+from hydro_bridge.ros.companion import executable_path
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 EXECUTABLES = {

@@ -12,9 +12,8 @@ from types import ModuleType
 
 import pytest
 
+from hydro_bridge.conformance.cases import FAIL, PASS, run, shipped
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.conformance.run import FAIL, PASS, run
-from hydro_bridge.conformance.script import shipped
 from hydro_bridge.files import bench_file
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.configuration import header, values

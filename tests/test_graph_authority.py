@@ -14,7 +14,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.ros import CORRECTION, STATE, Companion
+from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.topics import CORRECTION, STATE
 from hydro_bridge.signals import Flag
 from tests.attacks import ATTACKS, STAYS_ARMED, Defended, defended, listener
 from tests.graph_probe import trainer

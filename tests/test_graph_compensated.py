@@ -15,7 +15,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros import LAW_STATE, LAW_STATE_QOS, STATE, Companion
+from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.topics import LAW_STATE, LAW_STATE_QOS, STATE
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState

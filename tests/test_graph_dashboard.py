@@ -20,7 +20,8 @@ pytest.importorskip("selenium")
 
 from websockets.sync.client import ClientConnection, connect
 
-from hydro_bridge.ros import STATE, executable_path
+from hydro_bridge.ros.companion import executable_path
+from hydro_bridge.ros.topics import STATE
 from hydro_bridge.signals import Flag
 from hydro_msgs.srv import Claim
 from tests.attacks import Defended, defended

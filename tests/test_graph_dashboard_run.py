@@ -14,7 +14,7 @@ pytest.importorskip("selenium")
 import numpy as np
 
 from hydro_bridge.bags.recording import objects, read_bag
-from hydro_bridge.ros import DIAGNOSTICS, GAINS, LOG, TRAINING
+from hydro_bridge.ros.topics import DIAGNOSTICS, GAINS, LOG, TRAINING
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded
 from hydro_msgs.msg import TrainingStatus

@@ -24,7 +24,9 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.ros import DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, STATE, TRAINING, executable_path, seconds
+from hydro_bridge.ros.companion import executable_path
+from hydro_bridge.ros.messages import seconds
+from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, STATE, TRAINING
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.nodes.training.start import check_run

@@ -16,16 +16,8 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from hydro_bridge.ros import (
-    CORRECTION,
-    DIAGNOSTICS,
-    DIAGNOSTICS_QOS,
-    GAINS,
-    GRAPH,
-    REFERENCE,
-    STATE,
-    seconds,
-)
+from hydro_bridge.ros.messages import seconds
+from hydro_bridge.ros.topics import CORRECTION, DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, GRAPH, REFERENCE, STATE
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_policy.nodes.startup.companions import PlantOptions, start_companions
 from hydro_policy.task.mdp import GainRange

@@ -13,7 +13,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros import GAINS, STATE, Companion
+from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.topics import GAINS, STATE
 from hydro_bridge.signals import Flag
 from hydro_policy.supervision.arming import HOW_TO_ARM
 from hydro_policy.supervision.plant_supervisor import TOO_EARLY

@@ -21,8 +21,9 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.node import Node  # noqa: E402
 
 from hydro_bridge.bags.recording import BagWriter  # noqa: E402
-from hydro_bridge.ros import CLOCK, FREEZE_SERVICE, LAW, LAW_STATE, Companion  # noqa: E402
-from hydro_bridge.ros.keys.rights import RIGHTS, Rights, enclave_of  # noqa: E402
+from hydro_bridge.ros.companion import Companion  # noqa: E402
+from hydro_bridge.ros.keys import RIGHTS, Rights, enclave_of  # noqa: E402
+from hydro_bridge.ros.topics import CLOCK, FREEZE_SERVICE, LAW, LAW_STATE  # noqa: E402
 from hydro_bridge.signals import STATE_DTYPE  # noqa: E402
 from tests.graph_probe import own_domain  # noqa: E402
 

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.ros import DIAGNOSTICS, DIAGNOSTICS_QOS
+from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
 from hydro_bridge.signals import Flag
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.run import RunDirectory

@@ -15,8 +15,7 @@ from zlib import crc32
 import pytest
 from cobs import cobs
 
-from hydro_bridge.conformance.law import floor, nominal_current
-from hydro_bridge.conformance.waveforms import faded, shape
+from hydro_bridge.conformance.reference import faded, floor, nominal_current, shape
 from hydro_bridge.files import bench_file
 from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.protocol import (

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.process.endings import Ended
-from hydro_bridge.ros.network import stay_on_this_machine
+from hydro_bridge.ros.node import stay_on_this_machine
 from tests.soak.faults import FAULTS
 from tests.soak.judge import Outcome
 from tests.soak.soak import Soak, soaking

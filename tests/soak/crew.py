@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hydro_bridge.ros import Companion
+from hydro_bridge.ros.companion import Companion
 from tests.graph_probe import _children, _command_line
 from tests.soak.line import resident
 

@@ -11,7 +11,8 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool
 
-from hydro_bridge.ros import ARM_SERVICE, AUTHORITY, CORRECTION, GAINS, GRAPH, REFERENCE, STATE, reference_to_message
+from hydro_bridge.ros.messages import reference_to_message
+from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, CORRECTION, GAINS, GRAPH, REFERENCE, STATE
 from hydro_bridge.signals import CorrectionStatus, Flag
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from tests.attacks import SHAKE, stranger

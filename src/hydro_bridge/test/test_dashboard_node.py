@@ -19,7 +19,7 @@ pytest.importorskip("rclpy")
 
 from websockets.sync.client import ClientConnection, connect
 
-from hydro_bridge.ros import executable_path
+from hydro_bridge.ros.companion import executable_path
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from hydro_bridge.process.middleware import RMW
 
 def test_an_executable_ends_in_the_sentence() -> None:
     pytest.importorskip("rclpy")
-    from hydro_bridge.ros import executable_path
+    from hydro_bridge.ros.companion import executable_path
 
     done = subprocess.run(
         [str(executable_path("hydro_bridge", "arm"))],

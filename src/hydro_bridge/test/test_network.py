@@ -15,8 +15,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros import executable_path
-from hydro_bridge.ros.network import PROFILES, RANGE
+from hydro_bridge.ros.companion import executable_path
+from hydro_bridge.ros.node import PROFILES, RANGE
 
 pytestmark = pytest.mark.slow
 

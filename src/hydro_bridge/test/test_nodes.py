@@ -27,17 +27,8 @@ from rosbags.rosbag2 import Reader  # noqa: E402
 from hydro_bridge.bags.recording import STATE_TOPIC, continuity, objects, read_bag  # noqa: E402
 from hydro_bridge.files import bench_file  # noqa: E402
 from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
-from hydro_bridge.ros import (  # noqa: E402
-    BOX,
-    CORRECTION,
-    DIAGNOSTICS,
-    DIAGNOSTICS_QOS,
-    GAINS,
-    GRAPH,
-    REFERENCE,
-    STATE,
-    Companion,
-)
+from hydro_bridge.ros.companion import Companion  # noqa: E402
+from hydro_bridge.ros.topics import BOX, CORRECTION, DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, GRAPH, REFERENCE, STATE  # noqa: E402
 from hydro_bridge.serial.port import PortSettings  # noqa: E402
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame  # noqa: E402
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
@@ -409,7 +400,7 @@ def test_a_full_disk_ends_the_recording_as_a_failure_and_leaves_what_was_written
 
 def test_companions_die_with_their_parent_even_if_it_is_killed(tmp_path):
     code = (
-        "import sys, time; from hydro_bridge.ros import Companion; "
+        "import sys, time; from hydro_bridge.ros.companion import Companion; "
         f"c = Companion('hydro_bridge', 'recorder', ['--out', {str(tmp_path / 'run')!r}]); "
         "print(c.process.pid, flush=True); time.sleep(60)"
     )

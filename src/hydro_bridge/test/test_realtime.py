@@ -19,7 +19,7 @@ NODE = """
 import time
 from rclpy.node import Node
 from hydro_bridge.cli.console import command
-from hydro_bridge.ros import request_realtime, run_node
+from hydro_bridge.ros.node import request_realtime, run_node
 
 class Spinning(Node):
     def __init__(self):

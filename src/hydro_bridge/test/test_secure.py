@@ -17,7 +17,20 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.nodes import secure
-from hydro_bridge.ros import (
+from hydro_bridge.ros.companion import Companion, executable_path
+from hydro_bridge.ros.keys import (
+    ENABLE,
+    KEYSTORE,
+    RIGHTS,
+    STRATEGY,
+    domain,
+    enclave_arguments,
+    enclave_of,
+    make_keystore,
+    policy_xml,
+    security_enabled,
+)
+from hydro_bridge.ros.topics import (
     ARM_SERVICE,
     AUTHORITY,
     CLAIM_SERVICE,
@@ -29,13 +42,7 @@ from hydro_bridge.ros import (
     OVERRIDE_SERVICE,
     REFERENCE,
     STATE,
-    Companion,
-    executable_path,
 )
-from hydro_bridge.ros.keys.enclave import ENABLE, KEYSTORE, STRATEGY, enclave_arguments, security_enabled
-from hydro_bridge.ros.keys.keystore import domain, make_keystore
-from hydro_bridge.ros.keys.policy import policy_xml
-from hydro_bridge.ros.keys.rights import RIGHTS, enclave_of
 from hydro_bridge.settings import SettingsError
 
 ENCLAVES = [enclave_of(executable) for executable in RIGHTS]

@@ -21,7 +21,9 @@ import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
-from hydro_bridge.ros import (  # noqa: E402
+from hydro_bridge.ros.companion import Companion  # noqa: E402
+from hydro_bridge.ros.messages import StateMessage, fill_law_state  # noqa: E402
+from hydro_bridge.ros.topics import (  # noqa: E402
     BOX,
     BOX_QOS,
     CORRECTION,
@@ -32,9 +34,6 @@ from hydro_bridge.ros import (  # noqa: E402
     LAW_STATE_QOS,
     STATE,
     STATE_QOS,
-    Companion,
-    StateMessage,
-    fill_law_state,
 )
 from hydro_bridge.signals import (  # noqa: E402
     PLANT_FIELDS,

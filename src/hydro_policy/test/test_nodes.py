@@ -23,15 +23,8 @@ pytest.importorskip("rclpy")
 import rclpy
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.ros import (
-    BOX,
-    BOX_QOS,
-    CLAIM_SERVICE,
-    STATE,
-    STATE_QOS,
-    CompanionError,
-    executable_path,
-)
+from hydro_bridge.ros.companion import CompanionError, executable_path
+from hydro_bridge.ros.topics import BOX, BOX_QOS, CLAIM_SERVICE, STATE, STATE_QOS
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded

@@ -7,7 +7,7 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from hydro_bridge.ros import page_wanted
+from hydro_bridge.ros.companion import page_wanted
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -19,7 +19,8 @@ import yaml
 pytest.importorskip("rclpy")
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executable_path
+from hydro_bridge.ros.companion import Companion, executable_path
+from hydro_bridge.ros.topics import GAINS, GRAPH, REFERENCE, STATE
 from hydro_bridge.signals import Flag
 from hydro_sim.excitation.playback import Playback
 from hydro_sim.excitation.schedules import Segment

@@ -16,10 +16,9 @@ from typing import Any
 
 import pytest
 
+from hydro_bridge.conformance.cases import FAIL, LEFT_OUT, NOT_JUDGED, PASS, Result, read, run, shipped
 from hydro_bridge.conformance.command import chosen, status
 from hydro_bridge.conformance.host import Host, UnreadableError
-from hydro_bridge.conformance.run import FAIL, LEFT_OUT, NOT_JUDGED, PASS, Result, run
-from hydro_bridge.conformance.script import read, shipped
 from hydro_bridge.errors import UserError
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, box_details, box_info

@@ -17,7 +17,9 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.experimental import EventsExecutor  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 
-from hydro_bridge.ros import AUTHORITY, CORRECTION, GRAPH, STATE, Companion, executable_path, seconds  # noqa: E402
+from hydro_bridge.ros.companion import Companion, executable_path  # noqa: E402
+from hydro_bridge.ros.messages import seconds  # noqa: E402
+from hydro_bridge.ros.topics import AUTHORITY, CORRECTION, GRAPH, STATE  # noqa: E402
 from hydro_msgs.msg import Authority, BenchState, Correction  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 

@@ -1,29 +1,467 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registry of the checks by their names in `cases.yaml`.
+"""Checks of a box by their names in `cases.yaml`, on the states received since the last step began.
 
-Each check evaluates the states received since the last step began, with the parameters given by the case. It returns
-a sentence about what is wrong, or an empty string.
+Each gets its parameters from the case, and returns a sentence about what is wrong, or an empty string.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from inspect import getmembers, isfunction
-from types import ModuleType
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from itertools import pairwise
+from math import isclose, isfinite
+from typing import Any
 
-from hydro_bridge.conformance import command_checks, compensation_checks, line_checks, motion_checks
+from hydro_bridge.conformance.host import Host
+from hydro_bridge.conformance.reference import compare, nominal_current
+from hydro_bridge.files import bench_file
+from hydro_bridge.serial.frames import BoxInfo, BoxLaw, LawState
+from hydro_bridge.serial.protocol import State
+from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
+
+Bench = Mapping[str, Any] | None
+"""Numbers of the bench file, if one was given."""
 
 
-def _of(module: ModuleType) -> dict[str, Callable[..., str]]:
-    """Return the public functions that a module defines."""
-    return {
-        name: function
-        for name, function in getmembers(module, isfunction)
-        if function.__module__ == module.__name__ and not name.startswith("_")
-    }
+class NotToldError(Exception):
+    """The box does not report a value that a check needs and that is optional: the case is skipped."""
 
 
-CHECKS: dict[str, Callable[..., str]] = (
-    _of(command_checks) | _of(compensation_checks) | _of(line_checks) | _of(motion_checks)
-)
+SINGLE = 1e-6
+"""Relative error of a float32, with room for one operation."""
+
+
+def value(state: State, name: str) -> float:
+    """Return a float field of a state by its name."""
+    return state.values[STATE_FIELDS.index(name)]
+
+
+def box_info(host: Host) -> BoxInfo:
+    """Return the content of the box's HELLO."""
+    assert host.hello is not None and host.hello.info is not None
+    return host.hello.info
+
+
+def followed(host: Host) -> str:
+    """Return the field of the force that the box's law follows: as given in DETAILS, else the load force."""
+    told = host.details.details.feedback if host.details else ""
+    return f"{told or 'load'}_force"
+
+
+def settled(host: Host) -> Sequence[State]:
+    """Return the states from the one that confirms the step's first command on."""
+    return host.states[host.confirmed(host.sent[host.marked_sent].sequence) :] if host.new_sent else host.new_states
+
+
+def near(one: float, other: float) -> bool:
+    """Return whether two numbers agree as float32."""
+    return isclose(one, other, rel_tol=SINGLE, abs_tol=1e-12)
+
+
+def flags(host: Host, bench: Bench, has: Sequence[str] = (), lacks: Sequence[str] = ()) -> str:
+    """Check which flags are set in every settled state, and which in none."""
+    wanted, unwanted = (sum(Flag[name] for name in names) for names in (has, lacks))
+    for state in settled(host):
+        if state.flags & wanted != wanted or state.flags & unwanted:
+            return f"STATE {state.sequence} has {flag_names(state.flags)}"
+    return "" if settled(host) else "no command was confirmed"
+
+
+def field(
+    host: Host, bench: Bench, name: str, equals: Sequence[str | float], tolerance: float = 1e-3, last: int = 0
+) -> str:
+    """Check that a field equals the sum of numbers and entries of HELLO, in every settled state or the last ones."""
+    wanted = sum(getattr(box_info(host), each) if isinstance(each, str) else float(each) for each in equals)
+    states = settled(host)[-last:]
+    for state in states:
+        if not abs(value(state, name) - wanted) <= tolerance:
+            return f"{name} is {value(state, name):g} in STATE {state.sequence}, {wanted:g} is right"
+    return "" if states else "no command was confirmed"
+
+
+def taken(host: Host, bench: Bench, yes: bool = True) -> str:
+    """Check whether the last command sent was accepted."""
+    sequence = host.sent[-1].sequence
+    found = any(state.last_command == sequence for state in host.new_states)
+    return "" if found == yes else f"command {sequence} was {'not ' if yes else ''}taken"
+
+
+def unchanged(host: Host, bench: Bench, name: str) -> str:
+    """Check that a field keeps the value from before the step in every state."""
+    before = value(host.states[host.marked - 1], name)
+    now = {value(state, name) for state in host.new_states}
+    return "" if now <= {before} else f"{name} was {before:g}, and became {max(now):g}"
+
+
+def first_flag(host: Host, bench: Bench, flag: str, samples: tuple[int, int]) -> str:
+    """Check how many samples after the last accepted command a flag first appears."""
+    begin = host.confirmed(host.states[-1].last_command)
+    states = host.states[begin:]
+    found = next((n for n, state in enumerate(states) if state.flags & Flag[flag]), None)
+    if found is None:
+        return f"{flag} did not come within {len(states)} samples"
+    return "" if samples[0] <= found <= samples[1] else f"{flag} came {found} samples behind the last command"
+
+
+def late(host: Host, bench: Bench) -> str:
+    """Check that the box runs base gains, no correction and FILTER_STALE while WATCHDOG is set."""
+    info = box_info(host)
+    for state in host.new_states:
+        if not state.flags & Flag.WATCHDOG:
+            continue
+        gains = value(state, "proportional_gain"), value(state, "integral_gain")
+        if not all(map(near, gains, (info.base_kp, info.base_ki))) or not state.flags & Flag.FILTER_STALE:
+            return f"gains {gains[0]:g} and {gains[1]:g}, {flag_names(state.flags)}"
+        if value(state, "valve_current") != value(state, "nominal_valve_current") and not state.flags & Flag.SATURATED:
+            return "the correction is still added"
+    return "" if any(state.flags & Flag.WATCHDOG for state in host.new_states) else "WATCHDOG did not come"
+
+
+def refused(host: Host, bench: Bench, values: int, references: int) -> str:
+    """Check how many values and references the box counted as refused in this step, per accepted command."""
+    before, after = host.states[host.marked - 1], host.states[-1]
+    found = [((b or 0) - (a or 0)) for a, b in zip(before[5:7], after[5:7], strict=True)]
+    return "" if found == [values, references] else f"it counted {found[0]} values and {found[1]} references"
+
+
+def idle(host: Host, bench: Bench, last: int = 0) -> str:
+    """Check the state of a disarmed box: no current, and the reference equal to the followed force."""
+    force = followed(host)
+    for state in settled(host)[-last:]:
+        if any(value(state, name) != 0.0 for name in ("valve_current", "nominal_valve_current")):
+            return "a current is not 0"
+        if value(state, "reference_force") != value(state, force) or value(state, "reference_force_rate") != 0.0:
+            return f"reference_force is not {force}, or its rate is not 0"
+        if state.flags & Flag.ARMED:
+            return "it is armed"
+    return "" if settled(host) else "no command was confirmed"
+
+
+def undisturbed(host: Host, bench: Bench) -> str:
+    """Check that no sample is missing or repeated, and that every frame is complete."""
+    steps = {(b.sequence - a.sequence) % 2**32 for a, b in pairwise(host.new_states)}
+    counts = host.decoder.counts
+    if steps != {1}:
+        return f"sequence steps of {sorted(steps)}"
+    return f"{counts.crc_errors} check sums, {counts.malformed} frames are wrong" if counts.malformed else ""
+
+
+def clock(host: Host, bench: Bench, jitter: float = 200.0, share: float = 0.01) -> str:
+    """Check the box's clock: each step within `jitter` [us] of a period, and its rate within `share` of the host's."""
+    times = [state.time_us for state in host.new_states]
+    steps = [b - a for a, b in pairwise(times)]
+    if max(abs(step - 1e6 * SAMPLE_PERIOD) for step in steps) > jitter:
+        return f"steps of {min(steps)} to {max(steps)} us"
+    arrived = host.arrived[host.marked :]
+    pace = (times[-1] - times[0]) * 1e-6 / (arrived[-1] - arrived[0])
+    return "" if abs(pace - 1.0) <= share else f"{pace:.4f} s of the box are 1 s of the host"
+
+
+def hello(host: Host, bench: Bench) -> str:
+    """Check that HELLO is complete: a name, ordered limits that include zero, 1 ms, a form of the integral."""
+    info = box_info(host)
+    if not info.name:
+        return "it has no name"
+    if not info.integral:
+        return "it does not tell the form of its integral"
+    if not near(info.sample_period, SAMPLE_PERIOD):
+        return f"its sample period is {info.sample_period:g} s"
+    if not (info.delta_kp_min <= 0.0 <= info.delta_kp_max and info.delta_ki_min <= 0.0 <= info.delta_ki_max):
+        return "its limits of the gains do not hold 0"
+    return "" if info.valve_current_max > 0.0 <= info.delta_u_max else "its limits of the current are not positive"
+
+
+def greeted(host: Host, bench: Bench, within: int, versions: tuple[int, int] | None = None) -> str:
+    """Check that the last HELLO was answered, with sequence 1 or more, within some samples plus the line's lag."""
+    answers = [(n - host.greeted_at, each) for n, each in host.hellos if n >= host.greeted_at]
+    if not answers or answers[0][0] > within + host.lag:
+        return f"no HELLO came within {within + host.lag} samples"
+    if answers[0][1].sequence == 0:
+        return "the answer has sequence 0, which says power-on"
+    return ""
+
+
+def speaks(host: Host, bench: Bench, version: int = 0) -> str:
+    """Check that STATE and DETAILS are of this version, 0: of the conversation's, once the greeting is answered."""
+    version = version or host.version
+    begin = next((n for n, _ in host.hellos if n >= host.greeted_at), host.greeted_at)
+    found = {(state.refused is not None) + (state.law_state is not None) + 1 for state in host.states[begin + 1 :]}
+    if found != {version}:
+        return f"STATE of version {sorted(found)}"
+    return "" if (host.details is not None) == (version > 1) else "DETAILS are there from version 2 on"
+
+
+def details(host: Host, bench: Bench) -> str:
+    """Check that DETAILS are complete: an epoch, times and ranges in order."""
+    if host.details is None:
+        return "none came"
+    told = host.details.details
+    if not told.epoch:
+        return "its epoch is 0"
+    if not 0.0 < told.hold_timeout <= told.trip_timeout:
+        return f"its time-outs are {told.hold_timeout:g} and {told.trip_timeout:g} s"
+    if bool(told.laws >> Law.COMPENSATED & 1) != (host.law is not None):
+        return "LAW comes where DETAILS offer the compensated law, and only there"
+    ordered = told.pressure_min < told.pressure_max and told.position_min < told.position_max
+    return "" if ordered and told.load_force_limit > 0.0 < told.force_range else "a limit is 0, or a range is empty"
+
+
+def believes(host: Host, bench: Bench) -> str:
+    """Check that HELLO and DETAILS agree with the bench file."""
+    assert bench is not None
+    if not near(box_info(host).valve_current_max, bench["valve_current_max"]):
+        return (
+            f"valve_current_max {box_info(host).valve_current_max:g} A, the file has {bench['valve_current_max']:g} A"
+        )
+    told = host.details.details.bench_digest if host.details else ""
+    if not told:
+        host.notes.append("its digest is not told: only valve_current_max is compared")
+    elif told != bench_file.digest(bench):
+        return f"its bench is {told}, the file is {bench_file.digest(bench)}"
+    return ""
+
+
+_REFERENCE = ("reference_force", "reference_force_rate")
+_CORRECTION_HOLD = 3500
+"""us, duration for which the correction of a command acts."""
+
+
+def current(host: Host, bench: Bench) -> str:
+    """Check valve_current = clamp(nominal + delta_u), delta_u for 3.5 ms from acceptance; SATURATED if clamped."""
+    limit, commands = box_info(host).valve_current_max, {each.sequence: each.command for each in host.sent}
+    newest, since = None, 0
+    for n, state in enumerate(host.states):
+        if state.last_command != newest:
+            newest, since = state.last_command, state.time_us
+        command = commands.get(state.last_command)
+        if n < host.marked or not state.flags & Flag.ARMED or command is None:
+            continue
+        delta = command.delta_u if state.time_us - since <= _CORRECTION_HOLD else 0.0
+        wanted = value(state, "nominal_valve_current") + delta
+        clamped = min(max(wanted, -limit), limit)
+        if not abs(value(state, "valve_current") - clamped) <= 1e-7 + SINGLE * abs(clamped):
+            found = f"valve_current is {value(state, 'valve_current'):g} A in STATE {state.sequence}"
+            return f"{found}, {clamped:g} A is right"
+        if abs(abs(wanted) - limit) > 1e-6 and bool(state.flags & Flag.SATURATED) != (abs(wanted) > limit):
+            return f"{wanted:g} A of {limit:g} A and {flag_names(state.flags)} in STATE {state.sequence}"
+    return ""
+
+
+def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) -> str:
+    """Check u_nom since arming against the force law for the box's measurements and its form of the integral.
+
+    The integral stands still while the current is at its limit and K_i e has the current's sign. Whether the current
+    includes the correction is checked by `current`.
+    """
+    assert bench is not None
+    integral, armed, form, force = 0.0, False, box_info(host).integral, followed(host)
+    full = (1.0 - SINGLE) * box_info(host).valve_current_max
+    for state in host.states:
+        names = dict(zip(STATE_FIELDS, state.values, strict=True))
+        if not state.flags & Flag.ARMED:
+            integral, armed = 0.0, False
+            continue
+        armed, scales = True, (1.0, 1.0)
+        if acting := state.law_state:
+            scales = acting.velocity_compensation, acting.valve_gain_scale
+            names |= zip(_REFERENCE, acting[1:3], strict=True)
+        action = integral if form != "paper" else names["integral_gain"] * integral
+        wanted = nominal_current(bench, names, action, force, scales)
+        if not abs(names["nominal_valve_current"] - wanted) <= tolerance + share * abs(wanted):
+            found = f"nominal_valve_current is {names['nominal_valve_current']:g} A in STATE {state.sequence}"
+            return f"{found}, {wanted:g} A is right"
+        error = names["reference_force"] - names[force]
+        slope, current = names["integral_gain"] * error, names["valve_current"]
+        if not (abs(current) >= full and current * slope > 0.0):
+            integral += SAMPLE_PERIOD * (slope if form != "paper" else error)
+    return "" if armed else "it was not armed"
+
+
+def reference(host: Host, bench: Bench, tolerance: float = 0.01, rate_tolerance: float = 0.5) -> str:
+    """Check f_r and f_r' against the definition of the accepted references, cross-fades included."""
+    return compare(host, followed(host), tolerance, rate_tolerance)
+
+
+def follows(host: Host, bench: Bench, by: float) -> str:
+    """Check that the followed force moved with the reference, by a least number of N: the signs are right."""
+    states, force = settled(host), followed(host)
+    moved = value(states[-1], force) - value(states[0], force)
+    asked = value(states[-1], "reference_force") - value(states[0], force)
+    return "" if moved * asked > 0.0 and abs(moved) >= by else f"asked for {asked:g} N, the force went by {moved:g} N"
+
+
+def rates(host: Host, bench: Bench) -> str:
+    """Check that rates are differences through a first-order low-pass with the lags given in DETAILS."""
+    if host.details is None:
+        raise NotToldError("no DETAILS came, which tell the ages of the rates")
+    told = host.details.details
+    pairs = (("hydraulic_force", "hydraulic_force_rate", told.force_rate_age, 0.5),
+             ("load_force", "load_force_rate", told.force_rate_age, 0.5),
+             ("piston_position", "piston_velocity", told.velocity_age, 3e-5))  # fmt: skip
+    if not any(age for _, _, age, _ in pairs):
+        raise NotToldError("DETAILS do not tell the ages of the rates")
+    for reading, rate, age, tolerance in pairs:
+        if age == 0.0:
+            host.notes.append(f"the age of {rate} is not told")
+            continue
+        memory = (age / SAMPLE_PERIOD - 0.5) / (age / SAMPLE_PERIOD + 0.5)
+        for a, b in pairwise(host.new_states):
+            slope = (value(b, reading) - value(a, reading)) / SAMPLE_PERIOD
+            wanted = memory * value(a, rate) + (1.0 - memory) * slope
+            if not abs(value(b, rate) - wanted) <= tolerance + 1e-3 * abs(wanted):
+                found = f"{rate} is {value(b, rate):g} in STATE {b.sequence}"
+                return f"{found}, {wanted:g} is right for an age of {1e3 * age:g} ms"
+    return ""
+
+
+def units(host: Host, bench: Bench, force: float = 150.0) -> str:
+    """Check that readings are in Pa, m and N: within the bench's ranges, with f_h equal to that of the pressures."""
+    assert bench is not None
+    for state in host.new_states:
+        a, b, position = (value(state, name) for name in ("pressure_a", "pressure_b", "piston_position"))
+        if not all(-0.1 * bench["supply_pressure"] <= p <= 1.5 * bench["supply_pressure"] for p in (a, b)):
+            return f"pressures of {a:g} and {b:g} Pa"
+        if not -0.1 * bench["stroke"] <= position <= 1.1 * bench["stroke"]:
+            return f"a position of {position:g} m"
+        wanted = bench["piston_area"] * (a - bench["area_ratio"] * b)
+        if not abs(value(state, "hydraulic_force") - wanted) <= force:
+            return f"hydraulic_force is {value(state, 'hydraulic_force'):g} N, the pressures give {wanted:g} N"
+        if not all(map(isfinite, state.values)):
+            return "a value is not finite"
+    return ""
+
+
+_CLOSE = 2e-6
+"""Rounding of float32 in a number of the shaping, relative to its limits."""
+
+_KINK = 4e-3
+"""Time constant [s] with which a jump of f_r'' comes into f_c."""
+
+
+def law_told(host: Host, bench: Bench) -> str:
+    """Check that the safe state that LAW tells is within its limits, and acts while the box is disarmed."""
+    law = _record(host)
+    for entry in fields(law):
+        number = getattr(law, entry.name)
+        if not all(map(isfinite, number if isinstance(number, tuple) else (number,))):
+            return f"{entry.name} is not finite"
+    for low, safe, high, rate in zip(*_shaping(law), strict=True):
+        if not (low <= safe <= high and rate > 0.0):
+            return f"{safe:g} is safe, the limits are {low:g} and {high:g}, the fastest change is {rate:g} a second"
+    if not (law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max):
+        return "its limits of the gains do not hold 0"
+    for state in settled(host):
+        acting = _acting(state)
+        if acting.law is not Law.COMPENSATED or not all(map(near, acting.coefficients, NEUTRAL)):
+            return f"law {acting.law.name} with {acting.coefficients} acts in STATE {state.sequence}"
+        if acting.compensated_reference != value(state, followed(host)) or acting.compensated_reference_rate != 0.0:
+            return f"f_c is {acting.compensated_reference:g} N while it is disarmed"
+    return "" if settled(host) else "no command was confirmed"
+
+
+def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
+    """Check gains, shaping and f_c of each armed sample against the one before and the command in force.
+
+    The shaping goes to the one that was commanded, within its limits, no faster than LAW says; to the safe one where
+    the command is late or for the paper's law. f_r'' is the difference of f_r': within an allowance where that jumps,
+    which goes as the jump comes into f_c. There and everywhere f_c goes where f_c' says. At arming f_r'' begins at 0.
+    """
+    law, commands = _record(host), {each.sequence: each.command for each in host.sent}
+    low, _, high, rate = _shaping(law)
+    seen, bend, jump = 0, 0.0, 0.0
+    for before, state, behind in zip(host.states, host.states[1:], host.states[2:], strict=False):
+        rates = [value(each, "reference_force_rate") for each in (before, state, behind)]
+        last_bend, bend = bend, abs(rates[2] - 2.0 * rates[1] + rates[0]) / SAMPLE_PERIOD
+        jump = max(bend + last_bend, jump * _KINK / (_KINK + SAMPLE_PERIOD))
+        if not all(each.flags & Flag.ARMED for each in (before, state, behind)):
+            continue
+        wanted, gains = _wanted(law, commands.get(state.last_command), late=bool(state.flags & Flag.WATCHDOG))
+        shown = value(state, "proportional_gain"), value(state, "integral_gain")
+        if not all(map(near, shown, gains)):
+            return f"the gains are {shown} in STATE {state.sequence}, {gains} is right"
+        found, last = _numbers(_acting(state)), _numbers(_acting(before))
+        for number, old, new, least, most, fastest in zip(found, last, wanted, low, high, rate, strict=True):
+            step, room = fastest * SAMPLE_PERIOD, _CLOSE * max(abs(least), abs(most))
+            right = old + min(max(new - old, -step), step)
+            if not abs(number - right) <= room or not least - room <= number <= most + room:
+                return f"{number:g} acts in STATE {state.sequence}, {right:g} is right: {old:g} before, {new:g} wanted"
+        if sentence := _reference(law, before, state, rates, jump, tolerance):
+            return sentence
+        seen += 1
+    return "" if seen else "it was not armed"
+
+
+def _reference(law: BoxLaw, before: State, state: State, rates: Sequence[float], jump: float, tolerance: float) -> str:
+    """Compare f_c with the formula, and f_c' by what is known of it; what is wrong, or nothing.
+
+    `rates` are f_r' [N/s] before, now and behind; `jump` is what f_r'' [N/s^2] may be off.
+    """
+    acting, last = _acting(state), _acting(before)
+    second = (rates[2] - rates[0]) / (2.0 * SAMPLE_PERIOD)
+    terms = (value(state, "reference_force"), rates[1], second, 1.0)
+    a, changes = acting.coefficients, [new - old for new, old in zip(acting[3], last[3], strict=True)]
+    right = sum(number * term for number, term in zip(a, terms, strict=True))
+    allowed = tolerance + abs(a[2]) * jump
+    if abs(right) > law.reference_max - allowed:
+        return "" if abs(acting.compensated_reference) <= law.reference_max * (1.0 + _CLOSE) else "f_c is not cut off"
+    if not abs(acting.compensated_reference - right) <= allowed:
+        return f"f_c is {acting.compensated_reference:g} N in STATE {state.sequence}, {right:g} N is right"
+    moved = sum(change * term for change, term in zip(changes, terms, strict=True)) / SAMPLE_PERIOD
+    right = a[0] * rates[1] + a[1] * second + moved
+    allowed = 1.0 + (abs(a[1]) + 2.0 * abs(a[2]) / SAMPLE_PERIOD) * jump
+    if not abs(acting.compensated_reference_rate - right) <= allowed:
+        return f"f_c' is {acting.compensated_reference_rate:g} N/s in STATE {state.sequence}, {right:g} N/s is right"
+    moved = acting.compensated_reference - last.compensated_reference
+    allowed = tolerance + abs(a[1]) * jump * SAMPLE_PERIOD
+    if not abs(moved - SAMPLE_PERIOD * acting.compensated_reference_rate) <= allowed:
+        return f"f_c moves by {moved:g} N to STATE {state.sequence}, f_c' is {acting.compensated_reference_rate:g} N/s"
+    return ""
+
+
+def _wanted(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[float], tuple[float, float]]:
+    """Shaping that a box goes to, and its gains."""
+    low, safe, high, _ = _shaping(law)
+    if late or command is None or command.law is not Law.COMPENSATED:
+        return safe, (law.base_kp, law.base_ki)
+    asked = (*command.coefficients, command.velocity_compensation, command.valve_gain_scale)
+    taken = [_taken(*each) for each in zip(asked, safe, low, high, strict=True)]
+    kp = law.base_kp + _taken(command.delta_kp, 0.0, law.delta_kp_min, law.delta_kp_max)
+    return taken, (kp, law.base_ki + _taken(command.delta_ki, 0.0, law.delta_ki_min, law.delta_ki_max))
+
+
+def _taken(number: float, safe: float, low: float, high: float) -> float:
+    return min(max(number, low), high) if isfinite(number) else safe
+
+
+def _shaping(law: BoxLaw) -> tuple[list[float], list[float], list[float], list[float]]:
+    """Lowest, safe, highest, and fastest change of a_0 to a_3, C_1, C_2."""
+    low = [*law.coefficient_min, law.velocity_compensation_min, law.valve_gain_scale_min]
+    safe = [*NEUTRAL, law.velocity_compensation, law.valve_gain_scale]
+    high = [*law.coefficient_max, law.velocity_compensation_max, law.valve_gain_scale_max]
+    return low, safe, high, [*law.coefficient_rate, law.scale_rate, law.scale_rate]
+
+
+def _numbers(acting: LawState) -> list[float]:
+    return [*acting.coefficients, acting.velocity_compensation, acting.valve_gain_scale]
+
+
+def _record(host: Host) -> BoxLaw:
+    assert host.law is not None, "its case needs a compensated law"
+    return host.law
+
+
+def _acting(state: State) -> LawState:
+    assert state.law_state is not None
+    return state.law_state
+
+
+CHECKS: dict[str, Callable[..., str]] = {
+    check.__name__: check
+    for check in (
+        flags, field, taken, unchanged, first_flag, late, refused, idle,
+        undisturbed, clock, hello, greeted, speaks, details, believes,
+        current, law, reference, follows, rates, units,
+        law_told, compensation,
+    )
+}  # fmt: skip
 """Checks by their names in `cases.yaml`."""

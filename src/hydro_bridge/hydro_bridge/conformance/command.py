@@ -10,9 +10,8 @@ import argparse
 from pathlib import Path
 
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress
+from hydro_bridge.conformance.cases import FAIL, LEFT_OUT, NOT_JUDGED, PASS, Case, Result, run, shipped
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.conformance.run import FAIL, LEFT_OUT, NOT_JUDGED, PASS, Result, run
-from hydro_bridge.conformance.script import Case, shipped
 from hydro_bridge.files import bench_file
 from hydro_bridge.serial.port import Port, PortSettings, no_port
 

@@ -18,7 +18,8 @@ import rclpy
 from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.ros import CLAIM_SERVICE, ros_arguments, start_ros
+from hydro_bridge.ros.node import ros_arguments, start_ros
+from hydro_bridge.ros.topics import CLAIM_SERVICE
 from hydro_msgs.srv import Claim
 
 

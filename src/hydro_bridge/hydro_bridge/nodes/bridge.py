@@ -18,7 +18,8 @@ from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.files import bench_file
 from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.ros import Level, Status, declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.diagnostics import Level, Status
+from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import differences, known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.frames import BoxInfo

@@ -17,14 +17,8 @@ from hydro_bridge.dashboard.commands import Rules
 from hydro_bridge.dashboard.server import PORT, PageServer
 from hydro_bridge.nodes.dashboard_commands import PageCommands
 from hydro_bridge.nodes.dashboard_feed import Feed
-from hydro_bridge.ros import (
-    DiagnosticsPublisher,
-    Status,
-    request_realtime,
-    ros_arguments,
-    run_node,
-    warn_of_duplicate_nodes,
-)
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_duplicate_nodes
+from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 
 HOST = "127.0.0.1"
 

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from hydro_bridge.dashboard.commands import PageCommand, RefusedError, Rules, read
 from hydro_bridge.dashboard.server import ANSWER_WITHIN
 from hydro_bridge.dashboard.words import encoded
-from hydro_bridge.ros import CLAIM_SERVICE, END_SERVICE, FREEZE_SERVICE, OVERRIDE_SERVICE
+from hydro_bridge.ros.topics import CLAIM_SERVICE, END_SERVICE, FREEZE_SERVICE, OVERRIDE_SERVICE
 from hydro_msgs.srv import Claim, OverrideGains
 
 _WHO = "a person, by the live page"

@@ -17,7 +17,8 @@ from hydro_bridge.dashboard import series, words
 from hydro_bridge.dashboard.server import PageServer
 from hydro_bridge.dashboard.thinning import SLOT
 from hydro_bridge.nodes.dashboard_samples import Samples
-from hydro_bridge.ros import (
+from hydro_bridge.ros.messages import listen_to_box
+from hydro_bridge.ros.topics import (
     AUTHORITY,
     AUTHORITY_QOS,
     CORRECTION,
@@ -27,7 +28,6 @@ from hydro_bridge.ros import (
     REFERENCE,
     STATE,
     TRAINING,
-    listen_to_box,
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_msgs.msg import Authority, TrainingStatus

@@ -19,7 +19,7 @@ from rclpy.subscription import Subscription
 
 from hydro_bridge.dashboard import series, words
 from hydro_bridge.dashboard.thinning import Thinner
-from hydro_bridge.ros import CORRECTION, GRAPH, LAW_STATE, STATE
+from hydro_bridge.ros.topics import CORRECTION, GRAPH, LAW_STATE, STATE
 
 QUEUE = 500
 """Messages per topic that wait for the next frame: half a second."""

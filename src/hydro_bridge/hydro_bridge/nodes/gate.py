@@ -25,15 +25,8 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool
 
 from hydro_bridge.nodes.gate_words import GateWords
-from hydro_bridge.ros import (
-    ARM_SERVICE,
-    AUTHORITY,
-    CLAIM_SERVICE,
-    COMMANDS,
-    CORRECTION,
-    STATE,
-    publisher_conflicts,
-)
+from hydro_bridge.ros.diagnostics import publisher_conflicts
+from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, CLAIM_SERVICE, COMMANDS, CORRECTION, STATE
 from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import ReferenceSignal

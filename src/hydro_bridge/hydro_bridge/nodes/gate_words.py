@@ -7,7 +7,8 @@ from collections import Counter
 
 from rclpy.node import Node
 
-from hydro_bridge.ros import AUTHORITY, AUTHORITY_QOS, CALLS, CORRECTION
+from hydro_bridge.ros.diagnostics import CALLS
+from hydro_bridge.ros.topics import AUTHORITY, AUTHORITY_QOS, CORRECTION
 from hydro_bridge.safety.authority import Authority
 from hydro_msgs.msg import Authority as AuthorityMessage
 

@@ -23,7 +23,16 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from hydro_bridge.nodes.gate import Gate
-from hydro_bridge.ros import (
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, with_publisher_conflicts
+from hydro_bridge.ros.messages import (
+    StateMessage,
+    box_to_message,
+    fill_law_state,
+    law_command_from_message,
+    law_to_message,
+    reference_from_message,
+)
+from hydro_bridge.ros.topics import (
     BOX,
     BOX_LAW,
     BOX_LAW_QOS,
@@ -40,16 +49,6 @@ from hydro_bridge.ros import (
     REFERENCE_QOS,
     STATE,
     STATE_QOS,
-    DiagnosticsPublisher,
-    Level,
-    StateMessage,
-    Status,
-    box_to_message,
-    fill_law_state,
-    law_command_from_message,
-    law_to_message,
-    reference_from_message,
-    with_publisher_conflicts,
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard

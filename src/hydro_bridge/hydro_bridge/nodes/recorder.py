@@ -25,16 +25,9 @@ from hydro_bridge.bags.recording import repair
 from hydro_bridge.bags.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.bags.types import TopicQos
 from hydro_bridge.cli.console import UserError, command, writable_folder
-from hydro_bridge.ros import (
-    GRAPH,
-    DiagnosticsPublisher,
-    Level,
-    Status,
-    request_realtime,
-    ros_arguments,
-    run_node,
-    warn_of_duplicate_nodes,
-)
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
+from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.topics import GRAPH
 
 _QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
 _PRIORITY = 5  # of SCHED_FIFO, below all control nodes. The middleware buffers some 0.5 s of samples, then drops them

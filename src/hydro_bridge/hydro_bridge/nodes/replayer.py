@@ -20,20 +20,9 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.bags.replaying import Replay
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import command
-from hydro_bridge.ros import (
-    ARM_SERVICE,
-    BOX,
-    BOX_LAW,
-    CLAIM_SERVICE,
-    GRAPH,
-    LAW_STATE,
-    STATE,
-    DiagnosticsPublisher,
-    Status,
-    request_realtime,
-    ros_arguments,
-    run_node,
-)
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
+from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, GRAPH, LAW_STATE, STATE
 from hydro_msgs.srv import Claim
 
 

@@ -13,10 +13,17 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.ros.keys.enclave import ENABLE, ENFORCE, KEYSTORE, STRATEGY
-from hydro_bridge.ros.keys.keystore import domain, make_keystore
-from hydro_bridge.ros.keys.policy import policy_xml
-from hydro_bridge.ros.keys.rights import RIGHTS, enclave_of
+from hydro_bridge.ros.keys import (
+    ENABLE,
+    ENFORCE,
+    KEYSTORE,
+    RIGHTS,
+    STRATEGY,
+    domain,
+    enclave_of,
+    make_keystore,
+    policy_xml,
+)
 from hydro_bridge.ros.topics import CLAIM_SERVICE, CLOCK, END_SERVICE, GRAPH, OVERRIDE_SERVICE
 
 

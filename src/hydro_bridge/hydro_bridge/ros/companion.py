@@ -2,21 +2,31 @@
 """Companion processes: executables of our packages that start and end with the program that needs them.
 
 Each runs in a process group of its own. None outlives its parent: not on a clean exit, not on an error, and not on
-`kill -9`, for the kernel then sends it SIGTERM (PR_SET_PDEATHSIG).
+`kill -9`, for the kernel then sends it SIGTERM (PR_SET_PDEATHSIG). A recorder is waited for, and a live page offered.
 """
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import os
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
-from contextlib import suppress
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from math import inf
 from pathlib import Path
-from typing import IO
+from typing import IO, cast
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from tqdm import tqdm
+
+from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, STATE
+from hydro_bridge.safety.readiness import NotReadyError, Requirement
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
@@ -134,3 +144,109 @@ def _die_with(parent: int) -> None:
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
+
+
+WITHIN = 60.0
+"""s, wait for a recorder once samples arrive: on a busy machine discovery takes some time."""
+
+
+class RecorderWatch:
+    """Watches one recorder.
+
+    Parameters
+    ----------
+    node
+        Node that subscribes to /diagnostics.
+    folder
+        Folder of the recording, as passed to the recorder.
+    recorder
+        Its process.
+    """
+
+    def __init__(self, node: Node, folder: Path, recorder: Companion) -> None:
+        self.since = inf
+        """Time of its first report of samples, s of the monotonic clock."""
+        self._folder, self._recorder = str(folder), recorder
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+
+    @property
+    def requirement(self) -> Requirement:
+        """Requirement that it records before anything moves. A later end is reported, and does not stop the run."""
+        return Requirement(
+            name="the recorder",
+            ready=self._ready,
+            hint="it says once a second how many samples it has",
+            within=WITHIN,
+            missing=f"the recorder had no sample after {WITHIN:g} s: nothing is armed unrecorded",
+        )
+
+    def _ready(self) -> bool:
+        if self.since == inf and not self._recorder.running:
+            raise NotReadyError("the recorder ended before it had a sample: nothing is armed unrecorded")
+        return self.since < inf
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            if values.get("folder") == self._folder and values.get(STATE, "0") != "0":
+                self.since = min(self.since, time.monotonic())
+
+
+VARIABLE = "HYDRO_DASHBOARD"
+NAME = "dashboard"
+_ADDRESS = "the live page: "
+
+
+def page_wanted() -> bool:
+    """Return whether this environment starts a page by default."""
+    return os.environ.get(VARIABLE, "") != "off"
+
+
+def add_page_option(parser: argparse._ActionsContainer) -> None:
+    """Add --no-dashboard."""
+    parser.add_argument(
+        "--no-dashboard",
+        dest="dashboard",
+        action="store_false",
+        default=page_wanted(),
+        help=f"serve no live page beside the run (nor where {VARIABLE}=off)",
+    )
+
+
+def start_page(
+    stack: ExitStack, node: Node, *, wanted: bool, keep: Callable[[str], object] = lambda line: None
+) -> None:
+    """Start a dashboard that `stack` ends, unless the graph already has one; call before arming.
+
+    A page that fails to start, or ends, does not affect the run.
+
+    Parameters
+    ----------
+    node
+        Node of the caller.
+    wanted
+        False: no page.
+    keep
+        Takes each line of its output except its address, which contains the token and goes to the terminal only.
+    """
+    if not wanted or NAME in node.get_node_names():
+        return
+    with suppress(CompanionError):
+        stack.enter_context(Companion("hydro_bridge", NAME, output=cast("IO[str]", _Output(keep))))
+
+
+class _Output:
+    def __init__(self, keep: Callable[[str], object]) -> None:
+        self._keep = keep
+
+    def write(self, text: str) -> int:
+        """Take a line."""
+        if _ADDRESS not in text:
+            self._keep(text)
+            return len(text)
+        with suppress(OSError, ValueError):  # the terminal has gone
+            tqdm.write(text.partition("] ")[2].rstrip("\n"), file=sys.stderr)
+        return len(text)
+
+    def flush(self) -> None:
+        """Each line is passed on at once."""

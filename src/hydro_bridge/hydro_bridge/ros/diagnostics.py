@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status of a node, published once a second on /diagnostics."""
+"""What nodes report: /diagnostics, /rosout, and other nodes that are in their way."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import Log
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
+from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, LOG, LOG_QOS
 
 
 class Level(IntEnum):
@@ -62,3 +63,65 @@ class DiagnosticsPublisher:
 
 def _shown(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def publisher_conflicts(node: Node, *topics: str) -> str:
+    """Return a sentence about each topic with more than one publisher; empty if there is none."""
+    crowded = []
+    for topic in topics:
+        if node.count_publishers(topic) > 1:
+            names = sorted(info.node_name for info in node.get_publishers_info_by_topic(topic))
+            crowded.append(f"{len(names)} nodes publish {topic} ({', '.join(names)}): end all but one")
+    return "; ".join(crowded)
+
+
+def with_publisher_conflicts(status: Status, trouble: str) -> Status:
+    """Return the status, turned into an ERROR that reports `trouble` if there is any."""
+    if not trouble:
+        return status
+    return Status(level=Level.ERROR, message=f"{trouble}; {status.message}", values=status.values)
+
+
+CALLS = "calls"
+"""Last part of the logger name of service calls: caller, request and answer."""
+
+
+class Journal:
+    """Publishes sentences on /rosout under a node's name.
+
+    Parameters
+    ----------
+    node
+        Source of the messages.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(Log, LOG, LOG_QOS)
+
+    def tell(self, sentence: str, warning: bool = False) -> None:
+        """Add a sentence."""
+        self._publish(self._node.get_name(), sentence, Log.WARN if warning else Log.INFO)
+
+    def call(self, sentence: str) -> None:
+        """Add a service call: caller, request and answer."""
+        self._publish(f"{self._node.get_name()}.{CALLS}", sentence, Log.INFO)
+
+    def _publish(self, name: str, sentence: str, level: int | bytes) -> None:
+        level = level if isinstance(level, int) else level[0]
+        stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(Log(stamp=stamp, level=level, name=name, msg=sentence))
+
+
+_PERIOD = 1.0  # s
+
+
+def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
+    """Warn with `sentence`, once, as soon as another node of the same name is in the graph."""
+
+    def look() -> None:
+        if node.get_node_names().count(node.get_name()) > 1:
+            node.get_logger().warning(sentence)
+            timer.cancel()
+
+    timer = node.create_timer(_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -37,7 +37,7 @@ MARKS = 20_000
 """Maximum number of marks; later ones are counted, not kept."""
 
 CALLS = "calls"
-"""Name of call messages, as in `hydro_bridge.ros.journal`."""
+"""Name of call messages, as in `hydro_bridge.ros.diagnostics`."""
 _TRAINERS = ("trainer", "evaluate")
 _WARN = 30
 

@@ -33,7 +33,16 @@ from rclpy.publisher import Publisher
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.process import endings
-from hydro_bridge.ros import (
+from hydro_bridge.ros.diagnostics import (
+    DiagnosticsPublisher,
+    Level,
+    Status,
+    publisher_conflicts,
+    with_publisher_conflicts,
+)
+from hydro_bridge.ros.messages import law_state_from_message, listen_to_box, seconds
+from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.topics import (
     AUTHORITY,
     AUTHORITY_QOS,
     CLOCK,
@@ -43,18 +52,6 @@ from hydro_bridge.ros import (
     LAW_STATE_QOS,
     STATE,
     STATE_QOS,
-    DiagnosticsPublisher,
-    Level,
-    Status,
-    declare_parameters,
-    law_state_from_message,
-    listen_to_box,
-    publisher_conflicts,
-    request_realtime,
-    ros_arguments,
-    run_node,
-    seconds,
-    with_publisher_conflicts,
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.settings import check

@@ -12,7 +12,8 @@ import argparse
 from pathlib import Path
 
 from hydro_bridge.cli.console import command, writable, writable_folder
-from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
+from hydro_bridge.ros.companion import CompanionError
+from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.nodes.startup.options import add_plant_options
 

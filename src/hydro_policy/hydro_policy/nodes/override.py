@@ -15,7 +15,8 @@ import rclpy
 from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.ros import OVERRIDE_SERVICE, ros_arguments, start_ros
+from hydro_bridge.ros.node import ros_arguments, start_ros
+from hydro_bridge.ros.topics import OVERRIDE_SERVICE
 from hydro_msgs.srv import OverrideGains
 
 DISCOVERY = 10.0  # s, to find the service: on a busy machine announcements get lost and come again each few seconds

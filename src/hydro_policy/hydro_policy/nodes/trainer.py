@@ -14,7 +14,8 @@ import rclpy
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
-from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
+from hydro_bridge.ros.companion import CompanionError
+from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration_of

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from tqdm import tqdm
 
-from hydro_bridge.ros import Commander
+from hydro_bridge.ros.commander import Commander
 
 NOT_YET = "not armed, still waiting for {}: you are asked once all is ready"
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"

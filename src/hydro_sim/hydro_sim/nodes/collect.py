@@ -20,15 +20,8 @@ import yaml
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable, writable_folder
-from hydro_bridge.ros import (
-    Companion,
-    CompanionError,
-    add_page_option,
-    refuse_unknown_parameters,
-    ros_arguments,
-    start_page,
-    start_ros,
-)
+from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
+from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_sim.excitation.coverage import coverage
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.excitation.schedules import Segment, load_schedule, save_schedule

@@ -22,17 +22,12 @@ from rclpy.task import Future
 
 from hydro_bridge.cli.console import UserError, progress
 from hydro_bridge.process import endings
-from hydro_bridge.ros import (
-    COMMANDS,
-    STATE,
-    STATE_QOS,
-    Commander,
-    Companion,
-    RecorderWatch,
-    listen_to_box,
-    publisher_conflicts,
-    spin,
-)
+from hydro_bridge.ros.commander import Commander
+from hydro_bridge.ros.companion import Companion, RecorderWatch
+from hydro_bridge.ros.diagnostics import publisher_conflicts
+from hydro_bridge.ros.messages import listen_to_box
+from hydro_bridge.ros.node import spin
+from hydro_bridge.ros.topics import COMMANDS, STATE, STATE_QOS
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag

@@ -18,7 +18,9 @@ from rosgraph_msgs.msg import Clock
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.ros import CLOCK, Level, Status, declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.diagnostics import Level, Status
+from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.topics import CLOCK
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.ros import start_ros
+from hydro_bridge.ros.node import start_ros
 
 SPIN_TIME = 1.0
 """s, minimum wait of a list, which continues until nothing new has appeared for `_CALM`."""

@@ -26,7 +26,7 @@ from hydro_bridge.nodes.verbs.graph import (
     wait_for,
 )
 from hydro_bridge.nodes.verbs.values import as_csv, as_yaml, interface, part, plain, without
-from hydro_bridge.ros import spin
+from hydro_bridge.ros.node import spin
 
 GROUP, HELP = "topic", "topics of the running graph: list, info, type, echo, hz"
 _DEPTH = 1000

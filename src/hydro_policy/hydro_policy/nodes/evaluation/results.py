@@ -15,7 +15,7 @@ from typing import Any
 from hydro_bridge.bags.recording_run import code_version
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
-from hydro_bridge.ros import CompanionError
+from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.session import EvaluationSession

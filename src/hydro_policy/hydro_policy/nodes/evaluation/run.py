@@ -13,11 +13,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from hydro_bridge.process.endings import undisturbed
-from hydro_bridge.ros import (
-    declare_parameters,
-    refuse_unknown_parameters,
-    start_page,
-)
+from hydro_bridge.ros.companion import start_page
+from hydro_bridge.ros.node import declare_parameters, refuse_unknown_parameters
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.serial.frames import BoxLaw

@@ -8,7 +8,9 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from hydro_bridge.ros import STATE, Commander, publisher_conflicts
+from hydro_bridge.ros.commander import Commander
+from hydro_bridge.ros.diagnostics import publisher_conflicts
+from hydro_bridge.ros.topics import STATE
 from hydro_bridge.safety.readiness import NotReadyError
 
 ALONE_WITHIN = 600.0

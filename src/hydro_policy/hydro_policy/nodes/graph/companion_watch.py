@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import signal
 
-from hydro_bridge.ros import Companion
+from hydro_bridge.ros.companion import Companion
 
 _REFUSED = 2  # exit status of all our commands for invalid input
 

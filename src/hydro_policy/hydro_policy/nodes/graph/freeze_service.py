@@ -8,7 +8,8 @@ from collections.abc import Callable
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from hydro_bridge.ros import FREEZE_SERVICE, DiagnosticsPublisher, Level, Status
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
+from hydro_bridge.ros.topics import FREEZE_SERVICE
 from hydro_policy.compensation.live import LiveCompensation
 
 

@@ -19,7 +19,13 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from hydro_bridge.process import endings
-from hydro_bridge.ros import (
+from hydro_bridge.process.realtime import drop_realtime
+from hydro_bridge.ros.commander import Commander
+from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
+from hydro_bridge.ros.diagnostics import Journal
+from hydro_bridge.ros.messages import law_from_message, listen_to_box, seconds, state_from_message
+from hydro_bridge.ros.node import request_realtime, spin
+from hydro_bridge.ros.topics import (
     BOX_LAW,
     BOX_LAW_QOS,
     CORRECTION,
@@ -28,18 +34,6 @@ from hydro_bridge.ros import (
     LAW_STATE_QOS,
     STATE,
     STATE_QOS,
-    Commander,
-    Companion,
-    CompanionError,
-    Journal,
-    RecorderWatch,
-    drop_realtime,
-    law_from_message,
-    listen_to_box,
-    request_realtime,
-    seconds,
-    spin,
-    state_from_message,
 )
 from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 from rclpy.service import Service
 
-from hydro_bridge.ros import OVERRIDE_SERVICE
+from hydro_bridge.ros.topics import OVERRIDE_SERVICE
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.supervision.override import GainOverride
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from rclpy.node import Node
 
-from hydro_bridge.ros import POLICY, POLICY_QOS
+from hydro_bridge.ros.topics import POLICY, POLICY_QOS
 from hydro_msgs.msg import PolicyStep
 
 

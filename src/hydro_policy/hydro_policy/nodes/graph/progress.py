@@ -11,7 +11,8 @@ from rclpy.clock import Clock, ClockType
 from tqdm import tqdm
 
 from hydro_bridge.cli.console import progress
-from hydro_bridge.ros import TRAINING, TRAINING_QOS, DiagnosticsPublisher, Level, Status
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
+from hydro_bridge.ros.topics import TRAINING, TRAINING_QOS
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.nodes.graph.node import GraphNode

@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from hydro_bridge.ros import Companion
+from hydro_bridge.ros.companion import Companion
 from hydro_policy.nodes.graph.announcements import CompanionOutput
 from hydro_policy.nodes.startup import provenance
 from hydro_policy.nodes.startup.guard_range import filter_command, guard_parameters, requested_filter

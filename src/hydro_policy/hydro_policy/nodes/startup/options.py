@@ -14,7 +14,8 @@ from typing import Any
 from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.ros import add_page_option, declare_parameters
+from hydro_bridge.ros.companion import add_page_option
+from hydro_bridge.ros.node import declare_parameters
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 
 from hydro_bridge.errors import UserError
-from hydro_bridge.ros import STATE
+from hydro_bridge.ros.topics import STATE
 
 LOOK = 5.0
 """s of search for a running plant before a person is asked; discovery takes half a second."""

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.cli.console import writable_folder
-from hydro_bridge.ros import CompanionError, refuse_unknown_parameters, start_page
+from hydro_bridge.ros.companion import CompanionError, start_page
+from hydro_bridge.ros.node import refuse_unknown_parameters
 from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.startup.box_expectation import (

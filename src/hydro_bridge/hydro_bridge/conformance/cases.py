@@ -1,17 +1,82 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execution of the cases, one conversation each, and their results."""
+"""Test cases as data, read from `cases.yaml`; their execution, one conversation each, and their results."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
-from hydro_bridge.conformance import checks, conversation
+import yaml
+
+from hydro_bridge.conformance import conversation
+from hydro_bridge.conformance.checks import CHECKS, NotToldError
+from hydro_bridge.conformance.conversation import VERBS
 from hydro_bridge.conformance.host import PUNCTUAL, Host, SilentError, UnreadableError
-from hydro_bridge.conformance.readings import NotToldError
-from hydro_bridge.conformance.script import Case
-from hydro_bridge.conformance.steps import VERBS
+from hydro_bridge.errors import UserError
+
+
+@dataclass(frozen=True)
+class Step:
+    """One verb with its parameters."""
+
+    verb: str
+    words: Any
+
+
+@dataclass(frozen=True)
+class Case:
+    """One requirement on a box."""
+
+    id: str
+    says: str
+    """The requirement, as one sentence."""
+    moving: bool
+    """Whether the case arms the box, or asks it to arm: the piston may move."""
+    needs: str
+    """Precondition, `version 2`, `bench`, `compensated law`, or both of these; empty: none."""
+    steps: tuple[Step, ...]
+
+
+def shipped() -> tuple[Case, ...]:
+    """Return the cases shipped with this package."""
+    text = resources.files("hydro_bridge.conformance").joinpath("cases.yaml").read_text(encoding="utf-8")
+    return read(yaml.safe_load(text))
+
+
+def read(content: Any) -> tuple[Case, ...]:
+    """Parse the cases from a file's content.
+
+    Raises
+    ------
+    UserError
+        A case is incomplete, a verb is unknown, or a case that is not marked as moving asks a box to arm.
+    """
+    cases = tuple(_case(entry) for entry in content)
+    ids = [case.id for case in cases]
+    if len(set(ids)) < len(ids):
+        raise UserError("two conformance cases have the same id")
+    return cases
+
+
+def _case(entry: Mapping[str, Any]) -> Case:
+    unknown = set(entry) - {"id", "says", "moving", "needs", "steps"}
+    if unknown or not {"id", "says", "steps"} <= set(entry):
+        raise UserError(f"conformance case {entry.get('id')!r} needs id, says and steps, and knows moving and needs")
+    steps = tuple(_step(str(entry["id"]), step) for step in entry["steps"])
+    case = Case(entry["id"], entry["says"], bool(entry.get("moving")), str(entry.get("needs", "")), steps)
+    if not case.moving and any(isinstance(step.words, Mapping) and step.words.get("arm") for step in steps):
+        raise UserError(f"conformance case {case.id!r} asks the box to arm and is not marked as moving")
+    return case
+
+
+def _step(case: str, step: Any) -> Step:
+    if not isinstance(step, Mapping) or len(step) != 1 or next(iter(step)) not in (*VERBS, "check"):
+        raise UserError(f"conformance case {case!r}: a step is one of {', '.join(VERBS)}, check, not {step!r}")
+    ((verb, words),) = step.items()
+    return Step(verb, words)
+
 
 PASS, FAIL, LEFT_OUT, NOT_JUDGED = "pass", "FAIL", "left out", "not judged"
 
@@ -93,7 +158,7 @@ def _verdict(
     try:
         for host, words in checked:
             for name, parameters in words.items():
-                if found := checks.CHECKS[name](host, bench, **(parameters or {})):
+                if found := CHECKS[name](host, bench, **(parameters or {})):
                     return Result(case, FAIL, f"{name}: {found}")
     except NotToldError as missing:
         return Result(case, LEFT_OUT, str(missing))

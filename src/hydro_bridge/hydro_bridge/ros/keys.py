@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Security by SROS2: rights of each executable, enclave of this process, policy, keystore.
+
+`RIGHTS` is the one table behind policies and keys. A graph test compares the running nodes with it, endpoint by
+endpoint (tests/test_graph_rights.py): a topic added to a node is added here as well.
+
+A process' enclave is its executable's, however it was started (network.md). ROS's own variables enable security, for a
+process and its children. ROS reads only `true` as on, and silently runs unsecured if a key is missing, unless the
+strategy is exactly `Enforce`. Here unrecognised values are refused, and Enforce is the default.
+
+The policy is one of SROS2, version 0.2.0 (policy.xsd of package sros2).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from hydro_bridge.errors import UserError
+from hydro_bridge.files.atomic import flush_folder
+from hydro_bridge.ros.topics import (
+    ARM_SERVICE,
+    AUTHORITY,
+    BOX,
+    BOX_LAW,
+    CLAIM_SERVICE,
+    CLOCK,
+    COMMANDS,
+    CORRECTION,
+    DIAGNOSTICS,
+    END_SERVICE,
+    FREEZE_SERVICE,
+    GAINS,
+    GRAPH,
+    LAW,
+    LAW_STATE,
+    LOG,
+    OVERRIDE_SERVICE,
+    POLICY,
+    REFERENCE,
+    STATE,
+    TRAINING,
+)
+from hydro_bridge.settings import SettingsError
+
+PARAMETER_EVENTS = "/parameter_events"
+DESCRIPTION_SERVICE = "get_type_description"
+PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+"""Parameter services of each node, below its name. No node may call them, since our parameters are read-only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rights:
+    """Topics and services of a node; each name begins with a slash."""
+
+    publishes: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
+    """Services it offers."""
+    calls: tuple[str, ...] = ()
+    """Services it calls."""
+
+
+def enclave_of(executable: str) -> str:
+    """Return the name of an executable's enclave."""
+    return f"/hydro/{executable}"
+
+
+def node(name: str, rights: Rights) -> Rights:
+    """Return the rights extended by those that rclpy needs for any ordinary node of that name."""
+    return Rights(
+        publishes=(*rights.publishes, LOG, PARAMETER_EVENTS),
+        subscribes=rights.subscribes,
+        answers=(*rights.answers, *(f"/{name}/{service}" for service in (*PARAMETER_SERVICES, DESCRIPTION_SERVICE))),
+        calls=rights.calls,
+    )
+
+
+_ARMING = (ARM_SERVICE, CLAIM_SERVICE)
+"""Services of a plant. Our own programs call the second, under their names; the first is open to all."""
+_PLANT = Rights(
+    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING
+)
+
+RIGHTS: Mapping[str, Mapping[str, Rights]] = {
+    "bridge": {"bridge": node("bridge", _PLANT)},
+    "sim": {
+        "sim": node(
+            "sim",
+            Rights(publishes=(*_PLANT.publishes, CLOCK), subscribes=_PLANT.subscribes, answers=_PLANT.answers),
+        ),
+    },
+    "replayer": {
+        "replayer": node("replayer", Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING))
+    },
+    "filter": {
+        "filter": node(
+            "filter", Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY, CLOCK))
+        ),
+    },
+    "trainer": {
+        "trainer": node(
+            "trainer",
+            Rights(
+                publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS),
+                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, CORRECTION, DIAGNOSTICS),
+                answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
+                calls=(CLAIM_SERVICE,),
+            ),
+        ),
+    },
+    "evaluate": {
+        "evaluate": node(
+            "evaluate",
+            Rights(
+                publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
+                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
+                answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
+                calls=(CLAIM_SERVICE,),
+            ),
+        ),
+    },
+    "collect": {
+        "collect": node(
+            "collect",
+            Rights(
+                publishes=(GAINS, REFERENCE),
+                subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
+                answers=(END_SERVICE,),
+                calls=(CLAIM_SERVICE,),
+            ),
+        ),
+    },
+    "recorder": {"recorder": node("recorder", Rights(publishes=(DIAGNOSTICS,), subscribes=tuple(GRAPH)))},
+    "dashboard": {
+        "dashboard": node(
+            "dashboard",
+            Rights(
+                publishes=(DIAGNOSTICS,),
+                subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
+                calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
+            ),
+        ),
+        "dashboard_samples": Rights(publishes=(PARAMETER_EVENTS,), subscribes=(STATE, LAW_STATE, CORRECTION)),
+    },
+    "arm": {"arm": node("arm", Rights(calls=(CLAIM_SERVICE,)))},
+    "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
+    "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK)))},
+}
+"""Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""
+
+
+ENABLE = "ROS_SECURITY_ENABLE"
+STRATEGY = "ROS_SECURITY_STRATEGY"
+KEYSTORE = "ROS_SECURITY_KEYSTORE"
+ENFORCE = "Enforce"
+_MEANT = {ENABLE: ("true", "false"), STRATEGY: (ENFORCE, "Permissive")}
+
+
+def enclave_arguments() -> list[str]:
+    """Return the arguments that select this process' enclave, if it runs one of our executables; the user's own win.
+
+    The enclave is named with and without keys, so that both use the same start-up path.
+    """
+    executable = Path(sys.argv[0]).stem
+    return ["--ros-args", "--enclave", enclave_of(executable)] if executable in RIGHTS else []
+
+
+def security_enabled() -> bool:
+    """Whether security is enabled; if so, enforce it for this process and its children unless the user has chosen.
+
+    Raises
+    ------
+    SettingsError
+        A variable has a value that ROS would read as off.
+    """
+    for variable, meant in _MEANT.items():
+        if (value := os.environ.get(variable, "")) and value not in meant:
+            raise SettingsError(f"{variable}={value}: ROS knows {' and '.join(meant)} only, to the letter")
+    if os.environ.get(ENABLE) != "true":
+        return False
+    os.environ.setdefault(STRATEGY, ENFORCE)
+    return True
+
+
+def verify_keys() -> None:
+    """Join and leave the graph, so that missing or rejected keys fail at the start.
+
+    Raises
+    ------
+    SettingsError
+        This enclave has no keys, or the middleware has no security.
+    """
+    no_services = Parameter("start_type_description_service", value=False)
+    try:
+        Node(
+            "_hydro_keys",
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[no_services],
+        ).destroy_node()
+    except RuntimeError as error:
+        rclpy.try_shutdown()
+        raise key_error(error) from None
+
+
+def key_error(error: RuntimeError) -> SettingsError:
+    """Return ROS's error about unusable keys as one sentence."""
+    said = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
+    keystore = os.environ.get(KEYSTORE) or "not set"
+    return SettingsError(
+        f"ROS does not start with keys ({KEYSTORE}: {keystore}): {said}; "
+        "`ros2 run hydro_bridge secure KEYSTORE` makes them, docs/manual/explanation/network.md says "
+        "what else they need"
+    )
+
+
+VERSION = "0.2.0"
+
+
+def policy_xml(rights: Mapping[str, Mapping[str, Rights]] = RIGHTS) -> bytes:
+    """Return the policy as XML; anything not named in it is denied."""
+    policy = ElementTree.Element("policy", version=VERSION)
+    enclaves = ElementTree.SubElement(policy, "enclaves")
+    for executable, nodes in rights.items():
+        enclave = ElementTree.SubElement(enclaves, "enclave", path=enclave_of(executable))
+        profiles = ElementTree.SubElement(enclave, "profiles")
+        for name, allowed in nodes.items():
+            profile = ElementTree.SubElement(profiles, "profile", ns="/", node=name)
+            _allow(profile, "topic", "publish", allowed.publishes)
+            _allow(profile, "topic", "subscribe", allowed.subscribes)
+            _allow(profile, "service", "reply", allowed.answers)
+            _allow(profile, "service", "request", allowed.calls)
+    ElementTree.indent(policy)
+    return ElementTree.tostring(policy, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _allow(profile: ElementTree.Element, kind: str, what: str, names: Iterable[str]) -> None:
+    """Add one list of expressions; the schema forbids empty ones."""
+    if listed := sorted(set(names)):
+        expressions = ElementTree.SubElement(profile, f"{kind}s", {what: "ALLOW"})
+        for name in listed:
+            ElementTree.SubElement(expressions, kind).text = name
+
+
+POLICY_FILE = "policy.xml"
+_ONLY_OWNER = 0o077  # umask: whoever can read a key can act as its owner
+
+
+def make_keystore(folder: Path, policy: bytes, enclaves: Iterable[str]) -> None:
+    """Create `folder`, private to its owner, with keys and permissions for all enclaves of `policy`, or not at all.
+
+    It is valid for the domain of ROS_DOMAIN_ID. The policy is stored beside the keys.
+
+    Raises
+    ------
+    UserError
+        The package sros2 is missing or refuses, or the folder exists.
+    """
+    try:
+        from sros2 import errors, keystore
+    except ImportError as error:
+        raise UserError(
+            f"keys are made by the package sros2, which is not here ({error}): apt install ros-jazzy-sros2, "
+            "and source ROS 2; `secure --policy FILE` writes the policy without it"
+        ) from None
+    if folder.exists():
+        raise UserError(f"{folder} is there already: name another folder, its keys will not know those of this one")
+    domain()  # sros2 would copy any value unchecked
+    with _growing(folder) as partial, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # sros2's own, about its library calls
+        (partial / POLICY_FILE).write_bytes(policy)
+        try:
+            keystore.create_keystore(partial)
+            for enclave in enclaves:
+                keystore.create_enclave(partial, enclave)  # permits everything until the policy is signed
+                keystore.create_permission(partial, enclave, partial / POLICY_FILE)
+        except (errors.SROS2Error, RuntimeError) as error:
+            raise UserError(f"sros2 refuses: {error}") from None
+
+
+def domain() -> int:
+    """Return the domain that keys are made for: ROS_DOMAIN_ID, or 0.
+
+    Raises
+    ------
+    UserError
+        It is not a number that ROS accepts.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (text.isascii() and text.isdecimal() and int(text) <= 232):
+        raise UserError(f"ROS_DOMAIN_ID={text}: a number from 0 to 232 is meant")
+    return int(text)
+
+
+@contextmanager
+def _growing(folder: Path) -> Iterator[Path]:
+    """Yield a private temporary folder, renamed to `folder` on success and removed on failure."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    before = os.umask(_ONLY_OWNER)
+    partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        yield partial
+        partial.rename(folder)
+        flush_folder(folder.parent)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    finally:
+        os.umask(before)

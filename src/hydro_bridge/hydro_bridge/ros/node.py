@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node's life: discovery range, parameters, scheduling, spinning until a signal or shutdown.
+
+Discovery (network.md) stays on this machine, unless the user chooses otherwise by ROS's own variable, `RANGE`.
+LOCALHOST stops Fast DDS from multicasting, but not from listening on all addresses, and adds shared memory, in which a
+plant's thread waits up to 333 ms for a new participant (docs/decisions/0059-found-within-half-a-second.md). For Fast
+DDS everything is therefore set in `PROFILES`: UDP, the loopback interface, no multicast; and the middleware is told to
+add nothing.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import fields, replace
+from difflib import get_close_matches
+from importlib import resources
+from types import FrameType
+from typing import Any, TypeVar
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from hydro_bridge.errors import UserError
+from hydro_bridge.process import endings, middleware
+from hydro_bridge.process.realtime import limit_run
+from hydro_bridge.ros.keys import enclave_arguments, key_error, security_enabled, verify_keys
+from hydro_bridge.settings import Setting, SettingsError, check, converted, describe
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+THIS_MACHINE = "LOCALHOST"
+AS_PROFILED = "SYSTEM_DEFAULT"
+"""Range in which a middleware adds nothing to its configuration."""
+_OLD_RANGE = "ROS_LOCALHOST_ONLY"  # takes precedence over `RANGE` if set; deprecated
+
+
+def stay_on_this_machine() -> None:
+    """Restrict ROS to this machine for this process and its children; call before ROS starts. The user's settings win.
+
+    Raises
+    ------
+    UserError
+        The middleware that the user selected is not installed.
+    """
+    if trouble := middleware.missing_middleware():
+        raise UserError(trouble)
+    here = os.environ.setdefault(RANGE, THIS_MACHINE) == THIS_MACHINE
+    profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))
+    ours = os.environ.setdefault(PROFILES, profile) == profile
+    if here and ours and get_rmw_implementation_identifier().startswith("rmw_fastrtps"):
+        os.environ[RANGE] = AS_PROFILED  # the profile restricts it to this machine
+        os.environ.pop(_OLD_RANGE, None)
+
+
+T = TypeVar("T")
+
+
+def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
+    """Declare a read-only parameter for each field, and return the settings with the user's values.
+
+    Parameters
+    ----------
+    settings
+        Instance of a settings dataclass: its values are the defaults. Fields other than numbers, strings and flags
+        are skipped.
+    prefix
+        Prefix of each name, for instance ``guard.``.
+
+    Raises
+    ------
+    SettingsError
+        A value has the wrong type or is out of range.
+    """
+    chosen: dict[str, Any] = {}
+    for field in fields(settings):  # type: ignore[arg-type]
+        default = getattr(settings, field.name)
+        if isinstance(default, (bool, int, float, str)):
+            name, setting = prefix + field.name, describe(type(settings))[field.name]
+            try:
+                value = node.declare_parameter(name, default, _descriptor(setting)).value
+            except ParameterException as error:
+                raise SettingsError(f"parameter {name}: {error}; {setting.text}") from None
+            chosen[field.name] = converted(setting, value, f"parameter {name}", strict=True)
+    declared = replace(settings, **chosen)  # type: ignore[type-var]
+    check(declared)
+    return declared
+
+
+def refuse_unknown_parameters(node: Node) -> None:
+    """Raise for parameters that were set but not declared; ROS would ignore them, even a misspelt limit.
+
+    Raises
+    ------
+    SettingsError
+        The user set a parameter, by name or in a file, that this node does not have.
+    """
+    for name in node._parameter_overrides:  # rclpy has no public access to the user's values
+        if not node.has_parameter(name):
+            close = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
+            hint = f"; is {close[0]} meant?" if close else ""
+            raise SettingsError(f"{node.get_name()} has no parameter {name}{hint}")
+
+
+def _descriptor(setting: Setting) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=setting.text, read_only=True, dynamic_typing=True)
+    if setting.range and setting.kind is float:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
+        ]
+    elif setting.range:
+        descriptor.integer_range = [IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)]
+    return descriptor
+
+
+PRIORITY = 20
+"""Priority under SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
+
+
+def request_realtime(*, realtime: bool, priority: int = PRIORITY, inherited: bool = True) -> str:
+    """Freeze the garbage collector and, if requested, switch to SCHED_FIFO; returns a sentence with the outcome.
+
+    Call it after all long-lived objects are created, which the collector then skips. Without permission for SCHED_FIFO
+    (CAP_SYS_NICE, or rtprio in limits.conf) the process keeps ordinary scheduling. A process that never blocks under it
+    is ended (`hydro_bridge.process.realtime`).
+
+    Parameters
+    ----------
+    realtime
+        Request SCHED_FIFO.
+    priority
+        Priority under SCHED_FIFO.
+    inherited
+        False: processes and threads started later use ordinary scheduling (SCHED_RESET_ON_FORK).
+    """
+    gc.collect()
+    gc.freeze()
+    if not realtime:
+        return "ordinary scheduling"
+    limit_run()
+    policy = os.SCHED_FIFO if inherited else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    try:
+        for thread in os.listdir("/proc/self/task"):  # the middleware's threads as well
+            os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
+    except OSError as error:
+        return f"ordinary scheduling, SCHED_FIFO was refused: {error.strerror}"
+    return f"SCHED_FIFO, priority {priority}"
+
+
+_SLICE = 0.2
+
+
+def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], list[str]]:
+    """Split a command line into a node's own arguments and those after `--ros-args` (up to `--`, if there is one)."""
+    rest = list(sys.argv[1:] if arguments is None else arguments)
+    if "--ros-args" not in rest:
+        return rest, []
+    begin = rest.index("--ros-args")
+    end = rest.index("--", begin) + 1 if "--" in rest[begin:] else len(rest)
+    return rest[:begin] + rest[end:], rest[begin:end]
+
+
+def start_ros(ros: Sequence[str] = ()) -> None:
+    """Start ROS without its signal handlers; ours leave time to disarm.
+
+    See `network` for the discovery range, `keys.enclave` for the keys used if security is enabled.
+
+    Raises
+    ------
+    SettingsError
+        The arguments, `--ros-args` and what follows, cannot be used, or the keys cannot.
+    """
+    stay_on_this_machine()
+    keys = security_enabled()
+    try:
+        rclpy.init(args=["hydro", *enclave_arguments(), *ros], signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # of which all of rclpy's are
+        if keys:
+            raise key_error(error) from None
+        sentence = re.sub(r",? at /\S+:\d+", "", str(error))
+        raise SettingsError(f"ROS refuses its arguments: {' '.join(sentence.split())}") from None
+    if keys:
+        verify_keys()
+
+
+def spin(node: Node, until: Future | None = None) -> bool:
+    """Run the node's callbacks on an EventsExecutor until a signal or shutdown.
+
+    Signals are SIGINT, SIGTERM and SIGHUP. The context stays valid, so the caller can still publish and disarm. Call it
+    from the main thread.
+
+    Parameters
+    ----------
+    until
+        Return as soon as this future is done, too.
+
+    Returns
+    -------
+    Whether a signal ended the spinning.
+    """
+    executor = EventsExecutor()
+    executor.add_node(node)
+    ended: list[int] = []
+
+    def hear(number: int, _: FrameType | None) -> None:
+        endings.let_go_of_terminal()
+        ended.append(number)
+
+    before = endings.answer(hear)
+    done: Future = Future() if until is None else until
+    try:
+        with suppress(ExternalShutdownException):
+            while not ended and not done.done() and rclpy.ok():
+                # In slices: without a deadline this executor (rclpy 7.1) keeps a core busy, may run no callback at all,
+                # and gives Python no chance to take a signal.
+                executor.spin_until_future_complete(done, timeout_sec=_SLICE)
+    finally:
+        try:
+            executor.remove_node(node)
+            executor.shutdown()
+        finally:  # last: a second signal must not leave the node with a deleted executor
+            endings.restore(before)
+    return bool(ended)
+
+
+def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
+    """Start ROS, create the node, spin it, and shut down in order.
+
+    Parameters
+    ----------
+    make
+        Creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that reaches
+        a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a callback,
+        since the next one would find no context. Its method `close`, if any, is called while the context is still
+        valid.
+    ros
+        Arguments from `--ros-args` on.
+    """
+    start_ros(ros)
+    node = None
+    try:
+        node = make()
+        refuse_unknown_parameters(node)
+        getattr(node, "begin", _nothing)()
+        spin(node, getattr(node, "done", None))
+    finally:
+        if node is not None:
+            with endings.undisturbed():
+                getattr(node, "close", _nothing)()
+                node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _nothing() -> None:
+    """Do nothing, for a node without `begin` or `close`."""
