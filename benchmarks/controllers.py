@@ -112,8 +112,8 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 
 def measure(
-    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, *, seed: int = 0,
-    box: BoxConfig | None = None, filters: FleetFilter | None = None, dead_time: int = 0,
+    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, *,
+    seed: int = 0, box: BoxConfig | None = None, filters: FleetFilter | None = None, dead_time: int = 0,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Run every case on this truth, its valve late by some samples; one row of figures for each (see `outcome`)."""
     fleet = truth_fleet(len(cases), config, box, filters)
