@@ -13,6 +13,7 @@ No filter; the emulator's plant without a clock. Interquartile mean (worst) of t
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +29,7 @@ from benchmarks._truth_fleet import truth_fleet
 from benchmarks.controllers import SETTINGS, compensated, held, interquartile_mean
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, Law, Waveform
+from hydro_bridge.signals import Flag, Law, Waveform
 from hydro_policy.compensation.estimator import ADAPTS, STEP, Compensator
 from hydro_policy.envs import vector_runs
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
@@ -73,8 +74,8 @@ AS_IT_IS = Condition("as it is")
 GAIN_CONDITIONS = (AS_IT_IS, Condition("valve gain x 0.6", 0.6), Condition("4 ms late", dead_time=4))
 MARGIN_CONDITIONS = (
     AS_IT_IS,
-    *(Condition(f"valve gain x {factor:g}", factor) for factor in (0.6, 0.8, 1.25, 1.6, 2.5)),
-    *(Condition(f"{late} ms late", dead_time=late) for late in (1, 2, 4)),
+    *(Condition(f"valve gain x {factor:g}", factor) for factor in (0.3, 0.4, 0.5, 0.6, 0.8, 1.25, 1.6, 2.5)),
+    *(Condition(f"{late} ms late", dead_time=late) for late in (1, 2, 4, 6, 8, 12)),
 )
 
 
@@ -174,45 +175,40 @@ def changes(asked: argparse.Namespace) -> Table:
 
 
 def endurance(asked: argparse.Namespace) -> Table:
-    """RMSE and coefficients by tenths of the time; six benches in parallel, each with references of its own."""
-    count, generator = 6, np.random.default_rng(asked.seed)
+    """RMSE and coefficients by hours, each printed as it ends; benches side by side, with references of their own."""
+    count, generator = asked.benches, np.random.default_rng(asked.seed)
     fleet, law = truth_fleet(count, profile("default")), BoxLaw()
     compensator = Compensator(count, law=law)
-    for index, case in enumerate(SETTINGS.cases):
-        fleet.begin(index, case.signal, asked.seed + index, law=Law.COMPENSATED)
-    steps, each = round(asked.hours * 3600.0 / STEP), round(REFERENCE_TIME / STEP)
-    squares, counted, trips = np.zeros(10), np.zeros(10), np.zeros(10, int)
-    low, high = np.full((10, 4), np.inf), np.full((10, 4), -np.inf)
-    bar = progress(total=steps // each, label="references", unit="reference")
-    for number in range(steps):
-        part = 10 * number // steps
-        if number % each == 0:
-            for wanted in fleet.commands["reference"]:
-                wanted["waveform"] = generator.choice([Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP])
-                wanted["amplitude"], wanted["offset"] = generator.uniform(50.0, 250.0), generator.uniform(-50.0, 50.0)
-                wanted["frequency"], wanted["phase"] = generator.uniform(0.3, 2.0), generator.uniform(0.0, 6.0)
-            bar.update()
-        samples = fleet.step(np.zeros((count, 2)), compensator.coefficients)
-        active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
-        compensator.step(fleet.compensated, samples["load_force"], active, samples["reference_force_rate"])
-        if number % each * STEP >= SETTINGS.settle:
-            error = samples["reference_force"] - samples["load_force"]
-            squares[part] += np.sum(error * error)
-            counted[part] += count * SAMPLES_PER_STEP
-            low[part] = np.minimum(low[part], compensator.coefficients.min(axis=0))
-            high[part] = np.maximum(high[part], compensator.coefficients.max(axis=0))
-        trips[part] += np.count_nonzero(samples["flags"] & Flag.TRIPPED)
-    bar.close()
-    scales = (1.0, 1e3, 1e3, 1.0)
-    names = ("a_0", "a_1 [ms]", "a_2 [1e-3 s^2]", "a_3 [N]")
-    table = Table({"to": "h", "rmse": "N", **dict.fromkeys(names, ""), "trips": ""}, title=f"{count} benches")
-    for part in range(10):
+    for index in range(count):
+        fleet.begin(index, SETTINGS.cases[0].signal, asked.seed + index, law=Law.COMPENSATED)
+    scales = {"a_0": 1.0, "a_1 [ms]": 1e3, "a_2 [1e-3 s^2]": 1e3, "a_3 [N]": 1.0}
+    table = Table({"to": "h", "rmse": "N", **dict.fromkeys(scales, ""), "trips": ""}, title=f"Benches: {count}")
+    for end in np.minimum(np.arange(1.0, asked.hours + 1.0), asked.hours):
+        squares, trips, seen = 0.0, 0, []
+        for number in range(round((end - len(table.rows)) * 3600.0 / STEP)):
+            since = number % round(REFERENCE_TIME / STEP)
+            if since == 0:
+                for wanted in fleet.commands["reference"]:
+                    waves = [Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP]
+                    wanted["waveform"], wanted["frequency"] = generator.choice(waves), generator.uniform(0.3, 2.0)
+                    wanted["amplitude"], wanted["offset"] = (
+                        generator.uniform(50.0, 250.0),
+                        generator.uniform(-50.0, 50.0),
+                    )
+            samples = fleet.step(np.zeros((count, 2)), compensator.coefficients)
+            active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
+            compensator.step(fleet.compensated, samples["load_force"], active, samples["reference_force_rate"])
+            trips += np.count_nonzero(samples["flags"] & Flag.TRIPPED)
+            if since * STEP >= SETTINGS.settle:
+                squares += np.mean((samples["reference_force"] - samples["load_force"]) ** 2)
+                seen.append(compensator.coefficients.copy())
+        all_seen = np.array(seen)
         ranges = {
-            n: f"{low[part, k] * s:.3g} to {high[part, k] * s:.3g}"
-            for k, (n, s) in enumerate(zip(names, scales, strict=True))
+            name: f"{all_seen[..., k].min() * scale:.3g} to {all_seen[..., k].max() * scale:.3g}"
+            for k, (name, scale) in enumerate(scales.items())
         }
-        rmse = np.sqrt(squares[part] / counted[part])
-        table.add(to=f"{asked.hours * (part + 1) / 10:g}", rmse=f"{rmse:.2f}", **ranges, trips=str(trips[part]))
+        table.add(to=f"{end:g}", rmse=f"{math.sqrt(squares / len(seen)):.2f}", **ranges, trips=str(trips))
+        print(table.rows[-1], file=sys.stderr, flush=True)
     return table
 
 
@@ -241,6 +237,7 @@ def main() -> None:
     parser.add_argument("study", choices=STUDIES)
     parser.add_argument("--draw", type=int, default=40, metavar="COUNT", help="truths; default: %(default)s")
     parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
+    parser.add_argument("--benches", type=int, default=1, help="of endurance, side by side; default: %(default)s")
     parser.add_argument("--hours", type=float, default=24.0, help="of endurance; default: %(default)s")
     add_json_argument(parser)
     asked = parser.parse_args()

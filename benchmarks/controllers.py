@@ -112,8 +112,8 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 
 def measure(
-    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, seed: int = 0,
-    box: BoxConfig | None = None, filters: FleetFilter | None = None, dead_time: int = 0,
+    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, *,
+    seed: int = 0, box: BoxConfig | None = None, filters: FleetFilter | None = None, dead_time: int = 0,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Run every case on this truth, its valve late by some samples; one row of figures for each (see `outcome`)."""
     fleet = truth_fleet(len(cases), config, box, filters)
@@ -162,7 +162,7 @@ def compensated(
     """A compensated law, adaptive, from neutral coefficients; rows as of `measure`."""
     law = law or BoxLaw()
     estimator, box = Compensator(len(cases), law=law, cell=cell), BoxConfig(compensated=law)
-    return measure(config, cases, held((law.base_kp, law.base_ki), law), estimator, box, dead_time)
+    return measure(config, cases, held((law.base_kp, law.base_ki), law), estimator, box=box, dead_time=dead_time)
 
 
 def load_cell(config: TruthConfig) -> LoadCell | None:
