@@ -74,8 +74,8 @@ AS_IT_IS = Condition("as it is")
 GAIN_CONDITIONS = (AS_IT_IS, Condition("valve gain x 0.6", 0.6), Condition("4 ms late", dead_time=4))
 MARGIN_CONDITIONS = (
     AS_IT_IS,
-    *(Condition(f"valve gain x {factor:g}", factor) for factor in (0.6, 0.8, 1.25, 1.6, 2.5)),
-    *(Condition(f"{late} ms late", dead_time=late) for late in (1, 2, 4)),
+    *(Condition(f"valve gain x {factor:g}", factor) for factor in (0.3, 0.4, 0.5, 0.6, 0.8, 1.25, 1.6, 2.5)),
+    *(Condition(f"{late} ms late", dead_time=late) for late in (1, 2, 4, 6, 8, 12)),
 )
 
 

@@ -41,7 +41,7 @@ setup(
             "dashboard = hydro_bridge.process.start:main_of.hydro_bridge.nodes.dashboard",
             "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
-            "runs = hydro_bridge.process.start:main_of.hydro_bridge.viewer.runs_command",
+            "runs = hydro_bridge.process.start:main_of.hydro_bridge.viewer.runs",
             "secure = hydro_bridge.process.start:main_of.hydro_bridge.nodes.secure",
             "view = hydro_bridge.process.start:main_of.hydro_bridge.viewer.view",
         ],

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import STATE_DTYPE
+from hydro_policy.compensation.estimator import LoadCell
+from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings, Score
@@ -27,6 +30,13 @@ def test_the_best_is_told_with_its_distance() -> None:
         for case, rmse in zip(("1 Hz", "2 Hz"), errors, strict=True):
             session.scores.append(Score(controller=name, case=case, frequency=1.0, repeat=0, rmse=rmse))
     assert report.best(session) == "Best: good, with 0.25 to 0.50 times the error of the next, next."
+    felt = {"good": 9.0, "next": 3.0, "stopped": 1.0}
+    session.scores = [replace(one, true_rmse=felt[one.controller] + 0.0 * one.rmse) for one in session.scores]
+    assert report.best(session).startswith("Best: good"), "the measured force is what is controlled"
+    session.compensation = LiveCompensation(BoxLaw(), cell=LoadCell(bandwidth=25.0))
+    assert report.best(session) == (
+        "Best: next, with 0.33 to 0.33 times the error of the next, good, as the specimen feels it."
+    )
     del session.scores[2:4]
     assert report.best(session) == ""
 

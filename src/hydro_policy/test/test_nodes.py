@@ -132,7 +132,8 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     )
     assert told in done.stderr
     scores = {score["controller"]: score for score in json.loads(figures.read_text())["runs"]}
-    assert list(scores) == ["policy policy", "fixed (52.5, 10)", "fixed (100, 15)"]
+    assert list(scores) == ["policy policy", "fixed (52.5, 10)", "fixed (100, 15)", "compensated"], "the default"
+    assert "Best: compensated, with 0." in done.stdout, done.stdout
     assert scores["policy policy"]["rmse"] == pytest.approx(scores["fixed (52.5, 10)"]["rmse"], rel=0.15)
     assert scores["fixed (100, 15)"]["proportional_gain"] > 95, "the guard was opened for it"
     assert "2 Hz" in done.stdout and plot.stat().st_size > 10_000

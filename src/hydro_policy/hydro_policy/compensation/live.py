@@ -51,7 +51,7 @@ class LiveCompensation:
     """
 
     def __init__(self, law: BoxLaw, settings: CompensatorSettings | None = None, cell: LoadCell | None = None) -> None:
-        self.law = law
+        self.law, self.cell = law, cell
         self.held = 0
         """Policy steps whose samples did not count."""
         self._estimator = Compensator(1, settings, law, cell)

@@ -46,6 +46,8 @@ class FixedGains:
     proportional: float
     integral: float
     base: tuple[float, float] = BASE
+    kind: str = "fixed"
+    """For tables."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.proportional) and math.isfinite(self.integral)):
@@ -54,7 +56,7 @@ class FixedGains:
     @property
     def name(self) -> str:
         """For tables."""
-        return f"fixed ({self.proportional:g}, {self.integral:g})"
+        return f"{self.kind} ({self.proportional:g}, {self.integral:g})"
 
     @property
     def reach(self) -> GainRange:

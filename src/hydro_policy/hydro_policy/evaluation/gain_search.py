@@ -25,6 +25,7 @@ from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import GainRange
 
 Gains = tuple[float, float]
 
@@ -58,6 +59,16 @@ class GridSettings:
             raise ValueError(f"a grid begins at K_p = {self.kp_min:g}, which is above its largest, {self.kp_max:g}")
         if not all(self.ki_min <= ki <= self.ki_max for ki in self.ki_values):
             raise ValueError(f"a grid begins at K_i = {self.ki_values}, not all in [{self.ki_min:g}, {self.ki_max:g}]")
+
+
+def coarse_grid(gains: GainRange, base: tuple[float, float]) -> GridSettings:
+    """Return a grid of five pairs up to the end of this authority on a box with these base gains."""
+    kp_max, ki = base[0] + gains.delta_kp_max, min(30.0, base[1] + gains.delta_ki_max)
+    kp_min = min(60.0, kp_max)
+    return GridSettings(
+        kp_min=kp_min, kp_max=kp_max, kp_step=max(0.25 * (kp_max - kp_min), 1.0), ki_min=min(5.0, ki), ki_values=(ki,),
+        refinements=0,
+    )  # fmt: skip
 
 
 @dataclass
@@ -153,6 +164,8 @@ class GridSession:
         The graph.
     rearm
         See `PlantSupervisor`.
+    after
+        Watch of the previous session, if there was one.
     override
         Gains held by a person.
     monitor
@@ -168,6 +181,7 @@ class GridSession:
         outputs: Outputs,
         *,
         rearm: bool = True,
+        after: PlantSupervisor | None = None,
         override: GainOverride | None = None,
         monitor: SafetyMonitor | None = None,
         requirements: Sequence[Requirement] = (),
@@ -175,6 +189,8 @@ class GridSession:
         self.search, self.evaluation = GridSearch(settings), evaluation
         self.override = override or GainOverride()
         self.watch = PlantSupervisor(outputs, rearm, requirements, self.override)
+        if after is not None:
+            self.watch.take_over(after)
         self._outputs, self._monitor = outputs, monitor or SafetyMonitor()
         self._pair: Gains | None = None
         self._next()
@@ -183,6 +199,11 @@ class GridSession:
     def finished(self) -> bool:
         """Whether the search is complete."""
         return self._pair is None
+
+    @property
+    def best(self) -> FixedGains:
+        """The best gains as a controller."""
+        return FixedGains(*self.search.best, self.override.base, "best fixed")
 
     @property
     def pair(self) -> Gains | None:

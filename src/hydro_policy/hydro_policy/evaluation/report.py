@@ -41,11 +41,17 @@ def table(session: EvaluationSession) -> Table:
 def best(session: EvaluationSession) -> str:
     """Return which controller is the best, and by how much; empty where fewer than two completed every run.
 
-    The best has the least mean over the references of its RMSE over the smallest there.
+    The best has the least mean over the references of its RMSE over the smallest there; of the force on the specimen
+    where that was to follow (`LiveCompensation.cell`) and is known.
     """
     cases = [case.name for case in session.settings.cases]
     names = dict.fromkeys(score.controller for score in session.scores)
-    each = {name: [[score.rmse for score in runs(session.scores, name, case)] for case in cases] for name in names}
+    felt = session.compensation is not None and session.compensation.cell is not None
+    felt = felt and all(math.isfinite(score.true_rmse) for score in session.scores if math.isfinite(score.rmse))
+    each = {
+        name: [[s.true_rmse if felt else s.rmse for s in runs(session.scores, name, case)] for case in cases]
+        for name in names
+    }
     whole = {
         name: np.array([np.mean(values) for values in found])
         for name, found in each.items()
@@ -56,7 +62,8 @@ def best(session: EvaluationSession) -> str:
     smallest = np.min(list(whole.values()), axis=0)
     first, second, *_ = sorted(whole, key=lambda name: float(np.mean(whole[name] / smallest)))
     ratio = whole[first] / whole[second]
-    return f"Best: {first}, with {ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}."
+    told = f"{ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}"
+    return f"Best: {first}, with {told}" + (", as the specimen feels it." if felt else ".")
 
 
 def authority(reach: GainRange, base: tuple[float, float]) -> str:

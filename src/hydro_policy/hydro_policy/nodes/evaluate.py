@@ -3,7 +3,7 @@
 
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --fixed 15 5
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --grid --multisine --steps --repeats 5
-ros2 run hydro_policy evaluate --plant emulator --law compensated
+ros2 run hydro_policy evaluate --plant emulator --law compensated --load-cell corrected.yaml
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hydro_bridge.cli.console import command, writable, writable_folder
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_policy.nodes.startup.options import add_plant_options
+from hydro_policy.nodes.startup.options import LAWS, add_plant_options
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,14 +39,15 @@ def parser() -> argparse.ArgumentParser:
         nargs=2,
         action="append",
         metavar=("KP", "KI"),
-        help="fixed gains (default: 90 15 and 15 5)",
+        help="fixed gains under the paper's law (default: 90 15 and 15 5; none with --law compensated)",
     )
     what.add_argument(
         "--law",
-        choices=("paper", "compensated"),
-        default="paper",
-        help="compensated: the box's compensated law with its base gains, too, its coefficients fitted meanwhile; each "
-        "run begins with neutral ones (default: the paper's law alone)",
+        choices=LAWS,
+        default=LAWS[0],
+        help="both (default): besides policies and fixed gains the box's compensated law with its base gains, its "
+        "coefficients fitted meanwhile, in each run from neutral ones, if the box has that law; compensated: as both, "
+        "and refused without it; paper: not that one",
     )
     what.add_argument(
         "--grid",

@@ -25,7 +25,7 @@ DEMO = {
     "plant": "emulator",
     "configuration": "wide",
     "episodes": 6,
-    "exam_every": 2,
+    "exam_every": 3,
     "evaluate": True,
 }
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""

@@ -27,7 +27,7 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
     for path in options.policy:
         require_matching_policy(path, box)
     controllers: list[Controller] = [policy_controller(path) for path in options.policy]
-    gains = options.fixed or [(90.0, 15.0), (15.0, 5.0)]
+    gains = options.fixed or ([] if options.law == "compensated" else [(90.0, 15.0), (15.0, 5.0)])
     return controllers + [FixedGains(kp, ki, box.base_gains or BASE) for kp, ki in gains]
 
 
@@ -43,7 +43,7 @@ def required_gain_range(
     controllers: Sequence[Controller], grid: GridSettings | None = None, base: tuple[float, float] | None = None
 ) -> GainRange:
     """Range of gain changes that the guard must allow on a box with these base gains."""
-    ranges = [controller.reach for controller in controllers]
+    ranges = [controller.reach for controller in controllers] or [FixedGains(*(base or BASE), base or BASE).reach]
     if grid is not None:
         corners = ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))
         ranges += [FixedGains(*pair, base or BASE).reach for pair in corners]

@@ -21,7 +21,7 @@ from hydro_bridge.serial.frames import BoxLaw
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
-from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains, policy_file
+from hydro_policy.evaluation.controllers import Compensated, Controller, policy_file
 from hydro_policy.evaluation.gain_search import GridSession, GridSettings
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.nodes.evaluation.options import evaluation_settings, make_controllers, required_gain_range
@@ -71,12 +71,14 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             start_plant(stack, node, options, box, wanted, run)
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())
-        if not node.wait_for_plant(law=options.law == "compensated") or node.box is None:
+        if not node.wait_for_plant(law=options.law != "paper") or node.box is None:
             return 130
         if options.plant == "external":  # only now it is known whether the graph has a page
             start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
-        if options.law == "compensated" and node.law is None:
-            raise NotReadyError(NOT_OFFERED)
+        if options.law != "paper" and node.law is None:
+            if options.law == "compensated" or options.load_cell:
+                raise NotReadyError(NOT_OFFERED)
+            node.say(f"{NOT_OFFERED}; the paper's law alone is compared")
         box = BoxIdentity.of_box(node.box)
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
@@ -95,12 +97,10 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             if not before.finished:
                 return 130
             if before.search.found:
-                controllers.append(FixedGains(*before.search.best, box.base_gains or BASE))
-            else:
-                node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
+                controllers.append(before.best)
         results = evaluate_on(
             node, controllers, rearm=may_rearm(options), settings=settings, after=before.watch if before else None,
-            law=node.law if options.law == "compensated" else None, cell=load_cell(options),
+            law=None if options.law == "paper" else node.law, cell=load_cell(options),
         )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
@@ -136,10 +136,22 @@ def start_plant(
     node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
 
 
-def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSession:
-    """Search the best fixed gains on the plant by short runs; not `finished` after a signal."""
+def search_on(
+    node: GraphNode,
+    grid: GridSettings,
+    settings: EvaluationSettings,
+    *,
+    rearm: bool,
+    after: PlantSupervisor | None = None,
+) -> GridSession:
+    """Search the best fixed gains on the plant by short runs; not `finished` after a signal.
+
+    `after` is the watch of the previous session, if there was one.
+    """
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
-    session = GridSession(grid, short, node, rearm=rearm, override=node.override, requirements=node.requirements)
+    session = GridSession(
+        grid, short, node, rearm=rearm, after=after, override=node.override, requirements=node.requirements
+    )
     told = 0
 
     def tick() -> None:
@@ -151,6 +163,8 @@ def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings,
 
     node.run_session(session, tick)
     tick()
+    if session.finished and not session.search.found:
+        node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
     if session.search.tried:
         print(f"\n{report.grid_table(session.search, short).text()}")
     return session

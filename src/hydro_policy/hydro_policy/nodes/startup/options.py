@@ -20,6 +20,9 @@ from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
 
+LAWS = ("both", "paper", "compensated")
+"""Values of `evaluate --law`."""
+
 SCRATCH = "scratch"
 """Value of `--from` for no agent, besides a run's folder."""
 
@@ -124,8 +127,8 @@ def load_cell(options: argparse.Namespace) -> LoadCell | None:
     """
     if options.load_cell is None:
         return None
-    if getattr(options, "law", "compensated") != "compensated":
-        raise UserError("--load-cell is of no use without --law compensated")
+    if getattr(options, "law", LAWS[0]) == "paper":
+        raise UserError("--load-cell is of no use with --law paper")
     return LoadCell.load(options.load_cell)
 
 

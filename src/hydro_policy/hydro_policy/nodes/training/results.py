@@ -11,7 +11,7 @@ from typing import Any
 
 from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.nodes.evaluation.results import write_page
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.runs import report as training
@@ -21,6 +21,9 @@ from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.training import TrainingSession
+
+SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))
+"""References of the search for the best fixed gains."""
 
 
 def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> list[Controller]:

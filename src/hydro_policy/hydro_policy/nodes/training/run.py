@@ -13,15 +13,17 @@ import torch
 
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.safety.readiness import Readiness
+from hydro_policy.evaluation.gain_search import coarse_grid
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluation.results import conditions, show_results
-from hydro_policy.nodes.evaluation.run import evaluate_on
+from hydro_policy.nodes.evaluation.run import evaluate_on, search_on
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrainingProgress
 from hydro_policy.nodes.startup.options import load_cell, may_rearm
 from hydro_policy.nodes.startup.provenance import describe_policy
 from hydro_policy.nodes.training.results import (
+    SEARCHED,
     paper_controllers,
     print_files,
     timing,
@@ -110,9 +112,9 @@ def begin_session(
     return session
 
 
-LAW_LEFT_OUT = (
-    "the compensated law is not compared, since a person would have to arm the plant for it: "
-    "`evaluate --law compensated` does that"
+LEFT_OUT = (
+    "best fixed gains and compensated law are not compared, since a person would have to arm the plant for them: "
+    "`evaluate --grid` does that"
 )
 
 
@@ -143,11 +145,18 @@ def drive(
     session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
     controllers = paper_controllers(session, start)
-    rearm = may_rearm(options)
-    if node.law is not None and not rearm:
-        node.say(LAW_LEFT_OUT)
+    rearm, watch = may_rearm(options), session.watch
+    if rearm:
+        grid = coarse_grid(session.settings.task.gains, session.settings.base_gains)
+        search = search_on(node, grid, SEARCHED, rearm=rearm, after=watch)
+        if not search.finished:
+            return False, None
+        controllers += [search.best] if search.search.found else []
+        watch = search.watch
+    else:
+        node.say(LEFT_OUT)
     law, cell = node.law if rearm else None, load_cell(options)
-    results = evaluate_on(node, controllers, rearm=rearm, after=session.watch, law=law, cell=cell)
+    results = evaluate_on(node, controllers, rearm=rearm, after=watch, law=law, cell=cell)
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots

@@ -52,22 +52,6 @@ def as_yaml(value: Any) -> str:
     return text.removesuffix("...\n")
 
 
-def as_csv(value: Any) -> str:
-    """Return a message's values in one line, in the order of its fields."""
-    return ",".join(str(entry) for entry in _flat(plain(value)))
-
-
-def without(value: Any, *, arrays: bool, strings: bool) -> Any:
-    """Return `plain` of a message; if requested, arrays and strings are replaced by a note on their length."""
-    if isinstance(value, dict):
-        return {name: without(entry, arrays=arrays, strings=strings) for name, entry in value.items()}
-    if isinstance(value, list) and arrays:
-        return f"<array of length {len(value)}>"
-    if isinstance(value, str) and strings:
-        return f"<string of length {len(value)}>"
-    return value
-
-
 def part(message: Any, field: str) -> Any:
     """Return a field of a message, such as `header.stamp` or `status[0].name`; raises UserError."""
     value = message
@@ -123,11 +107,3 @@ def _made(type_name: str, values: Mapping[str, Any]) -> Any:
     message = interface(type_name, "msg")(check_fields=True)
     fill(message, values)
     return message
-
-
-def _flat(value: Any) -> list[Any]:
-    if isinstance(value, dict):
-        return [entry for part in value.values() for entry in _flat(part)]
-    if isinstance(value, list):
-        return [entry for part in value for entry in _flat(part)]
-    return [value]
