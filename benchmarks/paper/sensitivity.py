@@ -14,9 +14,8 @@ from benchmarks.paper.agents import pretrained
 from benchmarks.paper.choices import CHOICES, NORMALISERS, VARIED
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_bridge.signals import FloatArray
-from hydro_policy.pretraining.options import parser
-from hydro_policy.pretraining.run import training_settings
-from hydro_policy.pretraining.source import simulation_setup
+from hydro_policy.pretraining.pretrain import parser
+from hydro_policy.pretraining.run import simulation_setup, training_settings
 from hydro_policy.pretraining.training import Pretraining
 from hydro_policy.task import mdp
 

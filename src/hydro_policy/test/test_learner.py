@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_policy.learner_process.learner import compile_updates
-from hydro_policy.learner_process.shared_memory import SharedBlob
+from hydro_policy.learner_process.learner import SharedBlob, compile_updates
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings

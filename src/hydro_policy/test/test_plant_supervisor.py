@@ -7,10 +7,18 @@ import pytest
 
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
-from hydro_policy.supervision.arming import HOW_TO_ARM
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, UNWATCHED, PlantSupervisor
-from hydro_policy.supervision.requirements import COMPILES, NO_FILTER
+from hydro_policy.supervision.plant_supervisor import (
+    COMPILES,
+    FITS,
+    HOW_TO_ARM,
+    IDLE,
+    MISMATCH,
+    NO_FILTER,
+    TOO_EARLY,
+    UNWATCHED,
+    PlantSupervisor,
+)
 
 ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
 

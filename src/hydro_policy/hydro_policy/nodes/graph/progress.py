@@ -105,7 +105,7 @@ class TrainingProgress:
             "interruptions": session.progress.interruptions,
             "rollbacks": session.progress.rollbacks,
             "examination": _exam_line(exams[-1], session) if (exams := session.progress.exams) else "none yet",
-            "last stop": session.state_of_run.last_stop or "none",
+            "last stop": session.run.last_stop or "none",
             "override": session.override.description,
             "policy": f"blake2b {session.explorer.policy.digest()}",
             "best score": session.progress.best_score,

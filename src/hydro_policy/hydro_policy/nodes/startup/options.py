@@ -1,24 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command-line options shared by trainer and evaluate."""
+"""Options shared by trainer and evaluate, the plant if none is named, and the box that a run expects."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import shlex
-from collections.abc import Mapping
+import sys
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from math import isclose
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros.companion import add_page_option
 from hydro_bridge.ros.node import declare_parameters
+from hydro_bridge.ros.topics import STATE
+from hydro_bridge.safety.box_info import KnownBox
 from hydro_policy.compensation.estimator import LoadCell
+from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.task.mdp import BASE
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
+from hydro_sim.files.stamping import stamp_of
+
+if TYPE_CHECKING:
+    from hydro_policy.runs.initial_agent import InitialAgent
+
 
 LAWS = ("both", "paper", "compensated")
 """Values of `evaluate --law`."""
@@ -162,3 +176,114 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
     exam = declare_parameters(node, settings.exam, "exam.")
     monitor = declare_parameters(node, settings.monitor, "monitor.")
     return replace(declare_parameters(node, settings), task=task, sac=sac, exam=exam, monitor=monitor)
+
+
+PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
+
+
+def expected_box(options: argparse.Namespace) -> BoxIdentity:
+    """Return the expected box: by --bench and --base-gains, or the nominal one; unknown for a plant that already runs.
+
+    Raises
+    ------
+    ValueError
+        The bench file cannot be used.
+    UserError
+        The box of a running plant is specified, or the model is not a file.
+    """
+    plant_options(options)
+    if options.model is not None and not options.model.is_file():
+        raise UserError(f"--model {options.model}: there is no such file")
+    if options.plant == "external":
+        return BoxIdentity(digest="", source="the plant that runs")
+    box = BoxIdentity.of_file(options.bench, tuple(options.base_gains or BASE))
+    return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
+
+
+def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
+    """Return why the box is not the expected one, with the options that would fit it; empty if it is."""
+    if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
+        told = f"the box believes {BoxIdentity.of_box(box).told}, this run was planned for bench {plan.told}"
+        return f"{told}: name the bench.yaml of this box by --bench"
+    expected = plan.base_gains or box.base_gains
+    if not all(isclose(*pair, rel_tol=1e-6) for pair in zip(expected, box.base_gains, strict=True)):
+        kp, ki = box.base_gains
+        told = f"the box adds changes to base gains ({kp:g}, {ki:g}), this run was planned for {_pair(expected)}"
+        return f"{told}: say --base-gains {kp:g} {ki:g}"
+    return ""
+
+
+def require_matching_agent(start: InitialAgent | None, box: BoxIdentity) -> None:
+    """Raise PairingError if this agent was not made for this box."""
+    if start is not None:
+        remedy = f"{PRETRAIN}, or begin without one: --from scratch"
+        raise_if_mismatched(mismatch(f"the agent {start.source.name}", start.made, box, remedy))
+
+
+def require_matching_policy(path: Path, box: BoxIdentity) -> None:
+    """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
+    file = policy_file(path)
+    raise_if_mismatched(mismatch(f"the policy {path.name}", stamp_of(file), box, PRETRAIN))
+
+
+def require_same_box(run: Path, made: MadeFor | None, box: BoxIdentity) -> None:
+    """Raise PairingError if a run was started on another box; a run without a stamp is accepted."""
+    if made is not None:
+        raise_if_mismatched(
+            mismatch(f"the run {run.name}", made, box, "go on with it on its own box, or begin one here")
+        )
+
+
+def training_stamp(box: BoxIdentity) -> MadeFor:
+    """Return the stamp of a policy or run trained on this box."""
+    kp, ki = box.base_gains or (None, None)
+    return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
+
+
+def _pair(gains: tuple[float, float]) -> str:
+    return f"({gains[0]:g}, {gains[1]:g})"
+
+
+LOOK = 5.0
+"""s of search for a running plant before a person is asked; discovery takes half a second."""
+
+WAIT = 20.0
+"""s of search without a terminal: a plant started by the same script takes time."""
+
+NONE = "no plant runs: nobody publishes /hydro/state"
+
+
+def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
+    """Return `external` if a plant runs, or `sim` if a person wants the simulation.
+
+    Parameters
+    ----------
+    node
+        Looks for the publisher of /hydro/state.
+    ask
+        Takes the question and returns the answer; by default `input` on a terminal, and nothing without one.
+
+    Raises
+    ------
+    UserError
+        No plant runs, and the simulation is not wanted.
+    """
+    if ask is None and sys.stdin is not None and sys.stdin.isatty():
+        ask = input
+    end = time.monotonic() + (LOOK if ask else WAIT)
+    while not node.count_publishers(STATE):
+        if time.monotonic() > end:
+            return _simulation(ask)
+        time.sleep(0.05)
+    return "external"
+
+
+def _simulation(ask: Callable[[str], str] | None) -> str:
+    if ask is not None:
+        try:
+            answer = ask(f"{NONE}. Start the simulation, as --plant sim does? [Y/n] ")
+        except EOFError:
+            answer = "no"
+        if answer.strip().lower() in ("", "y", "yes"):
+            return "sim"
+    raise UserError(f"{NONE}; start one, or name what to start: --plant sim, emulator or bench")
