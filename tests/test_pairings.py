@@ -14,8 +14,8 @@ pytest.importorskip("rclpy")
 
 from benchmarks.pairings import WRONG, Wrong, make_files
 from hydro_filter.nodes.options import arguments
+from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
 from hydro_policy.nodes.startup.companions import requested_filter
-from hydro_policy.nodes.startup.options import require_matching_agent, require_matching_policy
 from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent
 from hydro_sim.files import weights

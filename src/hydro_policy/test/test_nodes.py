@@ -32,8 +32,8 @@ from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.startup.box_expectation import box_mismatch
 from hydro_policy.nodes.startup.companions import PlantOptions, commands
-from hydro_policy.nodes.startup.options import box_mismatch
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.initial_agent import shipped_agent
 from hydro_policy.runs.run import RunDirectory

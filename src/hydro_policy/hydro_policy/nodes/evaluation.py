@@ -33,6 +33,7 @@ from hydro_policy.evaluation.gain_search import GridSession, GridSettings
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import EvaluationProgress
+from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box, require_matching_policy
 from hydro_policy.nodes.startup.companions import (
     LOAD_FORCE,
     describe_policy,
@@ -40,14 +41,7 @@ from hydro_policy.nodes.startup.companions import (
     protection_gap,
     start_companions,
 )
-from hydro_policy.nodes.startup.options import (
-    box_mismatch,
-    expected_box,
-    load_cell,
-    may_rearm,
-    plant_options,
-    require_matching_policy,
-)
+from hydro_policy.nodes.startup.options import load_cell, may_rearm, plant_options
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor

@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Protocol
 
 from hydro_bridge.signals import FloatArray, LawCommand, ReferenceSignal
-from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 
 if TYPE_CHECKING:
     from hydro_policy.sac.replay import ReplayBuffer
+    from hydro_policy.supervision.override import GainOverride
+    from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 
 
 class Outputs(Protocol):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options shared by trainer and evaluate, the plant if none is named, and the box that a run expects."""
+"""Options shared by trainer and evaluate, and the plant if none is named."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,18 +19,12 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros.companion import add_page_option
 from hydro_bridge.ros.node import declare_parameters
 from hydro_bridge.ros.topics import STATE
-from hydro_bridge.safety.box_info import KnownBox
 from hydro_policy.compensation.estimator import LoadCell
-from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.task.mdp import BASE
-from hydro_sim.box.box import BoxConfig
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
-from hydro_sim.files.stamping import stamp_of
 
 if TYPE_CHECKING:
-    from hydro_policy.runs.initial_agent import InitialAgent
+    pass
 
 
 LAWS = ("both", "paper", "compensated")
@@ -176,72 +169,6 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
     exam = declare_parameters(node, settings.exam, "exam.")
     monitor = declare_parameters(node, settings.monitor, "monitor.")
     return replace(declare_parameters(node, settings), task=task, sac=sac, exam=exam, monitor=monitor)
-
-
-PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
-
-
-def expected_box(options: argparse.Namespace) -> BoxIdentity:
-    """Return the expected box: by --bench and --base-gains, or the nominal one; unknown for a plant that already runs.
-
-    Raises
-    ------
-    ValueError
-        The bench file cannot be used.
-    UserError
-        The box of a running plant is specified, or the model is not a file.
-    """
-    plant_options(options)
-    if options.model is not None and not options.model.is_file():
-        raise UserError(f"--model {options.model}: there is no such file")
-    if options.plant == "external":
-        return BoxIdentity(digest="", source="the plant that runs")
-    box = BoxIdentity.of_file(options.bench, tuple(options.base_gains or BASE))
-    return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
-
-
-def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
-    """Return why the box is not the expected one, with the options that would fit it; empty if it is."""
-    if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
-        told = f"the box believes {BoxIdentity.of_box(box).told}, this run was planned for bench {plan.told}"
-        return f"{told}: name the bench.yaml of this box by --bench"
-    expected = plan.base_gains or box.base_gains
-    if not all(isclose(*pair, rel_tol=1e-6) for pair in zip(expected, box.base_gains, strict=True)):
-        kp, ki = box.base_gains
-        told = f"the box adds changes to base gains ({kp:g}, {ki:g}), this run was planned for {_pair(expected)}"
-        return f"{told}: say --base-gains {kp:g} {ki:g}"
-    return ""
-
-
-def require_matching_agent(start: InitialAgent | None, box: BoxIdentity) -> None:
-    """Raise PairingError if this agent was not made for this box."""
-    if start is not None:
-        remedy = f"{PRETRAIN}, or begin without one: --from scratch"
-        raise_if_mismatched(mismatch(f"the agent {start.source.name}", start.made, box, remedy))
-
-
-def require_matching_policy(path: Path, box: BoxIdentity) -> None:
-    """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
-    file = policy_file(path)
-    raise_if_mismatched(mismatch(f"the policy {path.name}", stamp_of(file), box, PRETRAIN))
-
-
-def require_same_box(run: Path, made: MadeFor | None, box: BoxIdentity) -> None:
-    """Raise PairingError if a run was started on another box; a run without a stamp is accepted."""
-    if made is not None:
-        raise_if_mismatched(
-            mismatch(f"the run {run.name}", made, box, "go on with it on its own box, or begin one here")
-        )
-
-
-def training_stamp(box: BoxIdentity) -> MadeFor:
-    """Return the stamp of a policy or run trained on this box."""
-    kp, ki = box.base_gains or (None, None)
-    return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
-
-
-def _pair(gains: tuple[float, float]) -> str:
-    return f"({gains[0]:g}, {gains[1]:g})"
 
 
 LOOK = 5.0

@@ -19,6 +19,13 @@ from hydro_bridge.ros.companion import CompanionError, start_page
 from hydro_bridge.ros.node import refuse_unknown_parameters
 from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.startup.box_expectation import (
+    box_mismatch,
+    expected_box,
+    require_matching_agent,
+    require_same_box,
+    training_stamp,
+)
 from hydro_policy.nodes.startup.companions import (
     LOAD_FORCE,
     guard_range,
@@ -28,16 +35,11 @@ from hydro_policy.nodes.startup.companions import (
 )
 from hydro_policy.nodes.startup.options import (
     SCRATCH,
-    box_mismatch,
     choose_plant,
     declare_settings,
-    expected_box,
     load_cell,
     plant_options,
     plant_options_as_yaml,
-    require_matching_agent,
-    require_same_box,
-    training_stamp,
 )
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
