@@ -60,7 +60,7 @@ def main() -> None:
         print("skipped: needs the folder of a proof (--proof) and an environment with PySINDy (--python)")
         return
     methods: dict[str, Callable[..., Any]] = {
-        "PySINDy": partial(_sindy, chosen.python.absolute()), "neural residual": _neural, "parameter fit": _plain,
+        "PySINDy": partial(_sindy, chosen.python.absolute()), "neural residual": _neural,
     }  # fmt: skip
     names = sorted(path.name for path in (folder / BLIND).glob("case-*"))[: chosen.cases]
     (folder / PEERS).mkdir(exist_ok=True)
@@ -97,12 +97,6 @@ def _neural(case: Any) -> Any:
     from benchmarks.peers import neural
 
     return neural.solve(case)
-
-
-def _plain(case: Any) -> Any:
-    from benchmarks.peers import plain
-
-    return plain.solve(case)
 
 
 def _run(folder: Path, name: str, method: str, solve: Callable[..., Any], until: float) -> bool:

@@ -21,7 +21,7 @@ COLUMNS = {
     "names alone close",
     "all": "the same by names and closures: what is handed back",
     "place": "whether the closures, or else the largest part of the remainder, are in the right equation",
-    "form": "law of the right form, as `kinds` fixes it, or the name that the table has for it",
+    "form": "law of the right form, as `kinds` fixes it",
     "named": "whether what is named is what is concealed, nothing else; clean: nothing is claimed",
     "closures": "what models the rest",
     "cpu": "s of processor time that `diagnose` took",
@@ -45,24 +45,18 @@ def scored(case: Case, result: Mapping[str, Any]) -> dict[str, Any]:
     nothing = case.kind is None or before < SHOWS
     claimed = sorted(effect["id"] for effect in report["effects"])
     kind = case.kind
-    by_name = kind is not None and any(_called(effect) == kind.named for effect in report["effects"])
-    concealed = sorted([*case.named, *([kind.named.split()[0]] if kind is not None and by_name else [])])
     return {
         **facts,
         "verdict": report["verdict"],
         "gap": max(error["rmse_before"] / error["noise_floor"] for error in errors.values()),
         "names": nan if nothing else 1.0 - names / before,
         "all": nan if nothing else 1.0 - after / before,
-        "place": not closures if kind is None else by_name or _place(report) in places(kind),
-        "form": by_name or (kind is not None and any(right_form(kind, closure) for closure in closures)),
-        "named": claimed == concealed and (kind is not None or not closures),
+        "place": not closures if kind is None else _place(report) in places(kind),
+        "form": kind is not None and any(right_form(kind, closure) for closure in closures),
+        "named": claimed == sorted(case.named) and (kind is not None or not closures),
         "closures": "; ".join(f"{closure['form']}: {closure['expression']}" for closure in closures)
         + (f" (named: {', '.join(claimed)})" if claimed != sorted(case.named) else ""),
     }
-
-
-def _called(effect: Mapping[str, Any]) -> str:
-    return f"{effect['id']} {effect['options'].get('form', '')}".strip()
 
 
 def _gap(errors: Mapping[str, Mapping[str, Any]], key: str) -> float:

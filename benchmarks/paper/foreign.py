@@ -14,7 +14,7 @@ from numba import njit
 from benchmarks.foreign_truth.bench import Numbers, numbers
 from benchmarks.foreign_truth.box import sense
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES
-from benchmarks.foreign_truth.plant import advance
+from benchmarks.foreign_truth.plant import NONE, advance
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model.sensors import Sensors
 
@@ -77,4 +77,4 @@ def _sample(bench, time, current, state, work):
     """One millisecond under a held current."""
     step = 1e-3 / SUBSTEPS
     for j in range(SUBSTEPS):
-        advance(bench, time + j * step, current, state, step, work)
+        advance(NONE, bench, time + j * step, current, state, step, work)

@@ -16,7 +16,7 @@ from benchmarks.foreign_truth.__main__ import carried_out, chosen
 from benchmarks.foreign_truth.bench import Numbers, numbers
 from benchmarks.foreign_truth.cases import CASES
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
-from benchmarks.foreign_truth.plant import FloatArray, advance, run
+from benchmarks.foreign_truth.plant import NONE, FloatArray, advance, run
 from benchmarks.foreign_truth.recordings import recorded, reference
 from benchmarks.foreign_truth.score import scored
 
@@ -32,7 +32,7 @@ def left_alone(bench: Numbers, seconds: float, velocity: float = 0.0) -> FloatAr
     state[POSITION], state[VELOCITY] = bench.spring_rest_position, velocity
     states = np.empty((round(seconds / STEP), STATES))
     for k in range(len(states)):
-        advance(bench, k * STEP, 0.0, state, STEP, work)
+        advance(NONE, bench, k * STEP, 0.0, state, STEP, work)
         states[k] = state
     return states
 
