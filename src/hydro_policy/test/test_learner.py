@@ -165,7 +165,7 @@ def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
 
 
 def test_a_torn_blob_is_no_news_and_the_last_whole_one_stays() -> None:
-    memory = bytearray(SharedBlob.memory_size(100))
+    memory = bytearray(SharedBlob.nbytes(100))
     writer, reader = SharedBlob(memory), SharedBlob(memory)
     assert reader.read() is None and reader.latest() is None
     writer.publish(b"first")

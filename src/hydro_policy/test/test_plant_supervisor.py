@@ -104,7 +104,7 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
     watch = PlantSupervisor(heard, rearm, [learner.requirement])
     run(watch, 0, 0.0, 60.0)
     assert heard.armings == [] and not any(HOW_TO_ARM in sentence for sentence in heard.said)
-    assert watch.standing == "disarmed, waiting for the learner"
+    assert watch.summary == "disarmed, waiting for the learner"
     learner.ready = True
     run(watch, 0, 60.0, 60.2)
     assert heard.armings == ([False, True] if rearm else [])

@@ -49,7 +49,7 @@ class SharedBlob:
     Parameters
     ----------
     memory
-        Writable buffer of `memory_size(capacity)` bytes, zero at first, mapped by all sides.
+        Writable buffer of `nbytes(capacity)` bytes, zero at first, mapped by all sides.
     """
 
     def __init__(self, memory: object) -> None:
@@ -59,7 +59,7 @@ class SharedBlob:
         self._seen = 0
 
     @staticmethod
-    def memory_size(capacity: int) -> int:
+    def nbytes(capacity: int) -> int:
         """Return the bytes needed for blobs of up to `capacity` bytes (rounded up to a multiple of eight)."""
         return _HEADER + 2 * (_SLOT_HEADER + (capacity + 7) // 8 * 8)
 
@@ -123,10 +123,10 @@ class LearnerMemory:
         hidden = settings.sac.hidden_size
         parameters = 4 * (2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64)  # bytes per network, upper bound
 
-        self._replay = self._block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
-        self._weights = self._block(SharedBlob.memory_size(parameters))
-        self._snapshot = self._block(SharedBlob.memory_size(16 * parameters + 16384))
-        self._good = self._block(SharedBlob.memory_size(16 * parameters + 16384))
+        self._replay = self._block(ReplayBuffer.nbytes(OBSERVATIONS, ACTIONS, self.capacity))
+        self._weights = self._block(SharedBlob.nbytes(parameters))
+        self._snapshot = self._block(SharedBlob.nbytes(16 * parameters + 16384))
+        self._good = self._block(SharedBlob.nbytes(16 * parameters + 16384))
         self._status = self._block(64)
 
     def _block(self, size: int) -> Any:

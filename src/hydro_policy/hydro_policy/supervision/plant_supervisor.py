@@ -207,7 +207,7 @@ class PlantSupervisor:
         )
 
     @property
-    def standing(self) -> str:
+    def summary(self) -> str:
         """Condition and awaited requirements as text."""
         return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.awaited}")
 

@@ -122,7 +122,7 @@ class CompanionWatch:
         self._running = [companion for companion in self._running if companion not in gone]
         for companion in gone:
             if companion.process.returncode == _REFUSED:
-                said = companion.last_words.removeprefix("error: ").removeprefix(f"{companion.name}: ")
+                said = companion.last_line.removeprefix("error: ").removeprefix(f"{companion.name}: ")
                 self.refused = self.refused or f"{companion.name}: {said}"
             elif companion.name != "recorder":
                 self.lost = self.lost or _sentence(companion)

@@ -24,7 +24,7 @@ from hydro_bridge.process.realtime import drop_realtime
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
-from hydro_bridge.ros.messages import law_from_message, listen_to_box, seconds, state_from_message
+from hydro_bridge.ros.messages import law_from_message, seconds, state_from_message, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
 from hydro_bridge.ros.topics import (
     BOX_LAW,
@@ -161,7 +161,7 @@ DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
 
 
 class GraphNode(Node):
-    """Moves messages between the graph and one session at a time; implements `supervision.outputs.Outputs`.
+    """Moves messages between the graph and one session at a time; implements `supervision.interfaces.Outputs`.
 
     It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
@@ -211,7 +211,7 @@ class GraphNode(Node):
         self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
-        listen_to_box(self, self._on_box)
+        subscribe_to_box(self, self._on_box)
         self.create_subscription(BoxLawMessage, BOX_LAW, self._on_box_law, BOX_LAW_QOS)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
