@@ -283,9 +283,9 @@ class Feed:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
-        for status in message.status:
-            values = {entry.key: entry.value for entry in status.values}
-            self._nodes.update(status.name, int.from_bytes(status.level, "little"), status.message, values, now)
+        for node in message.status:
+            values = {entry.key: entry.value for entry in node.values}
+            self._nodes.update(node.name, int.from_bytes(node.level, "little"), node.message, values, now)
 
 
 def _best_effort(topic: str) -> QoSProfile:

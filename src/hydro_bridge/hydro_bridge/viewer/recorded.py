@@ -162,8 +162,8 @@ class _Reading:
         if topic == AUTHORITY_TOPIC:
             self.marks.authority(time, message.holder)
             return
-        for status in message.status:
-            self.marks.diagnostics(time, status.name, {entry.key: entry.value for entry in status.values})
+        for node in message.status:
+            self.marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
 
 
 def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> Recorded:
