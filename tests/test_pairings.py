@@ -22,8 +22,8 @@ pytest.importorskip("rclpy")
 from hydro_filter.metric import learned as learned_metric
 from hydro_filter.nodes.options import arguments
 from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
-from hydro_policy.nodes.startup.guard_range import requested_filter
-from hydro_policy.pretraining.source import SimulationSetup
+from hydro_policy.nodes.startup.companions import requested_filter
+from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import BoxIdentity, MadeFor

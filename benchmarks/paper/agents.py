@@ -126,8 +126,8 @@ def _first(store: Store, authority: str, seed: int) -> Result:
     start, episodes = simulated(store, authority, seed), store.size.bench_episodes
     session, graph = train(bench(), start, episodes, max(episodes // EXAMS, 1), seed)
     came = actor_parameters(start.agent)
-    best, last = (came if found is None else found for found in (session.keeper.best, session.keeper.good))
-    told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.gave_up or "")}
+    best, last = (came if found is None else found for found in (session.run.best, session.run.good))
+    told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.run.gave_up or "")}
     told |= {key: [float(exam[key]) for exam in session.progress.exams] for key in ("score", "error")}
     told |= {"last": _rmse(_controller(start, last), seed)["rmse"]}
     return {**_rmse(_controller(start, best), seed), **told}

@@ -113,7 +113,7 @@ def steered(cable, small_box, probe, start):
 
     class Steered:
         box, output = small_box(), io.StringIO()
-        bridge = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.abandoned_after:=2.0", output=output)
+        bridge = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.gains_timeout:=2.0", output=output)
         told: ClassVar[list[DiagnosticStatus]] = []
 
         def gain(self, seconds: float) -> None:
@@ -255,7 +255,7 @@ def test_the_box_is_not_greeted_before_all_settings_are_known_to_be_right(cable)
 def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):
     box = small_box()
     alone = start("arm", "--timeout", "0.5")
-    assert alone.process.wait(20.0) == 2 and "no plant runs here" in alone.last_words
+    assert alone.process.wait(20.0) == 2 and "no plant runs here" in alone.last_line
     start("bridge", "--port", cable.path)
     probe.wait(lambda: len(probe.states) > 20)
     output = io.StringIO()
@@ -267,7 +267,7 @@ def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, star
     cable.unplug()
     probe.wait(lambda: not probe.ask(True).success)  # once the bridge has noticed
     refused = start("arm")
-    assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_words
+    assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_line
 
 
 def test_bridge_says_once_that_the_box_tripped_and_why(cable, small_box, probe, start):

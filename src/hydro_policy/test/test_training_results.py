@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hydro_policy.nodes.training.results import paper_controllers
+from hydro_policy.nodes.training.run import paper_controllers
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sessions.training import TrainingSession
@@ -33,7 +33,7 @@ def test_the_last_policy_is_compared_where_none_was_better_than_the_initial_one(
     policy.load_flat(last)
     exams = [{"episode": episode, "best": best} for episode, best in enumerate(bests)]
     session: Any = SimpleNamespace(
-        settings=TrainingSettings(), policy=policy, keeper=SimpleNamespace(best=best),
+        settings=TrainingSettings(), policy=policy, run=SimpleNamespace(best=best),
         progress=SimpleNamespace(exams=exams),
     )  # fmt: skip
     first = paper_controllers(cast(TrainingSession, session), None)[0]

@@ -18,10 +18,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from hydro_bridge.dashboard import series, words
+from hydro_bridge.dashboard import series, status
 from hydro_bridge.dashboard.server import PageServer
 from hydro_bridge.dashboard.thinning import SLOT, Thinner
-from hydro_bridge.ros.messages import listen_to_box
+from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.topics import (
     AUTHORITY,
     AUTHORITY_QOS,
@@ -65,7 +65,7 @@ class Samples:
             Thinner(len(series.LAW_COLUMNS)),
         )
         """Thinners of the samples, of the corrections and of the compensated law."""
-        self.decided = words.FilterCounts()
+        self.decided = status.FilterCounts()
         self.taken_at = -inf
         """s, monotonic time at which the last sample was taken."""
         self.compensated_at = -inf
@@ -159,11 +159,11 @@ class Feed:
         self._authority = self._word = Authority()
         self._box: dict[str, Any] = {}
         self._training: dict[str, Any] = {}
-        self._curve, self._nodes = words.Curve(), words.Nodes()
+        self._curve, self._nodes = status.Curve(), status.Nodes()
         self._frames = 0
         self._server: PageServer | None = None
         self._words_heard = node.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
-        listen_to_box(node, self._on_box)
+        subscribe_to_box(node, self._on_box)
         node.create_subscription(TrainingStatus, TRAINING, self._on_training, _best_effort(TRAINING))
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, _best_effort(DIAGNOSTICS))
 
@@ -203,27 +203,27 @@ class Feed:
             if self._server.viewers and len(slots.values):
                 frames.append(slots.encoded(number))
         if self._server.viewers:
-            frames.append(words.encoded("pulse", self._pulse(now)))
+            frames.append(status.encoded("pulse", self._pulse(now)))
             if self._frames % _WORDS_EVERY == 0:
-                frames.append(words.encoded("words", self._words(now)))
+                frames.append(status.encoded("words", self._words(now)))
         self._server.publish(frames, partial(self._welcome, now))
 
     def _welcome(self, now: float) -> list[str | bytes]:
         """Return the initial content of a page: names and units, the last minute, the status texts."""
         hello = {"slot": SLOT, "series": series.described()}
-        told: list[str | bytes] = [words.encoded("hello", hello)]
+        told: list[str | bytes] = [status.encoded("hello", hello)]
         for number, thinned in enumerate(self._samples.series):
             told.append(thinned.history().encoded(number))
-        return [*told, words.encoded("pulse", self._pulse(now)), words.encoded("words", self._words(now))]
+        return [*told, status.encoded("pulse", self._pulse(now)), status.encoded("words", self._words(now))]
 
     def _pulse(self, now: float) -> dict[str, Any]:
         age = now - self._samples.taken_at
         return {
             "age": round(age, 3) if age < inf else None,
-            "alive": age < words.DEAD_AFTER,
+            "alive": age < status.DEAD_AFTER,
             "sent": round(1e3 * now),
             "contested": self._samples.contested,
-            "flags": words.flag_words(self._samples.flags),
+            "flags": status.flag_labels(self._samples.flags),
             "epoch": str(self.epoch),
             "holder": self.holder,
         }
@@ -235,7 +235,7 @@ class Feed:
             "training": self._training,
             "curve": self._curve.content(),
             "filter": self._samples.decided.take(),
-            "law": "compensated" if now - self._samples.compensated_at < words.DEAD_AFTER else "paper",
+            "law": "compensated" if now - self._samples.compensated_at < status.DEAD_AFTER else "paper",
             "nodes": self._nodes.content(now),
             "publishers": published,
             "missed": self._samples.lost,
@@ -268,7 +268,7 @@ class Feed:
         }
 
     def _on_training(self, message: TrainingStatus) -> None:
-        phase = words.PHASES[message.phase] if message.phase < len(words.PHASES) else str(message.phase)
+        phase = status.PHASES[message.phase] if message.phase < len(status.PHASES) else str(message.phase)
         self._curve.add(message.phase, message.episode, message.force_rmse, message.episode_return)
         self._training = {
             "phase": phase,
@@ -283,9 +283,9 @@ class Feed:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
-        for status in message.status:
-            values = {entry.key: entry.value for entry in status.values}
-            self._nodes.hear(status.name, int.from_bytes(status.level, "little"), status.message, values, now)
+        for node in message.status:
+            values = {entry.key: entry.value for entry in node.values}
+            self._nodes.update(node.name, int.from_bytes(node.level, "little"), node.message, values, now)
 
 
 def _best_effort(topic: str) -> QoSProfile:

@@ -155,7 +155,7 @@ class Gate:
         now = self._now()
         admitted = self.authority.admits(topic, epoch, now)
         if admitted and topic != CORRECTION:  # the filter continues without the holder
-            self.authority.hear(now)
+            self.authority.renew(now)
         return admitted
 
     def crowd(self) -> str:

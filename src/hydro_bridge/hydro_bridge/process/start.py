@@ -2,12 +2,14 @@
 """Start-up of all executables, before slow imports.
 
 In a package's setup.py:  "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
+After a change of name:   "secure = hydro_bridge.process.start:renamed_to.create_keystore"
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -58,4 +60,22 @@ class MainOf:
         return status
 
 
+class RenamedTo:
+    """Entry point under an executable's former name, which refuses and names the present one."""
+
+    def __init__(self, name: str = "") -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> RenamedTo:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return RenamedTo(name)
+
+    def __call__(self) -> int:
+        """Refuse."""
+        endings.complain(f"`{Path(sys.argv[0]).name}` is now `{self._name}`")
+        return 2
+
+
 main_of = MainOf()
+renamed_to = RenamedTo()

@@ -161,6 +161,6 @@ def law_state_from_message(message: LawStateMessage) -> LawState:
     return LawState(Law(message.law), *followed, coefficients, message.velocity_compensation, message.valve_gain_scale)
 
 
-def listen_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
+def subscribe_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
     """Call `on_box` with the box's description as soon as the plant node is discovered, and at each change."""
     return node.create_subscription(BoxMessage, BOX, lambda message: on_box(box_from_message(message)), BOX_QOS)

@@ -10,12 +10,12 @@ watchdog     flag WATCHDOG: no commands for 50 ms
 authority    /hydro/authority: change of holder
 episode      /hydro/training: start of the next episode, and result of the last one
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
-weights      /hydro/policy: change of the acting weights (`viewer.weights`)
+weights      /hydro/policy: change of the acting weights (`WeightChanges`)
 rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by a person, to within 0.5 s
 call         /rosout, names that end in `calls`: requests to arm, disarm or override, and the answers
 log          /rosout: warnings and errors of all nodes
-window       report.json of a diagnosis: where the recording and the model differ (`viewer.findings`)
+window       report.json of a diagnosis: where the recording and the model differ (`read_report_marks`)
 ===========  ==========================================================================================
 """
 
@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.dashboard.words import PHASES, flag_words
+from hydro_bridge.dashboard.status import PHASES, flag_labels
 from hydro_bridge.signals import Flag, StateArray
 
 STILL = 1.0
@@ -171,7 +171,7 @@ class Marks:
     def _change(self, time: float, before: int, now: int) -> None:
         risen, fallen = now & ~before, before & ~now
         if risen & Flag.TRIPPED:
-            others = ", ".join(flag_words(risen & ~int(Flag.TRIPPED)))
+            others = ", ".join(flag_labels(risen & ~int(Flag.TRIPPED)))
             self._add(time, "trip", f"tripped{f': {others}' if others else ''}")
         if risen & Flag.ARMED:
             self._add(time, "armed", "armed")
@@ -212,8 +212,8 @@ def report_beside(bag: Path) -> Path | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Findings:
-    """Findings of a report for each of its recordings."""
+class ReportMarks:
+    """Windows of a report for each of its recordings."""
 
     report: Path
     marks: dict[str, list[Mark]]
@@ -235,7 +235,7 @@ class Findings:
         return [mark for name in named for mark in self.marks.get(name, [])]
 
 
-def read_findings(report: Path) -> Findings:
+def read_report_marks(report: Path) -> ReportMarks:
     """Read report.json of a diagnosis.
 
     Raises
@@ -254,7 +254,7 @@ def read_findings(report: Path) -> Findings:
                 begins = [float(begin) for begin, _ in stretches]
                 marks.setdefault(name, []).extend(map(Mark, begins, ["window"] * len(told), told))
         stamps = [(entry["name"], entry["begin"]) for entry in content.get("recordings", ())]
-        return Findings(report=report, marks=marks, begins=stamps)
+        return ReportMarks(report=report, marks=marks, begins=stamps)
     except OSError as error:
         raise RecordingError(f"{report}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError):

@@ -15,10 +15,10 @@ import numpy.typing as npt
 from hydro_bridge.bags.reader import STATE_TOPIC, as_states
 from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.dashboard import series, words
+from hydro_bridge.dashboard import series, status
 from hydro_bridge.dashboard.thinning import GrowingThinner
 from hydro_bridge.signals import FloatArray
-from hydro_bridge.viewer.marks import Mark, Marks, read_findings
+from hydro_bridge.viewer.marks import Mark, Marks, read_report_marks
 
 APART = 2.0
 """s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""
@@ -110,7 +110,7 @@ class _Reading:
     corrections: GrowingThinner | None = None
     laws: GrowingThinner | None = None
     marks: Marks = field(default_factory=Marks)
-    curve: words.Curve = field(default_factory=words.Curve)
+    curve: status.Curve = field(default_factory=status.Curve)
     clock: SampleClock = field(default_factory=SampleClock)
     foreign: set[str] = field(default_factory=set)
     """Topics whose messages are of another version or type."""
@@ -162,8 +162,8 @@ class _Reading:
         if topic == AUTHORITY_TOPIC:
             self.marks.authority(time, message.holder)
             return
-        for status in message.status:
-            self.marks.diagnostics(time, status.name, {entry.key: entry.value for entry in status.values})
+        for node in message.status:
+            self.marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
 
 
 def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> Recorded:
@@ -183,7 +183,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     RecordingError
         The recording is missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
     """
-    found = None if report is None else read_findings(report)
+    found = None if report is None else read_report_marks(report)
     source = BagSource(Path(path))
     reading = _Reading(span=span)
     decoder = MessageDecoder(source)

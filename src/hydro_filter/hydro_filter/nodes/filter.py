@@ -40,7 +40,7 @@ from hydro_bridge.ros.diagnostics import (
     publisher_conflicts,
     with_publisher_conflicts,
 )
-from hydro_bridge.ros.messages import law_state_from_message, listen_to_box, seconds
+from hydro_bridge.ros.messages import law_state_from_message, seconds, subscribe_to_box
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import (
     AUTHORITY,
@@ -124,7 +124,7 @@ class FilterNode(Node):
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
-        self._boxes = listen_to_box(self, self._on_box)
+        self._boxes = subscribe_to_box(self, self._on_box)
         self._words = self.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()

@@ -20,8 +20,8 @@ from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings

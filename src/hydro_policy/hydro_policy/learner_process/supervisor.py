@@ -167,7 +167,7 @@ class LearnerSupervisor:
         """Return the learner's whole state, at most half a second old; None before the first."""
         return self._snapshot.latest()
 
-    def keep(self, good: bytes) -> None:
+    def save_policy(self, good: bytes) -> None:
         """Store this state as the last good one."""
         self._good.publish(good)
 

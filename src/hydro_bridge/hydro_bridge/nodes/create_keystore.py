@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Creates an SROS2 keystore that grants each executable exactly the topics and services it uses.
 
-ros2 run hydro_bridge secure KEYSTORE          # keys and policy, for the domain of ROS_DOMAIN_ID; network.md
-ros2 run hydro_bridge secure --policy FILE     # the policy alone, which needs no sros2
+ros2 run hydro_bridge create_keystore KEYSTORE          # keys and policy, for the domain of ROS_DOMAIN_ID; network.md
+ros2 run hydro_bridge create_keystore --policy FILE     # the policy alone, which needs no sros2
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hydro_bridge.ros.topics import CLAIM_SERVICE, CLOCK, END_SERVICE, GRAPH, OV
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
     result = argparse.ArgumentParser(
-        prog="secure", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="create_keystore", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     result.add_argument("keystore", nargs="?", type=writable_folder, metavar="KEYSTORE", help="folder to make")
     result.add_argument("--policy", type=writable, metavar="FILE", help="also write the policy, as SROS2 reads it")
@@ -65,7 +65,7 @@ def main() -> None:
     """Entry point."""
     asked = parser().parse_args()
     if asked.keystore is None and asked.policy is None:
-        raise UserError("secure needs KEYSTORE, a folder to make, or --policy FILE")
+        raise UserError("create_keystore needs KEYSTORE, a folder to make, or --policy FILE")
     policy = policy_xml()
     if asked.policy is not None:
         write_whole(Path(asked.policy), policy)

@@ -8,7 +8,7 @@ import pytest
 
 from hydro_bridge.bags.cdr import encode_states
 from hydro_bridge.dashboard.series import STATE_TYPE, Decoder, described, state_values
-from hydro_bridge.dashboard.words import Curve
+from hydro_bridge.dashboard.status import Curve
 from hydro_bridge.signals import STATE_DTYPE, Flag
 
 

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.errors import UserError
-from hydro_bridge.nodes import secure
+from hydro_bridge.nodes import create_keystore
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.keys import (
     ENABLE,
@@ -90,10 +90,10 @@ def test_nothing_is_allowed_by_a_pattern_but_the_name_of_a_persons_tool() -> Non
 def test_without_sros2_one_sentence_says_the_way_on_and_the_policy_is_written_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["secure", str(tmp_path / "keys"), "--policy", str(tmp_path / "policy.xml")]
+    words = ["create_keystore", str(tmp_path / "keys"), "--policy", str(tmp_path / "policy.xml")]
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as ended:
-        secure.main()
+        create_keystore.main()
     assert ended.value.code == 2
     assert "apt install ros-jazzy-sros2" in capsys.readouterr().err
     assert (tmp_path / "policy.xml").read_bytes() == policy_xml()

@@ -31,7 +31,7 @@ def encoded(kind: str, content: Mapping[str, Any]) -> str:
     return msgspec.json.encode({"kind": kind, **content}).decode()
 
 
-def flag_words(flags: int) -> list[str]:
+def flag_labels(flags: int) -> list[str]:
     """Return the page's names of the flags that are set."""
     return [str(flag.name).lower().replace("_", " ") for flag in Flag if flag & flags]
 
@@ -77,7 +77,7 @@ class Nodes:
     def __init__(self) -> None:
         self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
 
-    def hear(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
+    def update(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
         """Add a status; `now` [s] of any one clock."""
         kept = dict(list(values.items())[:VALUES])
         self._heard.pop(name, None)
