@@ -21,7 +21,10 @@ PERCENTILES = (50.0, 99.0, 99.9)
 
 def parser(name: str, description: str | None) -> argparse.ArgumentParser:
     """Every benchmark takes `--json FILE`."""
-    made = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=description)
+    made = argparse.ArgumentParser(
+        prog=f"python -m benchmarks.{name}", description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
     made.add_argument("--json", type=Path, metavar="FILE", help="write the result there as well")
     return made
 

@@ -22,8 +22,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 
+from benchmarks._report import parser
 from hydro_bridge.bags.recording import continuity, read_bag
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
+from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
@@ -170,14 +171,13 @@ def _title(asked: argparse.Namespace) -> str:
 @command()
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0, help="default 20")
-    parser.add_argument(
+    options = parser("latency", __doc__)
+    options.add_argument("--seconds", type=float, default=20.0, help="default 20")
+    options.add_argument(
         "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
     )
-    parser.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
-    add_json_argument(parser)
-    asked = parser.parse_args()
+    options.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
+    asked = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         measure(asked, Path(folder)).show(asked.json)
 

@@ -8,7 +8,6 @@ each library offers. Peers: `make bench-peers`.
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 import sys
@@ -23,7 +22,8 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import numpy as np
 import torch
 
-from hydro_bridge.cli.console import Table, add_json_argument, progress
+from benchmarks._report import parser
+from hydro_bridge.cli.console import Table, progress
 
 PEERS = ("gymnasium", "stable_baselines3", "skrl", "sbx")
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)
@@ -33,12 +33,11 @@ ROUNDS, UPDATES = 7, 256
 
 def main() -> int:
     """Run."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.sac_peers", description=__doc__)
-    parser.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
-    parser.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
-    add_json_argument(parser)
-    options = parser.parse_args()
+    asked = parser("sac_peers", __doc__)
+    asked.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
+    asked.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
+    asked.add_argument("--seed", type=int, default=0, metavar="N")
+    options = asked.parse_args()
     missing = [name for name in PEERS if importlib.util.find_spec(name) is None]
     if missing:
         print(f"{', '.join(missing)} not installed here: `make bench-peers` compares with the peers", file=sys.stderr)
