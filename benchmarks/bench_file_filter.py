@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks._changing_bench import outcome, play
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks.controllers import SETTINGS, interquartile_mean
+from benchmarks.model_mismatch import outcome, play
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice, warm_up
@@ -200,8 +200,8 @@ def wide_gains(name: str, made: Made | None) -> Iterator[dict[str, Any]]:
     for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
         for timed in (None, *([Timed(made[0])] if made is not None and gains[0] > 90.0 else [])):
             own = FixedGains(*gains)
-            states, statuses = play(plant, Bench.nominal(), own, REFERENCE, corrector=timed, seconds=SECONDS)
-            done, settled = outcome(states, statuses, BEGIN), statuses[BEGIN:]
+            states, statuses = play(plant, own, REFERENCE, timed, SECONDS)
+            done, settled = outcome(states, np.zeros(0), BEGIN), statuses[BEGIN:]
             row = {"bench": name, "gains": f"{gains[0]:g}, {gains[1]:g}", "filter": "none" if timed is None else "own"}
             row |= {key: getattr(done, key) for key in ("rmse", "peak", "jump", "tripped")} | shares(settled)
             row |= dict.fromkeys(list(COLUMNS)[9:], np.nan)

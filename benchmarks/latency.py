@@ -2,20 +2,19 @@
 """The whole graph on this machine: box frame in to correction frame out, CPU per process, lost samples.
 
 Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes; gains come at 100 Hz from here, as a
-trainer's would. `--load 1` adds a process that computes without pause, as a learner does. The bridge measures the
-latency, from a state frame's arrival to the command frame that carries its correction, and tells it on /diagnostics.
+trainer's would. The bridge measures the latency, from a state frame's arrival to the command frame that carries its
+correction, and tells it on /diagnostics.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -108,27 +107,6 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def compute() -> None:
-    """Never end: what a learner does to a core."""
-    matrix = np.random.default_rng(0).normal(size=(200, 200))
-    while True:
-        matrix = np.tanh(matrix @ matrix / 200.0)
-
-
-@contextmanager
-def load(processes: int) -> Iterator[None]:
-    """Keep some cores busy."""
-    busy = [multiprocessing.get_context("spawn").Process(target=compute, daemon=True) for _ in range(processes)]
-    for process in busy:
-        process.start()
-    try:
-        yield
-    finally:
-        for process in busy:
-            process.kill()
-            process.join()
-
-
 def companions(folder: Path, *, metric: str, realtime: bool) -> dict[str, tuple[str, list[str]]]:
     """Package and arguments by executable; the box and its bridge come last, when all others listen."""
     port, prompt = str(folder / "box"), ["--realtime"] if realtime else []
@@ -159,7 +137,6 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
         driver = Driver()
         stack.callback(driver.close)
         running = start(stack, driver, folder, metric=asked.metric, realtime=asked.realtime)
-        stack.enter_context(load(asked.load))
         driver.run(2.0)
         before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}
         begin = time.monotonic()
@@ -186,7 +163,7 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
 
 def _title(asked: argparse.Namespace) -> str:
     kind = "SCHED_FIFO for bridge and filter" if asked.realtime else "ordinary scheduling"
-    besides = f"{os.cpu_count()} cores, {asked.load} computing besides, {kind}"
+    besides = f"{os.cpu_count()} cores, {kind}"
     return f"Graph with the {asked.metric} metric for {asked.seconds:g} s on {besides}"
 
 
@@ -199,7 +176,6 @@ def main() -> None:
         "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
     )
     parser.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
-    parser.add_argument("--load", type=int, default=0, metavar="N", help="processes that compute without pause")
     add_json_argument(parser)
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
