@@ -27,7 +27,7 @@ from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
+from hydro_bridge.ros.topics import DIAGNOSTICS, create_subscription
 from hydro_bridge.signals import ReferenceSignal, Waveform
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
@@ -43,7 +43,7 @@ class Driver:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.told: dict[str, dict[str, str]] = {}
-        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+        create_subscription(self.node, DIAGNOSTICS, self._on_diagnostics)
         self._commander = Commander(self.node)
         self._commander.reference(SINE)
         self._rng = np.random.default_rng(0)
