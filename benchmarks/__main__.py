@@ -23,7 +23,6 @@ STUDIES = frozenset(
         "dashboard",
         "diagnosis_peers",
         "effect_table",
-        "foreign_truth",
         "model_mismatch",
         "null_simulations",
         "paper",

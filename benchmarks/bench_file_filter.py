@@ -11,7 +11,6 @@ compensated  the compensated law at its own gains, through guard and estimator, 
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import time
@@ -22,10 +21,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks._changing_bench import outcome, play
 from benchmarks._drawn_truths import drawn_truths
+from benchmarks._report import parser
 from benchmarks.controllers import SETTINGS, interquartile_mean
-from hydro_bridge.cli.console import Table, add_json_argument, command, progress
+from benchmarks.model_mismatch import outcome, play
+from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.filter import Result
@@ -200,8 +200,8 @@ def wide_gains(name: str, made: Made | None) -> Iterator[dict[str, Any]]:
     for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
         for timed in (None, *([Timed(made[0])] if made is not None and gains[0] > 90.0 else [])):
             own = FixedGains(*gains)
-            states, statuses = play(plant, Bench.nominal(), own, REFERENCE, corrector=timed, seconds=SECONDS)
-            done, settled = outcome(states, statuses, BEGIN), statuses[BEGIN:]
+            states, statuses = play(plant, own, REFERENCE, timed, SECONDS)
+            done, settled = outcome(states, np.zeros(0), BEGIN), statuses[BEGIN:]
             row = {"bench": name, "gains": f"{gains[0]:g}, {gains[1]:g}", "filter": "none" if timed is None else "own"}
             row |= {key: getattr(done, key) for key in ("rmse", "peak", "jump", "tripped")} | shares(settled)
             row |= dict.fromkeys(list(COLUMNS)[9:], np.nan)
@@ -279,16 +279,12 @@ def law_table(rows: Sequence[dict[str, Any]]) -> Table:
 @command(ValueError, OSError)
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.bench_file_filter", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("what", nargs="?", default="file", choices=("file", "relearn", "compensated"))
-    parser.add_argument("--bench", nargs="+", default=list(BENCHES), choices=list(BENCHES), help="default: all")
-    parser.add_argument("--draw", type=int, default=12, metavar="COUNT", help="drawn truths; default: %(default)s")
-    parser.add_argument("--folder", type=Path, default=Path("runs/bench_file_filter"), help="default: %(default)s")
-    add_json_argument(parser)
-    asked = parser.parse_args()
+    options = parser("bench_file_filter", __doc__)
+    options.add_argument("what", nargs="?", default="file", choices=("file", "relearn", "compensated"))
+    options.add_argument("--bench", nargs="+", default=list(BENCHES), choices=list(BENCHES), help="default: all")
+    options.add_argument("--draw", type=int, default=12, metavar="COUNT", help="drawn truths; default: %(default)s")
+    options.add_argument("--folder", type=Path, default=Path("runs/bench_file_filter"), help="default: %(default)s")
+    asked = options.parse_args()
     truths: dict[str, TruthConfig] = dict.fromkeys(asked.bench)
     if asked.what == "compensated":
         drawn = {f"{name}_1": truth_from_mapping(one) for name, one in drawn_truths(asked.draw, 1).items()}

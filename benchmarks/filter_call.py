@@ -11,7 +11,6 @@ again; each one's best call shows whether a slow one was the sample's doing.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import replace
@@ -19,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._report import percentiles
-from hydro_bridge.cli.console import Table, add_json_argument, progress
+from benchmarks._report import parser, percentiles
+from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.ros.node import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import CONSTANT, LEARNED, Filter, FilterChoice, warm_up
@@ -89,12 +88,11 @@ def ticks(contraction_filter: LoopFilter, samples: list[Sample], count: int) -> 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.filter_call", description=__doc__)
-    parser.add_argument("--samples", type=int, default=20_000, help="of the comparison, default 20000")
-    parser.add_argument("--ticks", type=int, default=100_000, help="of the deadline's count, default 100000")
-    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, as the node does")
-    add_json_argument(parser)
-    asked = parser.parse_args(arguments)
+    options = parser("filter_call", __doc__)
+    options.add_argument("--samples", type=int, default=20_000, help="of the comparison, default 20000")
+    options.add_argument("--ticks", type=int, default=100_000, help="of the deadline's count, default 100000")
+    options.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, as the node does")
+    asked = options.parse_args(arguments)
     bench = Bench.nominal()
     choices = {name: FilterChoice(bench=bench, metric=name) for name in (LEARNED, CONSTANT)}
     learned, constant = (choice.make(choice.default_settings()) for choice in choices.values())

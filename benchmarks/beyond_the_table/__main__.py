@@ -6,55 +6,31 @@ of 25 s (the second is held out) and runs `diagnose` on them in a process of its
 
     python -m benchmarks.beyond_the_table --half sealed --cases 20     the sixteen kinds alone, and four clean ones
     python -m benchmarks.beyond_the_table --half dev --kinds turbulent_drag --cases 5
-    python -m benchmarks.beyond_the_table --half sealed --gap      whether the kinds show, without a diagnosis
+    python -m benchmarks.beyond_the_table --half named --cases 44      what the table names
 
 Ctrl-C loses no finished case: run it again to go on. OUT/SEED/NAME/ holds the report and what it cost.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import shutil
 import subprocess
-import tempfile
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded, simulated
-from benchmarks.beyond_the_table.kinds import HALVES, KINDS, NAMES
+from benchmarks._report import parser
+from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded
+from benchmarks.beyond_the_table.kinds import HALVES, NAMES
 from benchmarks.beyond_the_table.score import scored, table
-from benchmarks.foreign_truth.plant import FloatArray
-from benchmarks.foreign_truth.recordings import RUNS, write_bag
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.preprocessing.loading import load_dataset
-from hydro_diagnosis.validation import HORIZON, WINDOWS, compare
-from hydro_sim.model.bench import Bench
-
-GAPS = {
-    "kind": "clean: nothing is missing",
-    "size": "",
-    "gap": "root of the worst channel's held-out squared error, over its noise floor's",
-    "channel": "the worst one",
-    "fitted": "N, standard deviation of the loop's error in the run that would be fitted",
-    "held": "the same in the held-out one",
-}
+from hydro_bridge.cli.console import UserError, command, progress, writable_folder
 
 
 @command()
 def main() -> None:
     """Run what is asked for and print the table."""
-    options = argparse.ArgumentParser(
-        prog="python -m benchmarks.beyond_the_table",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    options = parser("beyond_the_table", __doc__)
     options.add_argument("--cases", type=int, default=10, metavar="N", help="how many (default: 10)")
     options.add_argument("--seed", type=int, default=1, metavar="S", help="that they are drawn from (default: 1)")
     options.add_argument("--half", choices=HALVES, default="dev", help="of the kinds (default: dev)")
@@ -62,18 +38,9 @@ def main() -> None:
     options.add_argument("--out", type=writable_folder, default=Path("runs/beyond_the_table"), metavar="DIR",
                          help="where reports go (default: runs/beyond_the_table)")  # fmt: skip
     options.add_argument("--again", action="store_true", help="diagnose cases again that are done")
-    options.add_argument("--gap", action="store_true", help="the held-out gap of bench.yaml at both ends of each "
-                         "kind's range in place of cases")  # fmt: skip
-    add_json_argument(options)
     asked = options.parse_args()
     if asked.cases < 1 or asked.seed < 0:
         raise UserError("--cases of at least 1 and a --seed of at least 0 are meant")
-    if asked.gap:
-        shown = Table(GAPS)
-        for row in gap_rows(asked.half, asked.kinds, asked.seed):
-            shown.add(**row)
-        shown.show(asked.json)
-        return
     cases = drawn(asked.half, asked.cases, asked.seed, asked.kinds)
     if not cases:
         raise UserError(f"none of {', '.join(asked.kinds)} is of the half {asked.half}")
@@ -108,33 +75,6 @@ def carried_out(case: Case, folder: Path, *, seconds: float = SECONDS, again: bo
     result = {"report": report, "said": said, "cpu": round(cpu, 1)}
     kept.write_text(json.dumps(result) + "\n", encoding="utf-8")
     return result
-
-
-def gap_rows(half: str, kinds: Sequence[str] | None, seed: int) -> Iterator[dict[str, Any]]:
-    """Rows of `GAPS`, of a bench where nothing is missing first."""
-    chosen = [kind for kind in KINDS if kind.half == half and (not kinds or kind.name in kinds)]
-    cases = [Case("clean", None, seed=seed)]
-    cases += [Case(kind.name, kind, size, seed=seed) for kind in chosen for size in kind.size]
-    for case in progress(cases, label="gaps", unit="case"):
-        logs = [simulated(case, number) for number in range(len(RUNS))]
-        channel, gap = max(gaps(logs).items(), key=lambda item: item[1])
-        errors = [float(np.std(log[500:, 10] - log[500:, 2])) for log in logs]
-        yield {"kind": case.name, "size": case.size, "gap": gap, "channel": channel, "fitted": errors[0],
-               "held": errors[1]}  # fmt: skip
-
-
-def gaps(logs: Sequence[FloatArray]) -> dict[str, float]:
-    """Held-out error of bench.yaml by channel, noise floors, of two runs, shape (n, LOGGED) each."""
-    bench = Bench.nominal()
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder) / name for name in RUNS]
-        for path, log in zip(paths, logs, strict=True):
-            write_bag(path, log)
-        fitted, held, _ = load_dataset(paths[:1], paths[1:], bench)
-    noise = Problem(fitted, bench).sensor_noise
-    models = [SegmentModel(segment, bench) for segment in held]
-    found = compare(models, (), (), noise, seconds=HORIZON, windows=WINDOWS, shooting=True).channels
-    return {name: error.rmse_before / error.noise_floor for name, error in found.items()}
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.beyond_the_table.kinds import KINDS, NAMES, Kind
+from benchmarks.beyond_the_table.named import Values, named_causes
 from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.box import PERIOD
 from benchmarks.foreign_truth.plant import NONE, FloatArray, run
@@ -51,6 +52,8 @@ class Case:
     named: tuple[str, ...] = ()
     decibels: int | None = None
     seed: int = 0
+    causes: dict[str, Values] = field(default_factory=dict)
+    """Of the half `named`: the true values by parameter, by cause."""
 
 
 def drawn(half: str, count: int, seed: int, kinds: list[str] | None = None) -> list[Case]:
@@ -59,6 +62,12 @@ def drawn(half: str, count: int, seed: int, kinds: list[str] | None = None) -> l
     Rounds go through the kinds: alone, beside one named cause, beside two, then alone at each step of the noise ladder.
     After every fourth case comes one in which nothing is missing.
     """
+    if half == "named":
+        return [
+            Case(name, None, truth=truth, named=tuple(causes), seed=int(_random(name, seed).integers(1 << 30)),
+                 causes=causes)
+            for name, (truth, causes) in named_causes().items()
+        ][:count]  # fmt: skip
     chosen = [kind for kind in KINDS if kind.half == half and (not kinds or kind.name in kinds)]
     if not chosen:
         return []

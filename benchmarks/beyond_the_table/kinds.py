@@ -114,4 +114,5 @@ KINDS: tuple[Kind, ...] = (
 )  # fmt: skip
 NAMES = tuple(kind.name for kind in KINDS)
 """Compiled code knows a kind by its place here; -1 is none."""
-HALVES = ("dev", "sealed")
+HALVES = ("dev", "sealed", "named")
+"""`named`: what the table names."""

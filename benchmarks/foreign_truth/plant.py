@@ -56,7 +56,7 @@ def advance(physics, bench, time, current, state, step, work):
 
 @njit
 def _run(physics, bench, box, reference, gains, noise, quantum, start, substeps, out):
-    step, integral, played, turn = PERIOD / substeps, 0.0, 0.0, 0
+    step, integral, turn = PERIOD / substeps, 0.0, 0
     late = np.zeros(max(math.floor(bench.valve_delay / step + 0.5), 1))
     delayed = bench.valve_delay / step >= 0.5
     state, work = np.zeros(STATES), np.zeros((3, STATES))
@@ -74,9 +74,6 @@ def _run(physics, bench, box, reference, gains, noise, quantum, start, substeps,
         row[10], row[11], row[12], row[13] = reference[k, 0], reference[k, 1], gains[0], gains[1]
         integral = command(box, row, integral)
         current = row[8]
-        if bench.valve_play > 0.0:
-            played = min(max(played, current - 0.5 * bench.valve_play), current + 0.5 * bench.valve_play)
-            current = played
         for j in range(substeps):
             acting = current
             if delayed:

@@ -70,12 +70,8 @@ CLAIMS: dict[str, Comparisons] = {
     "Behind ours all four draws of gains stay bounded, those above 100 too": _bounded(*CASES[1:], chosen="ours"),
     "Training on the bench beats training in simulation (I below II, each sine; paper: three of four)":
         less("rmse-default-paper-I-{}", "rmse-default-paper-II-{}", "rmse"),
-    "It does on the bench outside of the model's physics":
-        less("rmse-outside-paper-I-{}", "rmse-outside-paper-II-{}", "rmse"),
     "I beats fixed (90, 15) (each sine; paper: three of four)":
         less("rmse-default-paper-I-{}", "rmse-default-III-{}", "rmse"),
-    "I beats fixed (90, 15) on the bench outside of the model's physics":
-        less("rmse-outside-paper-I-{}", "rmse-outside-III-{}", "rmse"),
     "At 0.5 Hz fixed (90, 15) beats I":
         less("rmse-default-III-{}", "rmse-default-paper-I-{}", "rmse", at=slice(1)),
     "The filter lowers chattering (u') in training": less("chatter-paper-short-{}", "chatter-none-{}", "chatter"),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.paper.claims import CLAIMS, counts, pieces
-from benchmarks.paper.store import AUTHORITIES, CASES, CHOICES, FILTERS, LOSSES, PRINTED, TIMES, Store
+from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Store
 from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
@@ -36,11 +36,8 @@ TABLES = {
     "the shipped model and its rollouts.",
     "Table val_cont": "200 N at 1 Hz, gains as `hydro_filter validate` draws them; *paper-short* after 3 epochs and "
     "*paper-long* after all at 100 Hz, *ours* at 1 kHz; of a run that tripped: up to there.",
-    "Tables training_agent and rmse": "Force RMSE [N], sines of 300 N from rest, no filter; *outside*: seals that rub "
-    "with the pressure, cogging, flow forces, a slower spool.",
+    "Tables training_agent and rmse": "Force RMSE [N], sines of 300 N from rest, no filter.",
     "Chattering in training": "Of I's first two episodes, default bench, paper's authority.",
-    "Sensitivity": "II under the paper's authority with other choices: RMSE over that of fixed (90, 15), mean of the "
-    "four sines, of the training's best and last examination.",
 }
 Row = list[str]
 
@@ -84,7 +81,7 @@ def _tables(store: Store) -> Iterator[str]:
     head = ["gains", "filter", "bounded", "RMSE [N]", "u' [A/s]", "gamma_1 [%]", "gamma_2 [%]", "gamma_3",
             "gamma_4 [%]", "gamma_5"]  # fmt: skip
     yield section("Table val_cont", head, _validation(store))
-    head = ["bench", "controller, authority", *(f"{f:g} Hz" for f in PRINTED["rmse"]["frequencies"]), "seeds"]
+    head = ["controller, authority", *(f"{f:g} Hz" for f in PRINTED["rmse"]["frequencies"]), "seeds"]
     yield section("Tables training_agent and rmse", head, _rmse(store))
     head, rows = ["filter", "u' RMS [A/s]", "trips", "episodes", "seeds"], []
     for chosen in ("none", "paper-short", "ours"):
@@ -92,15 +89,6 @@ def _tables(store: Store) -> Iterator[str]:
             sums = [str(sum(one[key] for one in found)) for key in ("trips", "episodes")]
             rows.append([chosen, cell([one["chatter"] for one in found], 4), *sums, str(len(found))])
     yield section("Chattering in training", head, rows)
-    rows = []
-    for name in ("", *CHOICES):
-        curves = [one["scores"] for (one,) in pieces(store, f"sensitivity-{name}-{{}}")] if name else [
-            [float(row["score"]) for row in one["curve"][1:]] for (one,) in pieces(store, "II-paper-{}")
-        ]  # fmt: skip
-        if curves:
-            scores = cells([(min(curve), curve[-1]) for curve in curves], 3)
-            rows.append([name or "as chosen", *scores, str(len(curves))])
-    yield section("Sensitivity", ["choice", "best score", "last score", "seeds"], rows)
 
 
 def _models(store: Store) -> Iterator[Row]:
@@ -136,15 +124,15 @@ def _validation(store: Store) -> Iterator[Row]:
 
 
 def _rmse(store: Store) -> Iterator[Row]:
-    for bench in ("default", "outside"):
-        names = {"III": f"rmse-{bench}-III-{{}}"}
-        names |= {f"{who}, {auth}": f"rmse-{bench}-{auth}-{who}-{{}}" for auth in AUTHORITIES for who in ("I", "II")}
-        for who, name in names.items():
-            found = [one for (one,) in pieces(store, name)]
-            for key, told in (("rmse", who), ("last", f"{who}, last policy")):
-                if found and key in found[0]:
-                    yield [bench, told, *cells([one[key] for one in found], 2), str(len(found))]
-    yield from (["paper's", who, *(f"{one:.2f}" for one in PRINTED["rmse"][who]), ""] for who in ("I", "II", "III"))
+    names = {"III": "rmse-default-III-{}"}
+    names |= {f"{who}, {auth}": f"rmse-default-{auth}-{who}-{{}}" for auth in AUTHORITIES for who in ("I", "II")}
+    for who, name in names.items():
+        found = [one for (one,) in pieces(store, name)]
+        for key, told in (("rmse", who), ("last", f"{who}, last policy")):
+            if found and key in found[0]:
+                yield [told, *cells([one[key] for one in found], 2), str(len(found))]
+    for who in ("I", "II", "III"):
+        yield [f"{who}, paper's", *(f"{one:.2f}" for one in PRINTED["rmse"][who]), ""]
 
 
 def section(title: str, head: Sequence[str], rows: Iterator[Row] | list[Row]) -> str:

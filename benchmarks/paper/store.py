@@ -36,12 +36,6 @@ CASES = ("stable", "unstable", "negative", "positive", "high")
 FILTERS = ("none", "ours", "paper-short", "paper-long")
 """Bypassed; the shipped one; the paper's after 3 epochs and after many."""
 AUTHORITIES = ("paper", "wide")
-CHOICES: Mapping[str, Mapping[str, float]] = {
-    "batch-64": {"batch_size": 64}, "batch-1024": {"batch_size": 1024}, "entropy-1": {"target_entropy": -1.0},
-    "entropy-4": {"target_entropy": -4.0}, "reward-a-fifth": {"reward_scale": 0.004},
-    "reward-fivefold": {"reward_scale": 0.1}, "observation-standardised": {}, "observation-a-fifth": {},
-}  # fmt: skip
-"""Settings that differ from ours: batch 256, target entropy -2, the reward's factor 0.02; see `sensitivity`."""
 
 Result = dict[str, Any]
 

@@ -21,14 +21,14 @@ import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 
 from hydro_bridge.bags.recording import STATE_TOPIC, continuity, objects, read_bag  # noqa: E402
 from hydro_bridge.files import bench_file  # noqa: E402
 from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
 from hydro_bridge.ros.companion import Companion  # noqa: E402
-from hydro_bridge.ros.topics import BOX, CORRECTION, DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, GRAPH, REFERENCE, STATE  # noqa: E402
+from hydro_bridge.ros.topics import BOX, CORRECTION, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription  # noqa: E402
 from hydro_bridge.serial.port import PortSettings  # noqa: E402
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame  # noqa: E402
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
@@ -89,7 +89,7 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
     start("bridge", "--port", cable.path, output=output)
     told: list[DiagnosticStatus] = []
     listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
-    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
+    create_subscription(probe.node, DIAGNOSTICS, listen)
     probe.wait(lambda: len(probe.states) > 20)
     probe.take()
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
@@ -126,7 +126,7 @@ def steered(cable, small_box, probe, start):
             return bool(self.box.flags & Flag.ARMED)
 
     listen = lambda array: Steered.told.extend(s for s in array.status if s.name == "bridge")  # noqa: E731
-    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
+    create_subscription(probe.node, DIAGNOSTICS, listen)
     probe.wait(lambda: len(probe.states) > 20)
     probe.take()
     assert probe.ask(True).success

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better, verdict
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.sessions.run_state import Progress, RunState
+from hydro_policy.task.cases import Score
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
-from hydro_policy.task.scoring import Score
 
 CASES = ("0.5 Hz", "1 Hz", "1.5 Hz", "2 Hz")
 FIXED = np.array([5.0, 12.0, 20.0, 40.0])

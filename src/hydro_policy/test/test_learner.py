@@ -16,8 +16,7 @@ import pytest
 
 from hydro_policy.learner_process.learner import SharedBlob, compile_updates
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
-from hydro_policy.runs.checkpoint import load_checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings

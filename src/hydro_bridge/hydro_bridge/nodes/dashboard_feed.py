@@ -24,7 +24,6 @@ from hydro_bridge.dashboard.thinning import SLOT, Thinner
 from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.topics import (
     AUTHORITY,
-    AUTHORITY_QOS,
     CORRECTION,
     DIAGNOSTICS,
     GAINS,
@@ -33,6 +32,7 @@ from hydro_bridge.ros.topics import (
     REFERENCE,
     STATE,
     TRAINING,
+    create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_msgs.msg import Authority, TrainingStatus
@@ -162,7 +162,7 @@ class Feed:
         self._curve, self._nodes = status.Curve(), status.Nodes()
         self._frames = 0
         self._server: PageServer | None = None
-        self._words_heard = node.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
+        self._words_heard = create_subscription(node, AUTHORITY, self._on_authority)
         subscribe_to_box(node, self._on_box)
         node.create_subscription(TrainingStatus, TRAINING, self._on_training, _best_effort(TRAINING))
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, _best_effort(DIAGNOSTICS))

@@ -25,8 +25,8 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool
 
-from hydro_bridge.ros.diagnostics import CALLS, publisher_conflicts
-from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, AUTHORITY_QOS, CLAIM_SERVICE, COMMANDS, CORRECTION, STATE
+from hydro_bridge.ros.diagnostics import CALLS, Status, publisher_conflicts
+from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, CLAIM_SERVICE, COMMANDS, CORRECTION, STATE, create_publisher
 from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import ReferenceSignal
@@ -50,7 +50,7 @@ class GateWords:
 
     def __init__(self, node: Node, authority: Authority) -> None:
         self._node, self._authority = node, authority
-        self._publisher = node.create_publisher(AuthorityMessage, AUTHORITY, AUTHORITY_QOS)
+        self._publisher = create_publisher(node, AUTHORITY)
         self._told: Counter[str] = Counter()
         self._last = ""
         self._calls = node.get_logger().get_child(CALLS)
@@ -98,8 +98,8 @@ BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge
 _LOOK = 0.1  # s between two checks of the publishers
 
 
-class Plant(Protocol):
-    """Plant that is armed and disarmed; see `hydro_bridge.nodes.plant_node.PlantSide`."""
+class PlantSide(Protocol):
+    """Plant behind a plant node; it runs in its own thread."""
 
     guard: CommandGuard
 
@@ -108,10 +108,13 @@ class Plant(Protocol):
         """Lock held while the guard is used."""
 
     def send(self, corrects: int | None = None) -> None:
-        """Send the guard's present command at once."""
+        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
 
     def arm(self, arm: bool) -> str:
-        """Arm or disarm; return why it failed, or nothing."""
+        """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
+
+    def status(self) -> Status:
+        """Status for /diagnostics."""
 
 
 class Gate:
@@ -127,7 +130,7 @@ class Gate:
         Whether the box has disarmed by itself.
     """
 
-    def __init__(self, node: Node, plant: Plant, tripped: Callable[[], bool]) -> None:
+    def __init__(self, node: Node, plant: PlantSide, tripped: Callable[[], bool]) -> None:
         self.authority = Authority()
         self._node, self._plant, self._tripped = node, plant, tripped
         self._armed, self._crowd = False, ""

@@ -25,7 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from tqdm import tqdm
 
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, STATE
+from hydro_bridge.ros.topics import DIAGNOSTICS, STATE, create_subscription
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -167,7 +167,7 @@ class RecorderWatch:
         self.since = inf
         """Time of its first report of samples, s of the monotonic clock."""
         self._folder, self._recorder = str(folder), recorder
-        node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+        create_subscription(node, DIAGNOSTICS, self._on_diagnostics)
 
     @property
     def requirement(self) -> Requirement:

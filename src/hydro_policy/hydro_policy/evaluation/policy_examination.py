@@ -17,9 +17,8 @@ from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
-from hydro_policy.task.cases import ExamSettings
+from hydro_policy.task.cases import ExamSettings, Score
 from hydro_policy.task.mdp import GainRange
-from hydro_policy.task.scoring import Score
 
 RETRIES = 2
 """Repeats of a sine with late corrections, whose result is not due to the policy."""

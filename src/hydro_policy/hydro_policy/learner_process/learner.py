@@ -29,8 +29,7 @@ import torch
 
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
-from hydro_policy.runs.checkpoint import save_checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, save_checkpoint
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer

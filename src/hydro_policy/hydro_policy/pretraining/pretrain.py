@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import get_args
 
 from hydro_bridge.cli.console import add_json_argument, command, writable_folder
-from hydro_policy.envs.filter_kinds import FILTERS
+from hydro_policy.envs import FILTERS
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_sim.box.box import Integral
 from hydro_sim.files.weights import WeightsError

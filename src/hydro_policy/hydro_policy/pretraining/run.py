@@ -30,14 +30,13 @@ from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import FloatArray
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_filter.controller.factory import FilterChoice
+from hydro_policy.envs import FilterName
 from hydro_policy.envs.environment import Transitions
-from hydro_policy.envs.filter_kinds import FilterName
 from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.pretraining.configurations import configuration, configuration_of
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
-from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.task.cases import Case

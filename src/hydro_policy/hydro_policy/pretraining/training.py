@@ -24,15 +24,13 @@ import numpy as np
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray, ReferenceSignal
-from hydro_policy.envs import vector_runs
+from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
-from hydro_policy.envs.filter_kinds import FilterName
 from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
-from hydro_policy.runs.checkpoint import Checkpoint
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import Checkpoint, TrainingSettings
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer

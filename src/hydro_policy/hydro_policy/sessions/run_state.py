@@ -16,12 +16,11 @@ from typing import Any
 
 from hydro_bridge.signals import FloatArray
 from hydro_policy.evaluation import policy_examination
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import EpisodeRecord
 from hydro_policy.supervision.interfaces import ActingLearner
-from hydro_policy.task.scoring import Score
+from hydro_policy.task.cases import Score
 
 
 @dataclass

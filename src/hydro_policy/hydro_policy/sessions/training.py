@@ -20,8 +20,7 @@ from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import Flag, FloatArray
 from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
 from hydro_policy.sessions.run_state import Progress, RunState

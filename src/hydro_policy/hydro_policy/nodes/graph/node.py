@@ -26,18 +26,7 @@ from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
 from hydro_bridge.ros.messages import law_from_message, seconds, state_from_message, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
-from hydro_bridge.ros.topics import (
-    BOX_LAW,
-    BOX_LAW_QOS,
-    CORRECTION,
-    CORRECTION_QOS,
-    LAW_STATE,
-    LAW_STATE_QOS,
-    POLICY,
-    POLICY_QOS,
-    STATE,
-    STATE_QOS,
-)
+from hydro_bridge.ros.topics import BOX_LAW, CORRECTION, LAW_STATE, POLICY, STATE, create_publisher, create_subscription
 from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
@@ -142,7 +131,7 @@ class PolicySteps:
 
     def __init__(self, node: Node) -> None:
         self._clock, self._message = node.get_clock(), PolicyStep()
-        self._publisher = node.create_publisher(PolicyStep, POLICY, POLICY_QOS)
+        self._publisher = create_publisher(node, POLICY)
 
     def publish(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """See `hydro_policy.supervision.interfaces.Outputs.acted`."""
@@ -210,9 +199,9 @@ class GraphNode(Node):
         self._wait = AuthorityWait(self, self._commander, self.warn)
         self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        self._states = create_subscription(self, STATE, self._on_state)
         subscribe_to_box(self, self._on_box)
-        self.create_subscription(BoxLawMessage, BOX_LAW, self._on_box_law, BOX_LAW_QOS)
+        create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
@@ -293,7 +282,7 @@ class GraphNode(Node):
 
     def listen_to_corrections(self) -> None:
         """Subscribe to the filter's corrections, a thousand a second, and pass them to the session."""
-        self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
+        create_subscription(self, CORRECTION, self._on_correction)
 
     def compensate(self, compensation: LiveCompensation) -> None:
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
@@ -302,7 +291,7 @@ class GraphNode(Node):
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
 
         FreezeService(self, compensation, self.warn)
-        self.create_subscription(LawState, LAW_STATE, take, LAW_STATE_QOS)
+        create_subscription(self, LAW_STATE, take)
 
     def tell_steps(self) -> None:
         """Publish the policy's result of each step on /hydro/policy from now on."""

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from hydro_bridge.cli.console import progress
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
-from hydro_bridge.ros.topics import TRAINING, TRAINING_QOS
+from hydro_bridge.ros.topics import TRAINING, create_publisher
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.nodes.graph.node import GraphNode
@@ -36,7 +36,7 @@ class TrainingProgress:
         self._ticks, self._told = 0, session.progress.episode
         self._examined = len(session.progress.exams)
         self._message = TrainingStatus()
-        self._publisher = node.create_publisher(TrainingStatus, TRAINING, TRAINING_QOS)
+        self._publisher = create_publisher(node, TRAINING)
         node.create_timer(0.5, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(node, self._status)
 

@@ -35,8 +35,7 @@ from hydro_policy.nodes.training.start import (
 )
 from hydro_policy.runs import report as training
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run import RunDirectory, RunRecord
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase

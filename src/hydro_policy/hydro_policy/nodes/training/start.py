@@ -42,10 +42,8 @@ from hydro_policy.nodes.startup.options import (
     plant_options_as_yaml,
 )
 from hydro_policy.pretraining.configurations import configuration
-from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import RunDirectory, TrainingSettings, new_run
+from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint, new_run
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.snapshot import check_agent, dump
