@@ -64,6 +64,7 @@ lint: environment
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy $(CORES)
 	@$(SOURCED) .venv/bin/lint-imports --no-logo
+	@.venv/bin/python -m setup.words
 
 fast-tests: setup
 	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph and not study" $(ARGS)

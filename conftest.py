@@ -57,7 +57,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Let `--last-failed` find what failed where tests were shared out: pytest-xdist adds the group to the name."""
-    cache = session.config.cache
+    cache = getattr(session.config, "cache", None)  # none with `-p no:cacheprovider`
     if WORKER not in os.environ and cache is not None:
         failed = cache.get("cache/lastfailed", {})
         cache.set("cache/lastfailed", {name.rpartition("@")[0] or name: True for name in failed})

@@ -16,26 +16,20 @@ _PACKAGES = {path.parent.name for path in HERE.glob("[!_]*/__main__.py")}
 NAMES = sorted({path.stem for path in HERE.glob("[!_]*.py")} | _PACKAGES)
 STUDIES = frozenset(
     {
-        "adaptivity",
         "bench_file_filter",
         "beyond_the_table",
-        "compensated_filter",
         "compensated_law",
         "controllers",
         "dashboard",
         "diagnosis_peers",
         "effect_table",
-        "foreign_truth",
         "model_mismatch",
         "null_simulations",
-        "pairings",
         "paper",
         "real_recordings",
-        "relearned_filter",
         "sac_peers",
         "trained_controllers",
         "training_seeds",
-        "unnamed_physics",
         "view_recording",
     }
 )

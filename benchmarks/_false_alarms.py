@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
 from benchmarks._truth_fleet import truth_fleet
-from hydro_bridge.cli.console import progress
+from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.signals import (
     PLANT_FIELDS,
     SAMPLE_PERIOD,
@@ -21,7 +19,7 @@ from hydro_bridge.signals import (
     Waveform,
 )
 from hydro_filter.controller import innovations
-from hydro_filter.controller.innovations import COUNT, MONITOR_DTYPE
+from hydro_filter.controller.innovations import COUNT, EQUATIONS, MONITOR_DTYPE
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model import hidden_states
 from hydro_filter.validation.cases import CASES
@@ -33,16 +31,6 @@ from hydro_sim.model.bench import Bench
 GAINS = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")
 """Cases of `validate`, in turn: K_p from -40 to 300."""
 BENCHES = 48
-
-
-class Alarms(NamedTuple):
-    """What came out."""
-
-    minutes: float
-    alarms: int
-    tripped: int
-    highest: FloatArray
-    """Largest sum of each equation, shape (5,); `innovations.ALARM` is told."""
 
 
 def references(rng: np.random.Generator, count: int) -> list[ReferenceSignal]:
@@ -73,10 +61,24 @@ def _watch(model, monitors, hidden, x, currents, highest):
     return alarms
 
 
-def run(plant: str, minutes: float, seed: int) -> Alarms:
+def alarms(minutes: float, seed: int) -> Table:
+    """The table, of both plants."""
+    columns = {"plant": "", "minutes": "of bench time", "alarms": "samples", "tripped": "benches"}
+    sums = dict.fromkeys(EQUATIONS, "largest sum; 50 is told")
+    table = Table(columns | sums, title="Nothing is wrong: false alarms")
+    for plant in ("emulator", "sim"):
+        table.add(plant=plant, **run(plant, minutes, seed))
+    return table
+
+
+def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
     """So many minutes of bench time, over `BENCHES` benches with a noise, a reference and gains of their own."""
     rng, bench = np.random.default_rng(seed), Bench.nominal()
-    fleet = truth_fleet(BENCHES) if plant == "emulator" else VectorBench([bench] * BENCHES, _sims())
+    fleet = (
+        truth_fleet(BENCHES)
+        if plant == "emulator"
+        else VectorBench([bench] * BENCHES, [LearnedPlant(None) for _ in range(BENCHES)])
+    )
     fleet.filters = fleet_filter("learned", bench, BENCHES)
     steps = max(round(60.0 * minutes / BENCHES / (SAMPLES_PER_STEP * SAMPLE_PERIOD)), 1)
     gains = np.stack([CASES[GAINS[i % len(GAINS)]].draw(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)])
@@ -91,11 +93,9 @@ def run(plant: str, minutes: float, seed: int) -> Alarms:
         samples = fleet.step(changes[:, k])
         alarms += _watch(model, monitors, hidden, *_read(samples), highest)
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
-    return Alarms(steps * BENCHES * SAMPLES_PER_STEP * SAMPLE_PERIOD / 60.0, alarms, int(tripped.sum()), highest)
-
-
-def _sims() -> list[LearnedPlant]:
-    return [LearnedPlant(None) for _ in range(BENCHES)]
+    spent = steps * BENCHES * SAMPLES_PER_STEP * SAMPLE_PERIOD / 60.0
+    sums = dict(zip(EQUATIONS, highest.tolist(), strict=True))
+    return {"minutes": spent, "alarms": alarms, "tripped": int(tripped.sum()), **sums}
 
 
 def _read(samples: StateArray) -> tuple[FloatArray, FloatArray]:

@@ -1,35 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Four Soft Actor-Critics behind one face, with the paper's sizes and values: ours, stable-baselines3, SBX, skrl."""
+"""Four Soft Actor-Critics behind one face, with the paper's sizes and values: ours, stable-baselines3, SBX, skrl.
+
+`train`: so many environment steps, an update after each from `WARMUP` on; `update`: so many updates from what is in the
+buffer; `act`: the mean action. The task is a gymnasium environment: one bench on the learned model.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
 from torch import nn
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_policy.envs.environment import Environment
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, TaskSettings
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
 
 WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
 
 
-class Learner(Protocol):
-    """What is compared."""
+REWARD_SCALE = 0.02
+"""As `SacSettings.reward_scale`; here in the environment, so that every learner sees the same rewards."""
 
-    def train(self, environment: gymnasium.Env[Any, Any], steps: int) -> None:
-        """So many environment steps, one update after each from `WARMUP` on."""
 
-    def update(self, count: int) -> None:
-        """So many updates from what is in the buffer."""
+class HydroEnv(gymnasium.Env[FloatArray, FloatArray]):
+    """Episodes of the paper: a sine of 200 to 300 N and 0.5 to 2 Hz from rest; truncated at their end.
 
-    def act(self, observation: FloatArray) -> FloatArray:
-        """The mean action."""
+    Parameters
+    ----------
+    seed
+        Of references and noise.
+    frequency
+        Hz, the same always; None: as the task draws them.
+    """
+
+    def __init__(self, seed: int = 0, frequency: float | None = None, steps: int = 1800) -> None:
+        self.task = TaskSettings(steps_per_episode=steps)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
+        self._environment = Environment(VectorBench([Bench.nominal()], [LearnedPlant()]), self.task)
+        self._seed, self._frequency, self._episode, self._steps = seed, frequency, 0, 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """A new episode."""
+        super().reset(seed=seed)
+        reference = self.task.reference(self._episode, self._seed)
+        if self._frequency is not None:
+            reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=self._frequency)
+        self._episode, self._steps = self._episode + 1, 0
+        return self._environment.begin([reference], [self._seed + self._episode])[0].astype(np.float32), {}
+
+    def step(self, action: FloatArray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Ten samples."""
+        made = self._environment.step(np.asarray(action, np.float64).reshape(1, ACTIONS))
+        self._steps += 1
+        terminated, over = bool(made.terminated[0]), self._steps >= self.task.steps_per_episode
+        return made.following[0].astype(np.float32), REWARD_SCALE * float(made.reward[0]), terminated, over, {}
 
 
 class Ours:
@@ -41,7 +76,6 @@ class Ours:
         self.rng = np.random.default_rng(seed)
 
     def train(self, environment: gymnasium.Env[Any, Any], steps: int) -> None:
-        """See `Learner`."""
         self.policy.load_flat(self.sac.actor_parameters())
         observation, _ = environment.reset()
         for step in range(steps):
@@ -55,11 +89,9 @@ class Ours:
                 self.policy.load_flat(self.sac.actor_parameters())
 
     def update(self, count: int) -> None:
-        """See `Learner`."""
         self.sac.learn(self.replay, count)
 
     def act(self, observation: FloatArray) -> FloatArray:
-        """See `Learner`."""
         return self.policy.act(observation)
 
 
@@ -79,7 +111,6 @@ class Baselines:
             self._options["activation_fn"] = nn.ReLU  # type: ignore[assignment]
 
     def train(self, environment: gymnasium.Env[Any, Any], steps: int) -> None:
-        """See `Learner`."""
         if self._model is None:
             self._model = self._kind(
                 "MlpPolicy", environment, learning_rate=1e-3, buffer_size=CAPACITY, learning_starts=WARMUP,
@@ -90,12 +121,10 @@ class Baselines:
         self._model.learn(steps)
 
     def update(self, count: int) -> None:
-        """See `Learner`."""
         assert self._model is not None
         self._model.train(gradient_steps=count, batch_size=self._batch)
 
     def act(self, observation: FloatArray) -> FloatArray:
-        """See `Learner`."""
         assert self._model is not None
         return np.asarray(self._model.predict(observation, deterministic=True)[0])
 
@@ -110,7 +139,6 @@ class Skrl:
         self._batch, self._agent, self._steps = batch, None, 0
 
     def train(self, environment: gymnasium.Env[Any, Any], steps: int) -> None:
-        """See `Learner`."""
         from skrl.envs.wrappers.torch import wrap_env
         from skrl.trainers.torch import SequentialTrainer, SequentialTrainerCfg
 
@@ -122,7 +150,6 @@ class Skrl:
         SequentialTrainer(cfg=cfg, env=wrapped, agents=self._agent).train()
 
     def update(self, count: int) -> None:
-        """See `Learner`."""
         assert self._agent is not None
         self._agent.cfg.gradient_steps = count
         self._agent.enable_models_training_mode(True)
@@ -130,7 +157,6 @@ class Skrl:
         self._agent.cfg.gradient_steps = 1
 
     def act(self, observation: FloatArray) -> FloatArray:
-        """See `Learner`."""
         assert self._agent is not None
         inputs = {"observations": torch.as_tensor(observation, dtype=torch.float32).unsqueeze(0)}
         with torch.no_grad():

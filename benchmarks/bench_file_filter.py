@@ -1,91 +1,82 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter on a bench file: metric made anew by `learn_metric --model BENCH.yaml`, then runs on the emulated bench.
+"""The filter made for a bench that is not the shipped one, on the emulated bench; the box keeps to the nominal file.
 
-The emulator's truth is changed (spring, supply, valve gain, overlap); the bench file says the change and the effects
-that a diagnosis finds, in the model's own forms; the box keeps to the nominal bench.yaml. Off-line, sample by sample,
-as `benchmarks.model_mismatch changes`, but from the beginning: nothing changes while it runs.
+file         a bench file that says the change and what a diagnosis finds, its metric by `learn_metric --epochs 0`:
+             without a filter and behind it at wide gains, sample by sample
+relearn      model and metric by `relearn` from a minute recorded under (90, 15), the same runs
+compensated  the compensated law at its own gains, through guard and estimator, on the default truth and on drawn ones:
+             without a filter, with that of a bench file with the truth's own parameters, and with the shipped one,
+             which answers BYPASSED; `mismatch` of the latter is what its watch says of the same samples
 """
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import yaml
 
-from benchmarks._changing_bench import outcome, play
-from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, Waveform
+from benchmarks._drawn_truths import drawn_truths
+from benchmarks._report import parser
+from benchmarks.controllers import SETTINGS, interquartile_mean
+from benchmarks.model_mismatch import outcome, play
+from hydro_bridge.cli.console import Table, command, progress
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.filter import Result
-from hydro_filter.controller.loop_filter import LoopFilter
+from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
+from hydro_filter.training.relearn import METRIC, MODEL
 from hydro_filter.validation.plants import modified_truth
-from hydro_filter.validation.trial import Corrector
+from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.sessions.offline import OfflineGraph
+from hydro_policy.task.cases import Case
+from hydro_sim.box.box import law_state
+from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 
-DEADBAND = {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}
-GAIN = {"id": "valve_gain", "parameters": {"ratio": 0.75}}
-
-Case = tuple[Mapping[str, Any], Mapping[str, float], tuple[Mapping[str, Any], ...]]
-
 CELL = {"sensor": "load_force", "bandwidth": 25.0, "damping": 0.55}
 """The truth's load cell, which a list of lags takes the place of."""
-
-
-def _delayed(seconds: float) -> Case:
-    """A dead time."""
-    return (
-        {"effects": {"transport_delay": {"time": seconds}}},
-        {},
-        ({"id": "transport_delay", "parameters": {"time": seconds}},),
-    )
-
-
-def _slow_pressures(bandwidth: float) -> Case:
-    """Lagging sensors of both pressures."""
-    sensors, numbers = ("pressure_a", "pressure_b"), {"bandwidth": bandwidth, "damping": 0.7}
-    return (
-        {"effects": {"sensor_lag": [CELL, *({"sensor": one, **numbers} for one in sensors)]}},
-        {},
-        tuple({"id": "sensor_lag", "sensor": one, "parameters": numbers} for one in sensors),
-    )
-
-
-CASES: Mapping[str, Case] = {
-    "as learned": ({}, {}, ()),
+BENCHES: dict[str, tuple[Mapping[str, Any], Mapping[str, float]]] = {
+    "as learned": ({}, {}),
+    **{f"spring {k:g} kN/m": ({}, {"spring_stiffness": 1e3 * k}) for k in (10.0, 30.0, 50.0)},
+    **{f"supply {p:g} MPa": ({}, {"supply_pressure": 1e6 * p}) for p in (10.0, 13.0)},
+    "valve gain -25 %": ({"valve_gain": {"ratio": 0.75}}, {}),
+    **{f"dead time {1e3 * t:g} ms": ({"transport_delay": {"time": t}}, {}) for t in (1e-3, 2e-3)},
     **{
-        f"spring {k:g} kN/m": ({"bench": {"spring_stiffness": 1e3 * k}}, {"spring_stiffness": 1e3 * k}, ())
-        for k in (10.0, 30.0, 50.0)
+        f"pressure sensors {f:g} Hz": (
+            {"sensor_lag": [{"sensor": f"pressure_{one}", "bandwidth": f, "damping": 0.7} for one in "ab"]}, {}
+        )
+        for f in (200.0, 80.0)
     },
-    **{
-        f"supply {p:g} MPa": ({"bench": {"supply_pressure": 1e6 * p}}, {"supply_pressure": 1e6 * p}, ())
-        for p in (10.0, 13.0)
-    },
-    "valve gain -25 %": ({"effects": {"valve_gain": {"ratio": 0.75}}}, {}, (GAIN,)),
-    **{f"dead time {1e3 * t:g} ms": _delayed(t) for t in (1e-3, 2e-3)},
-    **{f"pressure sensors {f:g} Hz": _slow_pressures(f) for f in (200.0, 80.0)},
-    "deadband 0.5 mA": ({"effects": {"valve_deadband": {"half_width": 5e-4}}}, {}, (DEADBAND,)),
-}
-"""Of each bench: the truth's change, and the bench file's numbers and further effects."""
+    "deadband 0.5 mA": ({"valve_deadband": {"half_width": 5e-4}}, {}),
+}  # fmt: skip
+"""Of each bench: effects and numbers that differ."""
+FORMS: dict[str, tuple[str, ...]] = {
+    "spring_stiffness": ("ratio",), "supply_pressure": ("ratio",), "valve_gain": ("ratio",),
+    "valve_gain_asymmetry": ("ratio",), "leakage_internal": ("coefficient",), "friction_coulomb": ("force",),
+    "friction_stribeck": ("breakaway_force", "velocity"), "friction_presliding": ("stiffness",),
+    "valve_lag": ("bandwidth", "damping"), "moving_mass": ("mass",), "valve_deadband": ("half_width",),
+    "entrained_air": ("volume_fraction",),
+}  # fmt: skip
+"""Effects of the truths, with the parameters that the model's own forms have."""
+CASES = SETTINGS.cases[:4]
 REFERENCE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 BEGIN, SECONDS = 2000, 6.0
-FILE_NAME = str.maketrans(" /", "__", "%")
+"""Samples that are not judged; s of a run."""
+ACTING = (int(CorrectionStatus.MODIFIED), int(CorrectionStatus.RELAXED))
 COLUMNS = {
     "bench": "",
-    "seed": "of the noise, and of the recording where there is one",
     "gains": "asked for: K_p, K_i",
-    "filter": "none, or on the bench file with its own metric",
+    "filter": "none, or made for the bench",
     "rmse": "N, of f_r - f_l after 2 s",
     "peak": "N, largest |f_r - f_l| after 2 s",
     "jump": "mA, largest change of the current in 1 ms",
@@ -96,20 +87,18 @@ COLUMNS = {
     "call_p99": "us",
     "range": "1/s, certified K_p",
     "violated": "%, held-out samples of the certified range that do not decay",
-    "made_in": "s, for the metric",
+    "made_in": "s, for the filter",
 }
+Made = tuple[LoopFilter, dict[str, Any]]
+"""A filter, and what is said of its metric."""
 
 
 class Timed:
-    """A filter that notes how long it takes."""
+    """A filter that notes how long it takes. See `Corrector`."""
 
     def __init__(self, timed: LoopFilter) -> None:
-        self.filter = timed
+        self.filter, self.reset = timed, timed.reset
         self.took: list[float] = []
-
-    def reset(self) -> None:
-        """See `Corrector`."""
-        self.filter.reset()
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """See `Corrector`."""
@@ -119,57 +108,84 @@ class Timed:
         return result
 
 
-def bench_file(case: Case, path: Path) -> Path:
-    """Write the bench file of a case."""
-    _, numbers, effects = case
-    content = Bench.nominal().to_mapping() | dict(numbers) | {"effects": [dict(one) for one in (*FOUND, *effects)]}
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
+def truth_of(name: str) -> dict[str, Any]:
+    """The change of the emulator's default truth."""
+    effects, numbers = BENCHES[name]
+    lags = {"sensor_lag": [CELL, *effects["sensor_lag"]]} if "sensor_lag" in effects else {}
+    return {"effects": {**effects, **lags}, "bench": dict(numbers)}
 
 
-def metric(model: Path, folder: Path, law: str = "paper") -> tuple[Path, dict[str, Any]]:
-    """The metric of a bench file, and what is said of it (raises ValueError with the command's own words)."""
-    out, table = folder / f"{model.stem}.safetensors", folder / f"{model.stem}.json"
-    began = time.monotonic()
+def by_file(name: str, folder: Path) -> Made:
+    """The filter on a bench file of the change and what a diagnosis finds."""
+    effects: list[Any] = list(FOUND)
+    for effect, values in BENCHES[name][0].items():
+        for one in values if isinstance(values, list) else [values]:
+            options = {key: value for key, value in one.items() if isinstance(value, str)}
+            effects.append({"id": effect, **options, "parameters": {k: v for k, v in one.items() if k not in options}})
+    return by_metric(folder / "bench.yaml", BENCHES[name][1], effects, "paper")
+
+
+def by_truth(config: TruthConfig, folder: Path) -> Made:
+    """The filter for the compensated law on a bench file with a truth's own parameters."""
+    found = {name: getattr(config.effects, name) for name in FORMS}
+    effects: list[Any] = [
+        {"id": name, "parameters": {each: getattr(effect, each) for each in FORMS[name]}}
+        for name, effect in found.items() if effect is not None
+    ]  # fmt: skip
+    effects += [
+        {"id": "sensor_lag", "sensor": lag.sensor, "parameters": {"bandwidth": lag.bandwidth, "damping": lag.damping}}
+        for lag in config.effects.sensor_lag
+    ]
+    return by_metric(folder / "bench.yaml", {}, effects, "compensated")
+
+
+def by_metric(model: Path, numbers: Mapping[str, float], effects: Sequence[Any], law: str) -> Made:
+    """The filter on a bench file that is written there; a metric that is there already is taken."""
+    content = Bench.nominal().to_mapping() | dict(numbers) | {"effects": [dict(one) for one in effects]}
+    model.write_text(yaml.safe_dump(content), encoding="utf-8")
+    out, table, began, said = (
+        model.with_name("metric.safetensors"),
+        model.with_name("metric.json"),
+        time.monotonic(),
+        "",
+    )
     words = ["--out", str(out), "--model", str(model), "--epochs", "0", "--law", law, "--json", str(table)]
-    code = "from hydro_filter.training.learn_metric import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+    if not out.exists():
+        said = run("hydro_filter.training.learn_metric", *words)
+    return loaded(out, model), told(table, said, began)
+
+
+def by_relearn(name: str, folder: Path) -> Made:
+    """The filter that `relearn` makes of a minute of recordings."""
+    truth, bag, out = folder / "truth.yaml", folder / "recording", folder / "relearned"
+    truth.write_text(yaml.safe_dump({"profile": "default", **truth_of(name)}), encoding="utf-8")
+    words = ["--offline", "--truth", str(truth), "--seconds", "60", "--seed", "1", "--out", str(bag)]
+    run("hydro_sim.emulator.command", *words)
+    began = time.monotonic()
+    said = run("hydro_filter.training.relearn", str(bag), "--out", str(out))
+    return loaded(out / METRIC, out / MODEL), told(out / "metric.json", said, began)
+
+
+def run(module: str, *words: str) -> str:
+    """What a command of ours says on stderr (raises ValueError with its own words)."""
+    start = f"import sys; from hydro_bridge.process.start import main_of; sys.exit(main_of.{module}())"
+    done = subprocess.run([sys.executable, "-c", start, *words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise ValueError(done.stderr.strip().splitlines()[-1].removeprefix("error: "))
+    return done.stderr
+
+
+def told(table: Path, said: str, began: float) -> dict[str, Any]:
+    """What is said of a metric that was begun then."""
     rows = yaml.safe_load(table.read_text(encoding="utf-8"))["rows"]
-    solved = (row for row in rows if row["metric"].startswith("solved"))
-    violated = next(row["violated"] for row in solved if row["gains"] == "certified")
-    span = done.stderr.rpartition("certified range: K_p ")[2].split(" 1/s")[0]
-    return out, {"range": span, "violated": violated, "made_in": time.monotonic() - began}
+    solved = next(row for row in rows if row["metric"].startswith("solved") and row["gains"] == "certified")
+    span = said.rpartition("certified range: K_p ")[2].split(" 1/s")[0]
+    return {"range": span, "violated": solved["violated"], "made_in": time.monotonic() - began}
 
 
-def row(plant: TruthPlant, gains: tuple[float, float], corrector: Corrector | None, seed: int) -> dict[str, Any]:
-    """What one run came to."""
-    own = FixedGains(*gains)
-    states, statuses = play(plant, Bench.nominal(), own, REFERENCE, corrector=corrector, seconds=SECONDS, seed=seed)
-    done = outcome(states, statuses, BEGIN)
-    settled = np.asarray(statuses[BEGIN:])
-    wrong = 100.0 * float((settled == CorrectionStatus.MISMATCH).mean()) if len(settled) else np.nan
-    acting = (CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED)
-    corrected = 100.0 * float(np.isin(settled, [int(one) for one in acting]).mean()) if len(settled) else np.nan
-    figures = {"rmse": done.rmse, "peak": done.peak, "jump": done.jump, "tripped": done.tripped}
-    return {"gains": f"{gains[0]:g}, {gains[1]:g}", **figures, "mismatch": wrong, "corrected": corrected}
-
-
-def made_for(name: str, folder: Path) -> tuple[LoopFilter, dict[str, Any]] | None:
-    """The filter on a case's bench file and what is said of its metric; None, and why on stderr: it has none."""
-    model = bench_file(CASES[name], folder / f"{name.translate(FILE_NAME)}.yaml")
-    try:
-        file, said = metric(model, folder)
-        return loaded(file, model), said
-    except ValueError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return None
-
-
-def loaded(metric_file: Path, model: Path) -> LoopFilter:
+def loaded(metric: Path, model: Path) -> LoopFilter:
     """The filter of these files, compiled and ready (raises ValueError where they do not belong together)."""
-    choice = FilterChoice(bench=Bench.nominal(), metric=str(metric_file), model=model)
+    choice = FilterChoice(bench=Bench.nominal(), metric=str(metric), model=model)
     if trouble := choice.trouble():
         raise ValueError(trouble)
     made = choice.make(choice.default_settings())
@@ -178,43 +194,117 @@ def loaded(metric_file: Path, model: Path) -> LoopFilter:
     return made
 
 
-def add_runs(
-    table: Table,
-    name: str,
-    plant: TruthPlant,
-    filtering: tuple[LoopFilter, dict[str, Any]] | None,
-    told: str,
-    seed: int = 0,
-) -> None:
-    """Add a bench's rows: without a filter, and under wide gains behind this one, if there is one, called `told`."""
-    nothing = dict.fromkeys(list(COLUMNS)[10:], np.nan)
+def wide_gains(name: str, made: Made | None) -> Iterator[dict[str, Any]]:
+    """Rows of a bench: without a filter, and under wide gains behind this one, if there is one."""
+    plant = TruthPlant(modified_truth(truth_of(name)))
     for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
-        table.add(bench=name, seed=seed, filter="none", **row(plant, gains, None, seed), **nothing)
-        if filtering is not None and gains[0] > 90.0:
-            made, said = filtering
-            timed = Timed(made)
-            found = row(plant, gains, timed, seed)
-            p50, p99 = 1e6 * np.quantile(timed.took, (0.5, 0.99))
-            table.add(bench=name, seed=seed, filter=told, **found, call_p50=p50, call_p99=p99, **said)
+        for timed in (None, *([Timed(made[0])] if made is not None and gains[0] > 90.0 else [])):
+            own = FixedGains(*gains)
+            states, statuses = play(plant, own, REFERENCE, timed, SECONDS)
+            done, settled = outcome(states, np.zeros(0), BEGIN), statuses[BEGIN:]
+            row = {"bench": name, "gains": f"{gains[0]:g}, {gains[1]:g}", "filter": "none" if timed is None else "own"}
+            row |= {key: getattr(done, key) for key in ("rmse", "peak", "jump", "tripped")} | shares(settled)
+            row |= dict.fromkeys(list(COLUMNS)[9:], np.nan)
+            if timed is not None and made is not None:
+                row |= dict(zip(("call_p50", "call_p99"), 1e6 * np.quantile(timed.took, (0.5, 0.99)), strict=True))
+                row |= made[1]
+            yield row
 
 
-def table_of(names: list[str], folder: Path) -> Table:
-    """All rows."""
-    table = Table(COLUMNS, title="The filter on a bench file")
-    for name in progress(names, label="benches", unit="bench"):
-        add_runs(table, name, TruthPlant(modified_truth(CASES[name][0])), made_for(name, folder), "bench file")
-    return table
+def shares(statuses: Any) -> dict[str, float]:
+    """Of samples told as another bench's, and of corrected ones [%]."""
+    which = {"mismatch": statuses == CorrectionStatus.MISMATCH, "corrected": np.isin(statuses, ACTING)}
+    return {key: 100.0 * float(np.mean(one)) if len(one) else np.nan for key, one in which.items()}
 
 
-@command(ValueError)
+def under_the_law(config: TruthConfig, case: Case, corrector: LoopFilter | None) -> Iterator[tuple[np.void, int]]:
+    """Samples of a run at the law's own gains, each with its status, until the box trips."""
+    graph = OfflineGraph(TruthPlant(config), Bench.nominal(), corrector=corrector)
+    live = LiveCompensation(graph.box.config.compensated)
+    if corrector is not None:
+        corrector.reset()
+    graph.reference(case.signal)
+    for k in range(round(SECONDS / SAMPLE_PERIOD)):
+        if k % SAMPLES_PER_STEP == 0:
+            graph.command_law(live.command, k)
+            graph.gains(0.0, 0.0, k)
+        graph.arm(k > 0)
+        sample, law = graph.sample().copy(), law_state(graph.box.state[0])
+        sequence, mismatched = int(sample["sequence"]), graph.answer.status is CorrectionStatus.MISMATCH
+        if law.law is Law.COMPENSATED:
+            live.on_law_state(sequence, law.law, law.compensated_reference)
+        live.on_sample(sequence, float(sample["load_force"]), int(sample["flags"]), holds=mismatched)
+        yield sample, int(graph.answer.status)
+        if int(sample["flags"]) & Flag.TRIPPED:
+            return
+
+
+def law_rows(config: TruthConfig, own: LoopFilter, shipped: LoopFilter) -> Iterator[dict[str, Any]]:
+    """Three rows of each reference: without a filter, with its own, and with the shipped one."""
+    for case in CASES:
+        plain = list(under_the_law(config, case, None))
+        yield {"filter": "none", "reference": case.name, **figures(plain)}
+        yield {"filter": "own", "reference": case.name, **figures(list(under_the_law(config, case, own)))}
+        shipped.reset()
+        watched = [(sample, int(shipped.correct(Sample.of(sample)).status)) for sample, _ in plain]
+        yield {"filter": "shipped", "reference": case.name, **figures(watched), "corrected": 0.0}
+
+
+def figures(done: Sequence[tuple[np.void, int]]) -> dict[str, Any]:
+    """Error after 2 s [N], RMS of u' [A/s], and shares of samples [%]."""
+    states = np.array([sample for sample, _ in done])
+    settled, statuses = states[BEGIN:], np.array([status for _, status in done[BEGIN:]])
+    error = settled["reference_force"] - settled["load_force"]
+    rms = {"rmse": error, "current_rate_rms": np.diff(settled["valve_current"]) / SAMPLE_PERIOD}
+    squares = {key: float(np.sqrt(np.mean(each**2))) if len(each) else np.nan for key, each in rms.items()}
+    return {**squares, "tripped": bool(int(states["flags"][-1]) & Flag.TRIPPED), **shares(statuses)}
+
+
+def law_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Interquartile mean (worst) RMSE [N] by reference, trips and mean shares, for the default truth and the drawn."""
+    units = {"bench": "", "filter": "", **dict.fromkeys((case.name for case in CASES), "N"), "u' RMS": "A/s"}
+    made = Table({**units, "trips": "", "mismatch": "%", "corrected": "%"}, title="Interquartile mean (worst)")
+    for group in dict.fromkeys((row["bench"], row["filter"]) for row in rows):
+        own = [row for row in rows if (row["bench"], row["filter"]) == group]
+        cells = dict(zip(("bench", "filter"), group, strict=True))
+        for case in CASES:
+            values = np.array([row["rmse"] for row in own if row["reference"] == case.name])
+            cells[case.name] = f"{interquartile_mean(values):.1f} ({np.nanmax(values):.1f})"
+        cells["u' RMS"] = f"{interquartile_mean(np.array([row['current_rate_rms'] for row in own])):.3f}"
+        cells["trips"] = f"{sum(row['tripped'] for row in own)} of {len(own)}"
+        made.add(**cells, **{key: f"{np.mean([row[key] for row in own]):.2g}" for key in ("mismatch", "corrected")})
+    return made
+
+
+@command(ValueError, OSError)
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_file_filter", description=__doc__)
-    parser.add_argument("--bench", nargs="+", default=list(CASES), choices=list(CASES), help="default: all")
-    add_json_argument(parser)
-    asked = parser.parse_args()
-    with TemporaryDirectory() as folder:
-        table_of(asked.bench, Path(folder)).show(asked.json)
+    options = parser("bench_file_filter", __doc__)
+    options.add_argument("what", nargs="?", default="file", choices=("file", "relearn", "compensated"))
+    options.add_argument("--bench", nargs="+", default=list(BENCHES), choices=list(BENCHES), help="default: all")
+    options.add_argument("--draw", type=int, default=12, metavar="COUNT", help="drawn truths; default: %(default)s")
+    options.add_argument("--folder", type=Path, default=Path("runs/bench_file_filter"), help="default: %(default)s")
+    asked = options.parse_args()
+    truths: dict[str, TruthConfig] = dict.fromkeys(asked.bench)
+    if asked.what == "compensated":
+        drawn = {f"{name}_1": truth_from_mapping(one) for name, one in drawn_truths(asked.draw, 1).items()}
+        truths = {"default": profile("default"), **drawn}
+    table, rows, shipped = Table(COLUMNS, title="The filter made for a bench"), list[dict[str, Any]](), default_filter()
+    for name in progress(truths, total=len(truths), label="benches", unit="bench"):
+        folder = asked.folder / asked.what / name.translate(str.maketrans(" /", "__", "%"))
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            if asked.what == "compensated":
+                own, kind = by_truth(truths[name], folder)[0], "default" if name == "default" else "drawn"
+                rows += [{"bench": kind, **row} for row in law_rows(truths[name], own, shipped)]
+                continue
+            made = by_file(name, folder) if asked.what == "file" else by_relearn(name, folder)
+        except ValueError as error:
+            print(f"{name}: {error}", file=sys.stderr)
+            made = None
+        for row in wide_gains(name, made) if asked.what != "compensated" else ():
+            table.add(**row)
+    (law_table(rows) if rows else table).show(asked.json)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,10 @@
 
 By turns, a new graph each time: without a dashboard, with one that has 0, 1 and 3 viewers, which read all that they are
 sent, and with one that joins while the plant is armed. Then clicks on disarm in a headless Chromium, if there is one.
-
-python -m benchmarks.dashboard [--seconds 10] [--rounds 2] [--clicks 20] [--json FILE]
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -24,9 +21,10 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from benchmarks._report import parser
 from benchmarks.latency import Driver, cpu_seconds, start
 from hydro_bridge.bags.recording import continuity, read_bag
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
+from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.signals import Flag
 
@@ -143,20 +141,14 @@ def disarmed_after(clicks: int) -> list[float]:
     return found
 
 
-def _parser() -> argparse.ArgumentParser:
-    description = (__doc__ or "").partition("\n\n")[0]
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.dashboard", description=description)
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement (default 10)")
-    parser.add_argument("--rounds", type=int, default=2, help="of each number of viewers (default 2)")
-    parser.add_argument("--clicks", type=int, default=20, help="on disarm (default 20; 0: no browser)")
-    add_json_argument(parser)
-    return parser
-
-
 @command()
 def main() -> None:
     """Measure, print, write."""
-    asked = _parser().parse_args()
+    options = parser("dashboard", __doc__)
+    options.add_argument("--seconds", type=float, default=10.0, help="of each measurement (default 10)")
+    options.add_argument("--rounds", type=int, default=2, help="of each number of viewers (default 2)")
+    options.add_argument("--clicks", type=int, default=20, help="on disarm (default 20; 0: no browser)")
+    asked = options.parse_args()
     table = Table(COLUMNS, title=f"The graph for {asked.seconds:g} s, {os.cpu_count()} cores, SCHED_FIFO")
     for _ in range(asked.rounds):
         for looking in CASES:

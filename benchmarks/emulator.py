@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU of one emulated second: on the serial line with a reader that commands at 1 kHz, stepped, and offline.
+"""CPU of one emulated second: on the serial line with a reader that commands at 1 kHz, and offline.
 
 CPU by os.times (user and system) of the emulator's process; the goal for the serial line is below 0.15 s.
 """
@@ -84,22 +84,6 @@ def serial(seconds: float) -> dict[str, float]:
     return {"cpu": spent / seconds, "late": timing.late, "worst": timing.worst, "commanded": share}
 
 
-def stepped(seconds: float) -> float:
-    """Box and plant without a line, sample by sample."""
-    machine = Machine(profile("default"))
-    machine.warm_up()
-    machine.receive(Command())
-    machine.tick()
-    command = Command(arm=True, delta_kp=75.0, delta_ki=10.0, reference=SINE)
-    began = cpu()
-    for _ in range(round(seconds * 1000)):
-        machine.receive(command)
-        machine.tick()
-    spent = (cpu() - began) / seconds
-    print(f"stepped: {spent:.4f} s of CPU per s")
-    return spent
-
-
 def offline(seconds: float) -> float:
     """The compiled loop."""
     segment = Segment(seconds=seconds, amplitude=300.0)
@@ -116,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser("emulator", __doc__)
     options.add_argument("--seconds", type=float, default=20.0, help="emulated time of each part (default 20)")
     asked = options.parse_args(arguments)
-    result = {"offline": offline(asked.seconds), "stepped": stepped(asked.seconds), "serial": serial(asked.seconds)}
+    result = {"offline": offline(asked.seconds), "serial": serial(asked.seconds)}
     finish({"unit": "s of CPU per s", **result}, asked.json)
     return 0
 

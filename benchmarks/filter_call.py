@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One call of the contraction filter: exact derivatives against finite differences, and every tick's deadline.
+"""One call of the contraction filter, and every tick's deadline.
 
 The samples are runs on the analytic bench under changing gains, half of the time unstable ones, with the filter in the
-loop. Filters see the same samples in turn, in one process; the differences are compiled, too, and central; the bench
-file names a valve lag, dry friction and a leak, and has the shipped metric: the time is the same. Then the learned
+loop. Filters see the same samples in turn, in one process; the bench file names a valve lag, dry friction and a leak,
+and has the shipped metric: the time is the same. Then the learned
 filter alone takes `--ticks` samples, and calls beyond 1 ms are counted: by the clock, and by the time that the
 process itself was running, which leaves out what other programs on the machine did to it. Samples come round again and
 again; each one's best call shows whether a slow one was the sample's doing.
@@ -11,7 +11,6 @@ again; each one's best call shows whether a slow one was the sample's doing.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import replace
@@ -19,23 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._filter_differences import DifferencedLoopFilter
-from benchmarks._report import percentiles
-from hydro_bridge.cli.console import Table, add_json_argument, progress
+from benchmarks._report import parser, percentiles
+from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.ros.node import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import CONSTANT, LEARNED, Filter, FilterChoice, warm_up
-from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_filter import LoopFilter, loop_filter
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model import analytic_kernels
-from hydro_filter.model.dynamics import AnalyticDynamics, Linearization
-from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.sample import Sample
-from hydro_filter.model.state import LOAD_FORCE, STATES, state_scale
 from hydro_filter.precompile import FOUND
 from hydro_filter.validation.trial import Trial, run
-from hydro_sim.box import force_law
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -47,70 +39,6 @@ DEADLINE = 1e-3
 
 BURST = 1000
 """Ticks after which the process rests: one that runs by SCHED_FIFO without pause is held up by the kernel."""
-
-STEP = 1e-5
-"""Of the differences, relative to each state's scale."""
-
-
-class DifferencedDynamics(AnalyticDynamics):
-    """A and B from central differences of the same compiled f: 19 evaluations."""
-
-    def __init__(self, bench: Bench) -> None:
-        super().__init__(bench)
-        self.steps = STEP * state_scale(bench)
-
-    def linearize(self, state: FloatArray, current: float) -> Linearization:
-        """See `Dynamics.linearize`."""
-        linear = Linearization(np.empty((STATES, STATES)), np.empty(STATES), np.empty(STATES))
-        for i in range(STATES):
-            linear.state_matrix[:, i] = self._slope(state, current, i, self.steps[i], 0.0)
-        linear.input_vector[:] = self._slope(state, current, 0, 0.0, STEP)
-        analytic_kernels.state_rate(self.constants, state, current, linear.state_rate)
-        return linear
-
-    def _slope(self, state: FloatArray, current: float, i: int, step: float, current_step: float) -> FloatArray:
-        sides = np.empty((2, STATES))
-        for side, sign in enumerate((1.0, -1.0)):
-            probe = state.copy()
-            probe[i] += sign * step
-            analytic_kernels.state_rate(self.constants, probe, current + sign * current_step, sides[side])
-        return (sides[0] - sides[1]) / (2.0 * (step + current_step))
-
-
-class DifferencedLaw(ForceLaw):
-    """K from central differences of the compiled force law: 16 evaluations."""
-
-    def __init__(self, bench: Bench) -> None:
-        super().__init__(bench)
-        self.steps = STEP * state_scale(bench)
-
-    def gradient(self, sample: Sample) -> FloatArray:
-        """See `Controller.gradient`."""
-        out = np.empty(STATES)
-        # the part of the law that no state moves, from the current that it gave
-        still = self._current(sample, sample.state, 0.0)
-        slope = self._current(sample, sample.state, 1.0) - still
-        wanted = (sample.nominal_current - still) / slope
-        for i in range(STATES):
-            probe = sample.state.copy()
-            probe[i] += self.steps[i]
-            above = self._current(sample, probe, wanted)
-            probe[i] -= 2.0 * self.steps[i]
-            out[i] = (above - self._current(sample, probe, wanted)) / (2.0 * self.steps[i])
-        return out
-
-    def _current(self, sample: Sample, state: FloatArray, reference_rate: float) -> float:
-        error = sample.reference_force - state[LOAD_FORCE]
-        known = (error, 0.0, reference_rate, sample.proportional_gain, self.gain_floor)
-        return float(force_law.nominal_current(self.constants[0], state, *known))
-
-
-def differenced(bench: Bench) -> ContractionFilter:
-    """The same filter on finite differences."""
-    exact = ContractionFilter.for_bench(bench)
-    parts = {name: getattr(exact.certificate, name) for name in type(exact.certificate).__dataclass_fields__}
-    parts |= {"dynamics": DifferencedDynamics(bench), "controller": DifferencedLaw(bench)}
-    return ContractionFilter(type(exact.certificate)(**parts), exact.settings)
 
 
 def runs(bench: Bench, contraction_filter: Filter, count: int) -> list[Sample]:
@@ -128,26 +56,19 @@ def runs(bench: Bench, contraction_filter: Filter, count: int) -> list[Sample]:
     return samples[:count]
 
 
-def compare(filters: dict[str, Any], samples: list[Sample]) -> tuple[dict[str, list[float]], dict[str, FloatArray]]:
-    """Durations [s] and M_c before the correction of every call, by filter."""
+def compare(filters: dict[str, Any], samples: list[Sample]) -> dict[str, list[float]]:
+    """Durations [s] of every call, by filter."""
     durations: dict[str, list[float]] = {name: [] for name in filters}
-    values = {name: np.empty(len(samples)) for name in filters}
     for contraction_filter in filters.values():
         contraction_filter.reset()
     for k, sample in enumerate(progress(samples, total=len(samples), label="calls", unit="sample")):
         for name, contraction_filter in filters.items():
             begin = time.perf_counter()
-            result = contraction_filter.correct(sample)
+            contraction_filter.correct(sample)
             durations[name].append(time.perf_counter() - begin)
-            values[name][k] = result.before
         if k % 1000 == 0:
             time.sleep(1e-3)  # a real-time process that never pauses is ended
-    return durations, values
-
-
-def apart(exact: FloatArray, differences: FloatArray) -> float:
-    """Relative difference of M_c that 99 % of the samples keep; more where a kink lies within a difference's reach."""
-    return float(np.percentile(np.abs(exact - differences) / np.maximum(1e-3, np.abs(exact)), 99))
+    return durations
 
 
 def ticks(contraction_filter: LoopFilter, samples: list[Sample], count: int) -> tuple[FloatArray, FloatArray, int]:
@@ -167,48 +88,33 @@ def ticks(contraction_filter: LoopFilter, samples: list[Sample], count: int) -> 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.filter_call", description=__doc__)
-    parser.add_argument("--samples", type=int, default=20_000, help="of the comparison, default 20000")
-    parser.add_argument("--ticks", type=int, default=100_000, help="of the deadline's count, default 100000")
-    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, as the node does")
-    add_json_argument(parser)
-    asked = parser.parse_args(arguments)
+    options = parser("filter_call", __doc__)
+    options.add_argument("--samples", type=int, default=20_000, help="of the comparison, default 20000")
+    options.add_argument("--ticks", type=int, default=100_000, help="of the deadline's count, default 100000")
+    options.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, as the node does")
+    asked = options.parse_args(arguments)
     bench = Bench.nominal()
     choices = {name: FilterChoice(bench=bench, metric=name) for name in (LEARNED, CONSTANT)}
     learned, constant = (choice.make(choice.default_settings()) for choice in choices.values())
     assert isinstance(learned, LoopFilter)
-    slow = DifferencedLoopFilter(learned.parts, learned.settings)
-    filters = {"learned": learned, "learned, differences": slow, "constant": constant}
-    filters["constant, differences"] = differenced(bench)
+    filters = {"learned": learned, "constant": constant}
     filters[BENCH_FILE] = loop_filter(LearnedMetric.load(), replace(bench, effects=FOUND), bench)
     for each in filters.values():
         warm_up(each, bench)
     samples = runs(bench, learned, asked.samples)
     scheduling = request_realtime(realtime=asked.realtime)
-    durations, values = compare(filters, samples)
+    durations = compare(filters, samples)
     shown = {name: percentiles(each) for name, each in durations.items()}
-    table = Table(
-        {
-            "filter": "",
-            "p50": "us per call",
-            "p99": "",
-            "p99.9": "",
-            "max": "",
-            "ratio": "of p50",
-            "apart": "M_c, 99 %",
-        },
-        title=f"Filter call, {len(samples)} samples, {scheduling}",
-    )
+    columns = {"filter": "", "p50": "us per call", "p99": "", "p99.9": "", "max": "", "ratio": "of p50 to the first"}
+    table = Table(columns, title=f"Filter call, {len(samples)} samples, {scheduling}")
     for name, each in shown.items():
-        kind = name.split(",")[0]
-        differs = float("nan") if name == BENCH_FILE else apart(values[kind], values[name])
-        table.add(filter=name, **each, ratio=each["p50"] / shown[kind]["p50"], apart=differs)
+        table.add(filter=name, **each, ratio=each["p50"] / shown["learned"]["p50"])
     clock, own, corrected = ticks(learned, samples, asked.ticks)
     rounds = len(clock) // len(samples)
     best = clock[: rounds * len(samples)].reshape(rounds, -1).min(axis=0) if rounds else clock
     rows = {"ticks, by the clock": clock, "ticks, while running": own, f"each sample's best of {rounds}": best}
     for name, each in rows.items():
-        table.add(filter=name, **percentiles(list(each)), ratio=float("nan"), apart=float("nan"))
+        table.add(filter=name, **percentiles(list(each)), ratio=float("nan"))
     table.show(asked.json)
     late = [int((each > DEADLINE).sum()) for each in (clock, own)]
     print(

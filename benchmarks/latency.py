@@ -2,20 +2,19 @@
 """The whole graph on this machine: box frame in to correction frame out, CPU per process, lost samples.
 
 Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes; gains come at 100 Hz from here, as a
-trainer's would. `--load 1` adds a process that computes without pause, as a learner does. The bridge measures the
-latency, from a state frame's arrival to the command frame that carries its correction, and tells it on /diagnostics.
+trainer's would. The bridge measures the latency, from a state frame's arrival to the command frame that carries its
+correction, and tells it on /diagnostics.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +22,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 
+from benchmarks._report import parser
 from hydro_bridge.bags.recording import continuity, read_bag
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
+from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
+from hydro_bridge.ros.topics import DIAGNOSTICS, create_subscription
 from hydro_bridge.signals import ReferenceSignal, Waveform
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
@@ -43,7 +43,7 @@ class Driver:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.told: dict[str, dict[str, str]] = {}
-        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+        create_subscription(self.node, DIAGNOSTICS, self._on_diagnostics)
         self._commander = Commander(self.node)
         self._commander.reference(SINE)
         self._rng = np.random.default_rng(0)
@@ -108,27 +108,6 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def compute() -> None:
-    """Never end: what a learner does to a core."""
-    matrix = np.random.default_rng(0).normal(size=(200, 200))
-    while True:
-        matrix = np.tanh(matrix @ matrix / 200.0)
-
-
-@contextmanager
-def load(processes: int) -> Iterator[None]:
-    """Keep some cores busy."""
-    busy = [multiprocessing.get_context("spawn").Process(target=compute, daemon=True) for _ in range(processes)]
-    for process in busy:
-        process.start()
-    try:
-        yield
-    finally:
-        for process in busy:
-            process.kill()
-            process.join()
-
-
 def companions(folder: Path, *, metric: str, realtime: bool) -> dict[str, tuple[str, list[str]]]:
     """Package and arguments by executable; the box and its bridge come last, when all others listen."""
     port, prompt = str(folder / "box"), ["--realtime"] if realtime else []
@@ -159,7 +138,6 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
         driver = Driver()
         stack.callback(driver.close)
         running = start(stack, driver, folder, metric=asked.metric, realtime=asked.realtime)
-        stack.enter_context(load(asked.load))
         driver.run(2.0)
         before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}
         begin = time.monotonic()
@@ -186,22 +164,20 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
 
 def _title(asked: argparse.Namespace) -> str:
     kind = "SCHED_FIFO for bridge and filter" if asked.realtime else "ordinary scheduling"
-    besides = f"{os.cpu_count()} cores, {asked.load} computing besides, {kind}"
+    besides = f"{os.cpu_count()} cores, {kind}"
     return f"Graph with the {asked.metric} metric for {asked.seconds:g} s on {besides}"
 
 
 @command()
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0, help="default 20")
-    parser.add_argument(
+    options = parser("latency", __doc__)
+    options.add_argument("--seconds", type=float, default=20.0, help="default 20")
+    options.add_argument(
         "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
     )
-    parser.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
-    parser.add_argument("--load", type=int, default=0, metavar="N", help="processes that compute without pause")
-    add_json_argument(parser)
-    asked = parser.parse_args()
+    options.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
+    asked = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         measure(asked, Path(folder)).show(asked.json)
 

@@ -8,29 +8,41 @@ alarms     benches that are what was learned, for an hour: references and gains 
 changes    a bench that changes while it runs, the filter starting with the shipped model: when it is told, and the
            error from a second after the change on; fixed (90, 15) without a filter, the filter as it was before it
            watched itself, and as it is
-foreign    another cylinder, spring and supply, known to the box and not to the filter
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import _false_alarms
-from benchmarks._changing_bench import ToldAtOnce, Unwatched, outcome, play
-from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_filter.controller.innovations import EQUATIONS
-from hydro_filter.controller.loop_filter import default_filter
+from benchmarks._false_alarms import alarms
+from benchmarks._report import parser
+from hydro_bridge.cli.console import Table, command, progress
+from hydro_bridge.safety.guard import GuardSettings
+from hydro_bridge.signals import (
+    SAMPLE_PERIOD,
+    SAMPLES_PER_STEP,
+    STATE_FIELDS,
+    CorrectionStatus,
+    Flag,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+    Waveform,
+)
+from hydro_filter.controller.filter import Result
+from hydro_filter.controller.loop_filter import LoopFilter, default_filter
+from hydro_filter.model.sample import Sample
 from hydro_filter.validation.plants import ChangingPlant, modified_truth
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
+from hydro_policy.sessions.offline import OfflineGraph
+from hydro_policy.supervision.plant_supervisor import FALLBACK
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
@@ -41,20 +53,18 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "piston area +30 %": {"bench": {"piston_area": 2.6e-4}},
 }
 """What the learned bench (20 kN/m, 16 MPa) becomes."""
-FOREIGN: Mapping[str, float] = {"piston_area": 3e-4, "spring_stiffness": 3.5e4, "supply_pressure": 12e6}
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide" / "policy.safetensors"))
-CHANGE, BEGIN, SECONDS = 2500, 3500, 6.5
-"""Samples of the change and of the error's begin; s of a run."""
-REFERENCES = {
-    f"{a:g} N, {f:g} Hz": ReferenceSignal(waveform=Waveform.SINE, amplitude=a, frequency=f)
-    for a, f in ((300.0, 1.0), (200.0, 0.5), (300.0, 2.0), (50.0, 0.5))
-}
+CHANGE, SETTLED, SECONDS = 2500, 1000, 6.5
+"""Samples until the change, and from there to the error's begin; s of a run."""
+WIDE = GuardSettings(
+    delta_kp_min=-55.0, delta_kp_max=285.0, delta_ki_min=-25.0, delta_ki_max=95.0, require_filter=False
+)
+"""All that the box takes."""
 COLUMNS = {
     "bench": "",
-    "reference": "",
     "gains": "asked for",
-    "filter": "none, before (believes its model), now, told (of the change, in the sample in which it happens)",
-    "told": "ms from the change (foreign: from the arming) to the first MISMATCH",
+    "filter": "none, before (believes its model), now",
+    "told": "ms from the change to the first MISMATCH",
     "rmse": "N, of f_r - f_l from a second after the change on",
     "worst": "N, RMSE of the worst second from the change on",
     "peak": "N, largest |f_r - f_l| from the change on",
@@ -63,98 +73,105 @@ COLUMNS = {
 }
 
 
-def controllers() -> list[Controller]:
-    """Who asks for wide gains."""
+class Unwatched:
+    """A filter that believes its model whatever comes: what it was before it watched itself."""
+
+    def __init__(self, watched: LoopFilter) -> None:
+        self.filter, self.reset = watched, watched.reset
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """See `Corrector`."""
+        self.filter.monitor["seen"] = 0
+        return self.filter.correct(sample, age)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a run came to, from the change on; see `COLUMNS`."""
+
+    told: float
+    rmse: float
+    worst: float
+    peak: float
+    jump: float
+    tripped: bool
+
+
+def play(
+    plant: Plant, controller: Controller, reference: ReferenceSignal, corrector: Corrector | None, seconds: float
+) -> tuple[StateArray, FloatArray]:
+    """Samples, shape (n,), and each one's `CorrectionStatus`, shape (n,), until the box trips.
+
+    Under MISMATCH the gains are `FALLBACK`, as trainer and evaluate have it.
+    """
+    graph = OfflineGraph(plant, Bench.nominal(), guard=WIDE, corrector=corrector)
+    controller.reset()
+    if corrector is not None:
+        corrector.reset()
+    graph.reference(reference)
+    records, statuses = [], []
+    for k in range(round(seconds / SAMPLE_PERIOD)):
+        graph.arm(k > 0)
+        records.append(graph.sample().copy())
+        statuses.append(int(graph.answer.status))
+        if int(records[-1]["flags"]) & Flag.TRIPPED:
+            break
+        if k % SAMPLES_PER_STEP == 0:
+            asked = controller.gains(np.array([records[-1][name] for name in STATE_FIELDS]))
+            graph.gains(*(FALLBACK if statuses[-1] == CorrectionStatus.MISMATCH else asked), 0)
+    return np.array(records), np.array(statuses, float)
+
+
+def outcome(states: StateArray, statuses: FloatArray, change: int, settled: int = 0) -> Outcome:
+    """Figures of a run whose bench changed at sample `change`; RMSE from `settled` samples later on."""
+    at = np.flatnonzero(statuses == CorrectionStatus.MISMATCH)
+    if len(at) and at[0] < change:
+        raise AssertionError("told before the change")
+    error = (states["reference_force"] - states["load_force"])[change:]
+    if not len(error):
+        error = np.array([np.nan])
+    square = np.convolve(error**2, np.full(min(1000, len(error)), 1.0 / min(1000, len(error))), "valid")
+    return Outcome(
+        told=1e3 * float(at[0] - change) * SAMPLE_PERIOD if len(at) else np.nan,
+        rmse=float(np.sqrt(np.mean(error[settled:] ** 2))) if len(error) > settled else np.nan,
+        worst=float(np.sqrt(square.max())),
+        peak=float(np.abs(error).max()),
+        jump=1e3 * float(np.abs(np.diff(states["valve_current"][change:])).max(initial=0.0)),
+        tripped=bool(int(states["flags"][-1]) & Flag.TRIPPED),
+    )
+
+
+def changes(names: list[str], reference: ReferenceSignal) -> Table:
+    """The second table."""
+    table, watched = Table(COLUMNS, title="A bench that changes while it runs"), default_filter()
     policy = policy_controller(SHIPPED)
     policy.name = "wide policy"
-    return [FixedGains(250.0, 15.0), FixedGains(300.0, 30.0), policy]
-
-
-def row(
-    labels: dict[str, str], plant: Plant, bench: Bench, controller: Controller, reference: ReferenceSignal,
-    corrector: Corrector | None, change: int,
-) -> dict[str, Any]:  # fmt: skip
-    """One line."""
-    states, statuses = play(plant, bench, controller, reference, corrector=corrector, seconds=SECONDS)
-    whole, settled = outcome(states, statuses, change), outcome(states, statuses, change, BEGIN)
-    figures = asdict(whole) | {"rmse": settled.rmse, "worst": whole.worst_second, "told": 1e3 * whole.told}
-    if whole.early:
-        raise AssertionError(f"{labels}: told before the change")
-    return {**labels, "gains": controller.name, **{name: figures[name] for name in list(COLUMNS)[4:]}}
-
-
-def lines(
-    label: str, plant: Plant, bench: Bench, reference: str, asking: list[Controller], change: int
-) -> Iterator[dict[str, Any]]:
-    """The rows of one bench under one reference."""
-    signal, watched = REFERENCES[reference], default_filter()
-    filters: dict[str, Corrector | None] = {"before": Unwatched(watched), "now": watched}
-    if change == 0:
-        filters = {"none": None, **filters}
-    else:
-        filters["told"] = ToldAtOnce(watched, change)
-    fixed = {"bench": label, "reference": reference}
-    yield row({**fixed, "filter": "none"}, plant, bench, FixedGains(90.0, 15.0), signal, None, change)
-    for controller in asking:
-        for name, corrector in filters.items():
-            yield row({**fixed, "filter": name}, plant, bench, controller, signal, corrector, change)
-
-
-def alarms(minutes: float, seed: int) -> Table:
-    """The first table."""
-    columns = {"plant": "", "minutes": "of bench time", "alarms": "samples", "tripped": "benches"}
-    table = Table(
-        {**columns, **dict.fromkeys(EQUATIONS, "largest sum; 50 is told")}, title="Nothing is wrong: false alarms"
-    )
-    for plant in ("emulator", "sim"):
-        found = _false_alarms.run(plant, minutes, seed)
-        highest = dict(zip(EQUATIONS, np.asarray(found.highest).tolist(), strict=True))
-        table.add(plant=plant, minutes=found.minutes, alarms=found.alarms, tripped=found.tripped, **highest)
-    return table
-
-
-def changes(names: list[str], references: list[str]) -> Table:
-    """The second table."""
-    table = Table(COLUMNS, title="A bench that changes while it runs")
+    runs: list[tuple[Controller, str, Corrector | None]] = [(FixedGains(90.0, 15.0), "none", None)]
+    for asking in (FixedGains(250.0, 15.0), FixedGains(300.0, 30.0), policy):
+        runs += [(asking, "before", Unwatched(watched)), (asking, "now", watched)]
     for name in progress(names, label="changes", unit="bench"):
-        for reference in references:
-            plant = ChangingPlant([modified_truth({}), modified_truth(CHANGES[name])], [CHANGE])
-            for line in lines(name, plant, Bench.nominal(), reference, controllers(), CHANGE):
-                table.add(**line)
-    return table
-
-
-def foreign(references: list[str]) -> Table:
-    """The third table."""
-    table = Table(COLUMNS, title=f"A foreign bench: {dict(FOREIGN)}")
-    bench = Bench.from_mapping(Bench.nominal().to_mapping() | dict(FOREIGN))
-    for reference in references:
-        plant = ChangingPlant([modified_truth({"bench": dict(FOREIGN)})], [])
-        for line in lines("foreign", plant, bench, reference, controllers(), 0):
-            table.add(**line)
+        plant = ChangingPlant([modified_truth({}), modified_truth(CHANGES[name])], [CHANGE])
+        for asking, told, corrector in runs:
+            found = outcome(*play(plant, asking, reference, corrector, SECONDS), CHANGE, SETTLED)
+            table.add(bench=name, gains=asking.name, filter=told, **vars(found))
     return table
 
 
 @command(ValueError)
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.model_mismatch", description=__doc__)
-    parser.add_argument("what", nargs="?", default="changes", choices=("alarms", "changes", "foreign"), help="which "
-                        "table, default changes")  # fmt: skip
-    parser.add_argument("--minutes", type=float, default=60.0, help="of alarms, each plant, default 60")
-    parser.add_argument("--seed", type=int, default=1, help="of alarms: noise, references and gains, default 1")
-    parser.add_argument("--bench", nargs="+", default=list(CHANGES), choices=list(CHANGES), help="changes, default all")
-    parser.add_argument("--reference", nargs="+", default=list(REFERENCES)[:1], choices=list(REFERENCES),
-                        help=f"default {next(iter(REFERENCES))}")  # fmt: skip
-    add_json_argument(parser)
-    asked = parser.parse_args()
-    if asked.what == "alarms":
-        table = alarms(asked.minutes, asked.seed)
-    elif asked.what == "changes":
-        table = changes(asked.bench, asked.reference)
-    else:
-        table = foreign(asked.reference)
-    table.show(asked.json)
+    options = parser("model_mismatch", __doc__)
+    options.add_argument("what", nargs="?", default="changes", choices=("alarms", "changes"), help="default changes")
+    options.add_argument("--minutes", type=float, default=60.0, help="of alarms, each plant, default 60")
+    options.add_argument("--seed", type=int, default=1, help="of alarms: noise, references and gains, default 1")
+    options.add_argument(
+        "--bench", nargs="+", default=list(CHANGES), choices=list(CHANGES), help="changes, default all"
+    )
+    options.add_argument("--amplitude", type=float, default=300.0, help="N, of changes, default 300")
+    options.add_argument("--frequency", type=float, default=1.0, help="Hz, of changes, default 1")
+    asked = options.parse_args()
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=asked.amplitude, frequency=asked.frequency)
+    (alarms(asked.minutes, asked.seed) if asked.what == "alarms" else changes(asked.bench, signal)).show(asked.json)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Soft Actor-Critic against stable-baselines3, skrl and SBX: updates and environment steps per second, final return.
 
-All learn the same environment (`_sac_environment`: one bench, the learned model) with the paper's sizes and values, one
+All learn the same environment (one bench, the learned model) with the paper's sizes and values, one
 update a step, on one core of one process. Updates per second are timed in turns after that, many updates a call, which
 each library offers. Peers: `make bench-peers`.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import os
 import sys
 import time
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -22,7 +22,8 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import numpy as np
 import torch
 
-from hydro_bridge.cli.console import Table, add_json_argument, progress
+from benchmarks._report import parser
+from hydro_bridge.cli.console import Table, progress
 
 PEERS = ("gymnasium", "stable_baselines3", "skrl", "sbx")
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)
@@ -32,12 +33,11 @@ ROUNDS, UPDATES = 7, 256
 
 def main() -> int:
     """Run."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.sac_peers", description=__doc__)
-    parser.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
-    parser.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
-    add_json_argument(parser)
-    options = parser.parse_args()
+    asked = parser("sac_peers", __doc__)
+    asked.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
+    asked.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
+    asked.add_argument("--seed", type=int, default=0, metavar="N")
+    options = asked.parse_args()
     missing = [name for name in PEERS if importlib.util.find_spec(name) is None]
     if missing:
         print(f"{', '.join(missing)} not installed here: `make bench-peers` compares with the peers", file=sys.stderr)
@@ -66,10 +66,9 @@ def compare(table: Table, batch: int, steps: int, seed: int) -> None:
     import sbx
     import stable_baselines3
 
-    from benchmarks._sac_environment import HydroEnv
-    from benchmarks._sac_learners import Baselines, Learner, Ours, Skrl
+    from benchmarks._sac_learners import Baselines, HydroEnv, Ours, Skrl
 
-    makers: dict[str, Callable[[], Learner]] = {
+    makers: dict[str, Callable[[], Any]] = {
         "ours": lambda: Ours(batch, seed),
         "stable-baselines3": lambda: Baselines(stable_baselines3, batch, seed),
         "skrl": lambda: Skrl(batch, seed),
@@ -91,28 +90,28 @@ def compare(table: Table, batch: int, steps: int, seed: int) -> None:
         )  # fmt: skip
 
 
-def updates_per_second(learners: dict[str, object]) -> dict[str, float]:
+def updates_per_second(learners: dict[str, Any]) -> dict[str, float]:
     """Medians over rounds in which the learners take turns: what else the machine does meets all alike."""
     seconds: dict[str, list[float]] = {name: [] for name in learners}
     for turn in range(ROUNDS + 1):
         for name, learner in learners.items():
             begin = time.perf_counter()
-            learner.update(UPDATES)  # type: ignore[attr-defined]
+            learner.update(UPDATES)
             if turn:  # the first compiles for this number of updates
                 seconds[name].append(time.perf_counter() - begin)
     return {name: UPDATES / float(np.median(values)) for name, values in seconds.items()}
 
 
-def examine(learner: object, make: Callable[..., object]) -> float:
+def examine(learner: Any, make: Callable[..., Any]) -> float:
     """Return of the mean action over the four sines."""
     total = 0.0
     for frequency in FREQUENCIES:
         environment = make(seed=0, frequency=frequency, steps=EXAM)
-        observation, _ = environment.reset()  # type: ignore[attr-defined]
+        observation, _ = environment.reset()
         over = terminated = False
         while not (over or terminated):
-            action = learner.act(observation)  # type: ignore[attr-defined]
-            observation, reward, terminated, over, _ = environment.step(action)  # type: ignore[attr-defined]
+            action = learner.act(observation)
+            observation, reward, terminated, over, _ = environment.step(action)
             total += reward
     return total
 

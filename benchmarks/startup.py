@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the first start of each executable costs, beside the tenth: `python -m benchmarks.startup`.
+"""What the first start of each executable costs, beside the last one: `python -m benchmarks.startup`.
 
 Nodes run until they say their first word, commands to the end of the smallest task that they have. Run it right after
-set-up: a start that compiles shows in `compiled`, and then costs more than the tenth.
+set-up: a start that compiles shows in `compiled`, and then costs more than the last.
 """
 
 from __future__ import annotations
@@ -11,30 +11,19 @@ import os
 import resource
 import signal
 import subprocess
-import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks import _report
+from benchmarks._report import parser
 from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.ros.companion import executable_path
 from hydro_sim.compilations import VARIABLE, read_compilations
 
-COLUMNS = {
-    "executable": "",
-    "first": "s, wall time of the first start",
-    "tenth": "s, of the last one (the tenth by default)",
-    "cpu_first": "s, of its process and all that it started",
-    "cpu_tenth": "s, of the last one",
-    "compiled": "s, of it for compiling, first start",
-}
-
 NODES = ("hydro_sim emulator --link {out}/port", "hydro_bridge bridge --port {out}/none", "hydro_filter filter",
          "hydro_filter filter --metric constant", "hydro_sim sim", "hydro_sim sim --model analytic",
          "hydro_bridge recorder --out {out}/recording")  # fmt: skip
-
+BAG = "hydro_sim emulator --offline --seconds 8 --out {bag}"
 COMMANDS = (
     "hydro_sim emulator --offline --seconds 8 --out {out}/bag",
     "hydro_sim learn {bag} --out {out}/learnt.yaml",
@@ -46,47 +35,26 @@ COMMANDS = (
     "hydro_diagnosis diagnose {bag} --out {out}/diagnosis",
 )
 
-ENDED = (0, 128 + signal.SIGINT)
-"""Of a node that is asked to end: the second where the signal falls into its start."""
 
-
-@dataclass(frozen=True)
-class Cost:
-    """Of one start, s."""
-
-    wall: float
-    cpu: float
-    compiled: float
-
-
-def start(words: str, *, node: bool) -> Cost:
-    """Start an executable in a folder of its own and wait for its end, or a node's first word."""
+def start(words: str, bag: Path, *, node: bool = False) -> tuple[float, float, float]:
+    """Start an executable: s until its end or a node's first word, s of processor time, s of it for compiling."""
     package, executable, *rest = words.split()
     with tempfile.TemporaryDirectory() as out:
         log = Path(out) / "compilations"
-        command_line = [str(executable_path(package, executable)), *(word.format(out=out) for word in rest)]
-        before, began = _cpu(), time.monotonic()
-        process = subprocess.Popen(
-            command_line,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, VARIABLE: str(log)},
-            start_new_session=True,
-        )
+        line = [str(executable_path(package, executable)), *(word.format(out=out, bag=bag) for word in rest)]
+        before, began, wall = _cpu(), time.monotonic(), 0.0
+        streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        process = subprocess.Popen(line, **streams, env={**os.environ, VARIABLE: str(log)}, start_new_session=True)
         assert process.stdout is not None
         if node:
             process.stdout.readline()
             wall = time.monotonic() - began
             process.send_signal(signal.SIGINT)
-        printed = process.stdout.read()
-        process.stdout.close()
-        status = process.wait()
-        if status not in (ENDED if node else (0,)):
-            sys.stderr.write(printed.decode(errors="replace"))
-            raise RuntimeError(f"{words} ended with exit status {status}")
-        wall = wall if node else time.monotonic() - began
-        return Cost(wall, _cpu() - before, sum(line["seconds"] for line in read_compilations(log)))
+        printed, _ = process.communicate()
+        if process.returncode not in ((0, 128 + signal.SIGINT) if node else (0,)):
+            raise RuntimeError(f"{words} ended with exit status {process.returncode}: {printed.decode()}")
+        wall = wall or time.monotonic() - began
+        return wall, _cpu() - before, sum(one["seconds"] for one in read_compilations(log))
 
 
 def _cpu() -> float:
@@ -94,36 +62,25 @@ def _cpu() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def measure(times: int) -> Table:
-    """Start everything so many times, the first times first."""
-    table = Table(COLUMNS, title=f"Starts after set-up, the first and the last of {times}, {os.cpu_count()} cores")
-    with tempfile.TemporaryDirectory() as folder:
-        bag = Path(folder) / "bag"
-        words = ["emulator", "--offline", "--seconds", "8", "--out", str(bag)]
-        everything = [(text, True) for text in NODES] + [(text, False) for text in COMMANDS]
-        for text, node in progress(everything, total=len(everything), label="starts", unit="executable"):
-            if "{bag}" in text and not bag.exists():
-                subprocess.run([str(executable_path("hydro_sim", words[0])), *words[1:]], check=True)
-            costs = [start(text.replace("{bag}", str(bag)), node=node) for _ in range(times)]
-            first, last = costs[0], costs[-1]
-            table.add(
-                executable=text,
-                first=first.wall,
-                tenth=last.wall,
-                cpu_first=first.cpu,
-                cpu_tenth=last.cpu,
-                compiled=first.compiled,
-            )
-    return table
-
-
 @command()
 def main() -> None:
     """Measure, print, write."""
-    parser = _report.parser("startup", (__doc__ or "").splitlines()[0])
-    parser.add_argument("--times", type=int, default=10, metavar="N", help="starts of each (default: %(default)s)")
-    asked = parser.parse_args()
-    measure(asked.times).show(asked.json)
+    options = parser("startup", __doc__)
+    options.add_argument("--times", type=int, default=10, metavar="N", help="starts of each (default: %(default)s)")
+    asked = options.parse_args()
+    columns = {"executable": "", "first": "s, wall time", "last": "s", "cpu_first": "s, of its process and all that "
+               "it started", "cpu_last": "s", "compiled": "s, of the first for compiling"}  # fmt: skip
+    table = Table(
+        columns, title=f"Starts after set-up, the first and the last of {asked.times}, {os.cpu_count()} cores"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        start(BAG, Path(folder) / "bag")
+        for words in progress([*NODES, *COMMANDS], label="starts", unit="executable"):
+            costs = [start(words, Path(folder) / "bag", node=words in NODES) for _ in range(asked.times)]
+            (first, cpu_first, compiled), (last, cpu_last, _) = costs[0], costs[-1]
+            table.add(executable=words, first=first, last=last, cpu_first=cpu_first, cpu_last=cpu_last,
+                      compiled=compiled)  # fmt: skip
+    table.show(asked.json)
 
 
 if __name__ == "__main__":

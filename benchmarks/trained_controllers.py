@@ -80,10 +80,10 @@ def train(
     learner = InlineLearner(settings, start=start.agent)
     session = TrainingSession(settings, learner, graph)
     graph.run(session, 60.0 * episodes + 120.0, learner)
-    best = session.keeper.best
+    best = session.run.best
     assert best is not None
     done = session.progress
-    told = {"exams": done.exams, "passed_at": done.passed_at, "rollbacks": done.rollbacks, "ended": session.gave_up}
+    told = {"exams": done.exams, "passed_at": done.passed_at, "rollbacks": done.rollbacks, "ended": session.run.gave_up}
     return best, {"seed": seed, "trips": done.interruptions, **told}
 
 

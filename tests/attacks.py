@@ -183,12 +183,11 @@ def stranger() -> Iterator[Any]:
 
 LISTEN = """
 import sys, time, rclpy
-from hydro_bridge.ros.topics import STATE, STATE_QOS
-from hydro_msgs.msg import BenchState
+from hydro_bridge.ros.topics import STATE, create_subscription
 rclpy.init()
 node, heard = rclpy.create_node("tool"), []
 time.sleep(1.5)
-node.create_subscription(BenchState, STATE, heard.append, STATE_QOS)
+create_subscription(node, STATE, heard.append)
 end = time.monotonic() + 5.0
 while len(heard) < 200 and time.monotonic() < end:
     rclpy.spin_once(node, timeout_sec=0.1)

@@ -124,7 +124,7 @@ def attack(size: int, rate: float, seed: int, folder: Path) -> tuple[Seen, dict[
         graph.arm()  # fails where it cannot go on
         seen.longest, seen.unheard, seen.forged = report["longest"], report["unheard"], report["forged"]
         assert sent >= size, f"{sent} of {size} bytes in {time.monotonic() - deadline:.0f} s"
-        assert all(each.running for each in processes), [each.last_words for each in processes if not each.running]
+        assert all(each.running for each in processes), [each.last_line for each in processes if not each.running]
         seen.growth = max(resident(each.process.pid) - before[each] for each in processes)
     look(bag, seen)
     return seen, report

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import LAW_STATE, LAW_STATE_QOS, STATE
+from hydro_bridge.ros.topics import LAW_STATE, STATE, create_subscription
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
@@ -56,7 +56,7 @@ def test_it_tracks_far_better_than_fixed_gains_and_a_killed_estimator_leaves_neu
     plant: ExitStack, probe: Probe, tmp_path: Path
 ) -> None:
     heard: list[LawState] = []
-    probe.node.create_subscription(LawState, LAW_STATE, heard.append, LAW_STATE_QOS)
+    create_subscription(probe.node, LAW_STATE, heard.append)
     found = tmp_path / "found.json"
     first = plant.enter_context(evaluate(tmp_path, "first", "--json", str(found)))
     probe.wait(lambda: first.process.poll() is not None, 150.0)

@@ -26,12 +26,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.messages import seconds
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, STATE, TRAINING
+from hydro_bridge.ros.topics import DIAGNOSTICS, GAINS, STATE, TRAINING, create_subscription
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.nodes.training.start import check_run
-from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run import Checkpoint, RunDirectory, load_checkpoint
 from tests.graph_probe import Probe, Trainer, own_domain, trainer
 
 pytestmark = pytest.mark.graph
@@ -46,7 +45,7 @@ class Training:
         self.run, self.probe, self.process = run, probe, None
         self.told: dict[str, str] = {}
         """Messages of the diagnostics, by name."""
-        probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._note, DIAGNOSTICS_QOS)
+        create_subscription(probe.node, DIAGNOSTICS, self._note)
 
     def _note(self, array: DiagnosticArray) -> None:
         self.told |= {status.name: status.message for status in array.status}

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray
 
 from hydro_bridge.ros.messages import seconds
-from hydro_bridge.ros.topics import CORRECTION, DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, GRAPH, REFERENCE, STATE
+from hydro_bridge.ros.topics import CORRECTION, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_policy.nodes.startup.companions import PlantOptions, start_companions
 from hydro_policy.task.mdp import GainRange
@@ -127,7 +127,7 @@ def test_every_sample_is_answered_by_the_filter_once_and_in_order(probe: Probe) 
     kind, qos = GRAPH[CORRECTION]
     own = (
         probe.node.create_subscription(kind, CORRECTION, lambda m: answered.append(m.sequence), qos),
-        probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, note, DIAGNOSTICS_QOS),
+        create_subscription(probe.node, DIAGNOSTICS, note),
     )
     probe.wait(lambda: len(counted) >= 4)
     for subscription in own:

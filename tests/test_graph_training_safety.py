@@ -13,10 +13,9 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
+from hydro_bridge.ros.topics import DIAGNOSTICS, create_subscription
 from hydro_bridge.signals import Flag
-from hydro_policy.runs.checkpoint import load_checkpoint
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from tests.graph_probe import Probe, trainer
 
 pytestmark = pytest.mark.graph
@@ -27,7 +26,7 @@ SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:
 @pytest.fixture
 def probe(probe: Probe) -> Probe:
     probe.told = {}
-    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda m: _note(probe, m), DIAGNOSTICS_QOS)
+    create_subscription(probe.node, DIAGNOSTICS, lambda m: _note(probe, m))
     return probe
 
 

@@ -1,26 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The matrix of wrong pairings, each command called as its executable calls it; `benchmarks.pairings` has the table."""
+"""The matrix of wrong pairings, each command called as its executable calls it.
+
+The files differ in nothing but what they say they were made for: `own` is for another bench (another spring, cylinder
+and supply), `other` for this bench and another model, `unmarked` does not say.
+"""
 
 from __future__ import annotations
 
 import importlib
+import shutil
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
-from benchmarks.pairings import WRONG, Wrong, make_files
+from hydro_filter.metric import learned as learned_metric
 from hydro_filter.nodes.options import arguments
 from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
-from hydro_policy.nodes.startup.guard_range import requested_filter
-from hydro_policy.pretraining.source import SimulationSetup
-from hydro_policy.runs.initial_agent import load_initial_agent
+from hydro_policy.nodes.startup.companions import requested_filter
+from hydro_policy.pretraining.run import SimulationSetup
+from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import BoxIdentity
+from hydro_sim.files.pairing import BoxIdentity, MadeFor
+from hydro_sim.files.stamping import stamped
 from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
 
 MODULES = {
     "hydro_filter filter": "hydro_filter.nodes.filter",
@@ -32,6 +41,102 @@ MODULES = {
     "hydro_policy trainer": "hydro_policy.nodes.trainer",
     "hydro_policy evaluate": "hydro_policy.nodes.evaluate",
 }
+
+
+FOREIGN = "was made for bench"
+UNMARKED = "does not say which bench it was made for"
+CONSTANT = "--filter=--metric=constant"
+
+
+WRONG: dict[str, tuple[tuple[str, str], ...]] = {
+    "hydro_filter filter": (
+        ("--bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--bench @own.yaml --model @own_model.safetensors", f"the metric default_metric.safetensors {FOREIGN}"),
+        ("--bench @own.yaml --metric @own_metric.safetensors", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("--metric @own_metric.safetensors", f"the metric own_metric.safetensors {FOREIGN}"),
+        ("--model @other_model.safetensors", "the metric default_metric.safetensors was made for model"),
+        ("--metric @other_metric.safetensors", "the metric other_metric.safetensors was made for model"),
+        ("--model @unmarked_model.safetensors", UNMARKED),
+        ("--metric @unmarked_metric.safetensors", UNMARKED),
+    ),
+    "hydro_filter validate": (
+        ("--bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("--metric @own_metric.safetensors", f"the metric own_metric.safetensors {FOREIGN}"),
+        ("--model @other_model.safetensors", "was made for model"),
+        ("--metric @unmarked_metric.safetensors", UNMARKED),
+    ),
+    "hydro_filter learn_metric": (
+        ("--out @new/m.safetensors --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--out @new/m.safetensors --model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("--out @new/m.safetensors --model @unmarked_model.safetensors", UNMARKED),
+    ),
+    "hydro_sim sim": (
+        ("--model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("--model shipped --box-bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--model @unmarked_model.safetensors", UNMARKED),
+    ),
+    "hydro_sim validate": (
+        ("@bag --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("@bag --model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("@bag --model @unmarked_model.safetensors", UNMARKED),
+    ),
+    "hydro_policy pretrain": (
+        ("--out @new --box @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--out @new --model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("--out @new --model @unmarked_model.safetensors", UNMARKED),
+        ("--out @new --bench @own.yaml --box @own.yaml --filter learned", FOREIGN),
+    ),
+    "hydro_policy trainer": (
+        ("--runs @new --plant sim --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--runs @new --plant emulator --bench @own.yaml --configuration wide", FOREIGN),
+        (f"--runs @new --plant sim --bench @own.yaml {CONSTANT}", f"the agent pretrained_paper {FOREIGN}"),
+        ("--runs @new --plant sim --from @own", f"the agent own {FOREIGN}"),
+        ("--runs @new --plant sim --from @unmarked", UNMARKED),
+        ("--runs @new --plant sim --base-gains 30 8", "was made for a box with base K_p 15, this one has 30"),
+        ("--runs @new --plant sim --filter=--metric=@own_metric.safetensors", "the metric own_metric.safetensors"),
+        ("--runs @new --plant bench --filter=--model=@other_model.safetensors", "was made for model"),
+    ),
+    "hydro_policy evaluate": (
+        ("--runs @new --plant sim --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--runs @new --plant sim --policy @own", f"the policy own {FOREIGN}"),
+        ("--runs @new --plant emulator --policy @unmarked", UNMARKED),
+        (f"--runs @new --plant sim --bench @own.yaml {CONSTANT} --policy @shipped", f"the policy shipped {FOREIGN}"),
+        ("--runs @new --plant sim --base-gains 30 8 --policy @shipped", "was made for a box with base K_p 15"),
+        ("--runs @new --plant sim --filter=--metric=@unmarked_metric.safetensors", UNMARKED),
+    ),
+}  # fmt: skip
+"""Words of each command that pairs anything, @ for the folder of `make_files`, with part of what is said."""
+
+
+def make_files(folder: Path) -> None:
+    """Own bench, models, metrics and policies, by what they say they were made for."""
+    nominal = Bench.nominal()
+    own = replace(nominal, spring_stiffness=4e4, piston_area=3e-4, supply_pressure=12e6)
+    (folder / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()), encoding="utf-8")
+    shipped, metric = weights.shipped().read_bytes(), learned_metric.shipped().read_bytes()
+    _other_model(folder / "other_model.safetensors", MadeFor(box=nominal.digest))
+    _other_model(folder / "own_model.safetensors", MadeFor(box=own.digest))
+    (folder / "unmarked_model.safetensors").write_bytes(stamped(shipped, None))
+    other = weights.digest(folder / "other_model.safetensors")
+    (folder / "own_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=own.digest, model=other)))
+    (folder / "other_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=nominal.digest, model=other)))
+    (folder / "unmarked_metric.safetensors").write_bytes(stamped(metric, None))
+    start = shipped_agent("paper")
+    assert start is not None
+    for name, made in (("own", MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)), ("unmarked", None)):
+        shutil.copytree(start.source, folder / name)
+        for file in (folder / name).iterdir():
+            file.write_bytes(stamped(file.read_bytes(), made))
+    shutil.copytree(start.source, folder / "shipped")
+
+
+def _other_model(path: Path, made: MadeFor) -> None:
+    """The shipped model with a region that is a hair wider: another one by its digest."""
+    learned = Learned.load()
+    region = replace(learned.region, whiten=learned.region.whiten * (1.0 + 1e-9))
+    replace(learned, region=region, made=made).save(path)
 
 
 @pytest.fixture(scope="module")
@@ -46,16 +151,18 @@ def test_a_wrong_pairing_is_one_sentence_and_status_2_and_leaves_nothing(
 ) -> None:
     before = set(files.rglob("*"))
 
-    def check(wrong: Wrong) -> None:
-        monkeypatch.setattr(sys, "argv", [wrong.executable, *wrong.arguments(files)])
+    def check(wrong: tuple[str, str, str]) -> None:
+        command, words, sentence = wrong
+        arguments = [word.replace("@", f"{files}/") for word in words.split()]
+        monkeypatch.setattr(sys, "argv", [command.split()[1], *arguments])
         with pytest.raises(SystemExit) as ended:
-            importlib.import_module(MODULES[f"{wrong.package} {wrong.executable}"]).main()
+            importlib.import_module(MODULES[command]).main()
         said = capfd.readouterr().err.splitlines()[-1]
         assert ended.value.code == 2
-        assert said.startswith("error: ") and wrong.sentence in said
+        assert said.startswith("error: ") and sentence in said
         assert set(files.rglob("*")) == before, "nothing is left behind"
 
-    each(WRONG, check, lambda wrong: f"{wrong.executable} {wrong.words}")
+    each([(command, *row) for command, rows in WRONG.items() for row in rows], check)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import shlex
 import sys
 from collections.abc import Callable
@@ -15,8 +16,9 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from docs.generate_reference import executables
+from docs.generate_reference import PACKAGES, ROOT, executables
 from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.process.start import renamed_to
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_sim.model.bench import Bench
 
@@ -35,12 +37,14 @@ REFUSED = {
         ("--ros-args --nonsense", "--nonsense"),
         ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
         ("--port /dev/null", "/dev/null is another device, not a serial port"),
+        ("--ros-args -p guard.abandoned_after:=3.0", "no parameter guard.abandoned_after"),
     ),
     "hydro_bridge recorder": (
         ("--out @new --topics '/bad name'", "Invalid topic name"),
         ("--out /dev/null/bag", "/dev/null is no folder: choose another place"),
         ("--out @bag", "exists already; a recording is never overwritten"),
     ),
+    "hydro_bridge replayer": (("@bag --keep-stamps", "unrecognized arguments: --keep-stamps"),),
     "hydro_bridge arm": (
         ("--timeout=nan", "argument --timeout: nan: a number of seconds above 0 is meant"),
         ("--timeout=-1", "argument --timeout: -1: a number of seconds above 0 is meant"),
@@ -90,13 +94,18 @@ REFUSED = {
         ("--metric constant --model x", "--model needs a learned one"),
         ("--every 10", "--every 10 needs --metric constant"),
     ),
-    "hydro_filter filter_header": (
+    "hydro_filter export_c": (
         ("--out @new --metric learned --noise-floor 1", "--noise-floor: a learned metric brings its own"),
         ("--out @new --model x", "--model: the constant metric has none"),
         ("--out @new --metric learned --contraction-rate -1", "contraction_rate"),
     ),
     "hydro_filter learn_metric": (("--out /dev/null/x", "/dev/null"),),
-    "hydro_policy policy_header": (("--out @new --policy @plain.yaml", "is not a policy"),),
+    "hydro_sim export_c": (
+        ("--out @new --velocity-age 0.002", "unrecognized arguments: --velocity-age"),
+        ("--out @new --force-rate-age 0.002", "unrecognized arguments: --force-rate-age"),
+    ),
+    "hydro_sim stamp": (("@plain.yaml --any-bench", "unrecognized arguments: --any-bench"),),
+    "hydro_policy export_c": (("--out @new --policy @plain.yaml", "is not a policy"),),
     "hydro_policy pretrain": (
         ("--out @new --model nowhere.safetensors", "nowhere.safetensors"),
         ("--out @new --bench b.yaml --model shipped", "a bench of its own"),
@@ -153,3 +162,14 @@ def test_it_is_refused_in_one_sentence(
         assert "Traceback" not in said and set(files.rglob("*")) == before, "nothing is left behind"
 
     each(REFUSED[command], check)
+
+
+def test_a_former_name_is_refused_with_the_present_one(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for package in PACKAGES:
+        text = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
+        for former, present in re.findall(r'"(\w+) = hydro_bridge\.process\.start:renamed_to\.(\w+)"', text):
+            monkeypatch.setattr(sys, "argv", [f"/lib/{package}/{former}"])
+            assert present in executables(package) and getattr(renamed_to, present)() == 2
+            assert capfd.readouterr().err == f"error: `{former}` is now `{present}`\n"

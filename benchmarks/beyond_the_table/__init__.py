@@ -2,7 +2,7 @@
 """Physics that the table of causes has no name for, alone and beside causes that it has, on a plant written apart.
 
 Each half's kinds, and what counts as their right form, were fixed before their author had seen the diagnosis' grammar
-of closures. `gap` shows, without a diagnosis, that they show.
+of closures.
 
-    kinds -> cases -> physics -> recordings -> `diagnose` -> score
+    kinds -> cases -> physics, foreign plant -> `diagnose` -> score
 """

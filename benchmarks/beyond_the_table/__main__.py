@@ -5,14 +5,14 @@ Each case conceals one such kind, alone, beside named causes or under more noise
 of 25 s (the second is held out) and runs `diagnose` on them in a process of its own.
 
     python -m benchmarks.beyond_the_table --half sealed --cases 20     the sixteen kinds alone, and four clean ones
-    python -m benchmarks.beyond_the_table --half dev --kinds drag_square --cases 5
+    python -m benchmarks.beyond_the_table --half dev --kinds turbulent_drag --cases 5
+    python -m benchmarks.beyond_the_table --half named --cases 44      what the table names
 
 Ctrl-C loses no finished case: run it again to go on. OUT/SEED/NAME/ holds the report and what it cost.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import shutil
@@ -20,21 +20,17 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from benchmarks.beyond_the_table.cases import Case, drawn
+from benchmarks._report import parser
+from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded
 from benchmarks.beyond_the_table.kinds import HALVES, NAMES
-from benchmarks.beyond_the_table.recordings import SECONDS, recorded
 from benchmarks.beyond_the_table.score import scored, table
-from hydro_bridge.cli.console import UserError, add_json_argument, command, progress, writable_folder
+from hydro_bridge.cli.console import UserError, command, progress, writable_folder
 
 
 @command()
 def main() -> None:
     """Run what is asked for and print the table."""
-    options = argparse.ArgumentParser(
-        prog="python -m benchmarks.beyond_the_table",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    options = parser("beyond_the_table", __doc__)
     options.add_argument("--cases", type=int, default=10, metavar="N", help="how many (default: 10)")
     options.add_argument("--seed", type=int, default=1, metavar="S", help="that they are drawn from (default: 1)")
     options.add_argument("--half", choices=HALVES, default="dev", help="of the kinds (default: dev)")
@@ -42,7 +38,6 @@ def main() -> None:
     options.add_argument("--out", type=writable_folder, default=Path("runs/beyond_the_table"), metavar="DIR",
                          help="where reports go (default: runs/beyond_the_table)")  # fmt: skip
     options.add_argument("--again", action="store_true", help="diagnose cases again that are done")
-    add_json_argument(options)
     asked = options.parse_args()
     if asked.cases < 1 or asked.seed < 0:
         raise UserError("--cases of at least 1 and a --seed of at least 0 are meant")

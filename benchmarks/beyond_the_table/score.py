@@ -21,9 +21,11 @@ COLUMNS = {
     "names alone close",
     "all": "the same by names and closures: what is handed back",
     "place": "whether the closures, or else the largest part of the remainder, are in the right equation",
-    "form": "law of the right form, as `kinds` fixes it, or the name that the table has for it",
+    "form": "law of the right form, as `kinds` fixes it",
     "named": "whether what is named is what is concealed, nothing else; clean: nothing is claimed",
     "closures": "what models the rest",
+    "values": "half `named`: estimate [95 % interval] of each parameter, ! where the true value is missed",
+    "left": "worst channel's held-out error over its noise floor",
     "cpu": "s of processor time that `diagnose` took",
 }
 
@@ -39,30 +41,41 @@ def scored(case: Case, result: Mapping[str, Any]) -> dict[str, Any]:
     facts = {"case": case.name, "beside": beside, "cpu": result["cpu"]}
     if report is None:
         return {**facts, "verdict": "refused", "gap": nan, "names": nan, "all": nan, "place": False, "form": False,
-                "named": False, "closures": result["said"][:100]}  # fmt: skip
+                "named": False, "closures": result["said"][:100], "values": "", "left": nan}  # fmt: skip
     errors, closures = report["fit"]["holdout"], report["closures"]
     before, names, after = (_gap(errors, key) for key in ("rmse_before", "rmse_named", "rmse_after"))
     nothing = case.kind is None or before < SHOWS
-    claimed = sorted(effect["id"] for effect in report["effects"])
+    claimed = sorted(_cause(effect) if case.causes else effect["id"] for effect in report["effects"])
     kind = case.kind
-    by_name = kind is not None and any(_called(effect) == kind.named for effect in report["effects"])
-    concealed = sorted([*case.named, *([kind.named.split()[0]] if kind is not None and by_name else [])])
     return {
         **facts,
         "verdict": report["verdict"],
         "gap": max(error["rmse_before"] / error["noise_floor"] for error in errors.values()),
         "names": nan if nothing else 1.0 - names / before,
         "all": nan if nothing else 1.0 - after / before,
-        "place": not closures if kind is None else by_name or _place(report) in places(kind),
-        "form": by_name or (kind is not None and any(right_form(kind, closure) for closure in closures)),
-        "named": claimed == concealed and (kind is not None or not closures),
+        "place": not closures if kind is None else _place(report) in places(kind),
+        "form": kind is not None and any(right_form(kind, closure) for closure in closures),
+        "named": claimed == sorted(case.named) and (kind is not None or not closures),
         "closures": "; ".join(f"{closure['form']}: {closure['expression']}" for closure in closures)
         + (f" (named: {', '.join(claimed)})" if claimed != sorted(case.named) else ""),
+        "values": "; ".join(_estimates(case, report["effects"])),
+        "left": max(error["rmse_after"] / error["noise_floor"] for error in errors.values()),
     }
 
 
-def _called(effect: Mapping[str, Any]) -> str:
-    return f"{effect['id']} {effect['options'].get('form', '')}".strip()
+def _cause(effect: Mapping[str, Any]) -> str:
+    """Id and options of an effect as `named` writes them."""
+    return " ".join([effect["id"], *(str(value) for _, value in sorted(effect["options"].items()))])
+
+
+def _estimates(case: Case, effects: Iterable[Mapping[str, Any]]) -> Iterable[str]:
+    for effect in effects:
+        truth = case.causes.get(_cause(effect), {})
+        for name, found in effect["parameters"].items():
+            if name in truth:
+                low, high = found["ci95"] or (np.nan, np.nan)
+                missed = "" if low <= truth[name] <= high else " !"
+                yield f"{name} {found['value']:.5g} [{low:.5g}, {high:.5g}]{missed}"
 
 
 def _gap(errors: Mapping[str, Mapping[str, Any]], key: str) -> float:
@@ -84,7 +97,7 @@ def table(rows: Iterable[Mapping[str, Any]]) -> Table:
     rows = list(rows)
     made = Table(COLUMNS, title=summary(rows))
     for row in rows:
-        shares = {key: round(row[key], 3) for key in ("gap", "names", "all")}
+        shares = {key: round(row[key], 3) for key in ("gap", "names", "all", "left")}
         made.add(**{**row, **shares, **{key: "yes" if row[key] else "no" for key in ("place", "form", "named")}})
     return made
 
@@ -106,6 +119,9 @@ def summary(rows: Iterable[Mapping[str, Any]]) -> str:
     parts.append(f"names right beside {sum(row['named'] for row in beside)} of {len(beside)}")
     parts.append(f"alone no name {sum(row['named'] for row in outside if row not in beside)}"
                  f" of {len(outside) - len(beside)}")  # fmt: skip
+    intervals = [one for row in rows for one in row["values"].split("; ") if one]
+    if intervals:
+        parts.append(f"intervals that hold {sum(not one.endswith('!') for one in intervals)} of {len(intervals)}")
     parts.append(f"claims on clean {sum(not row['named'] for row in clean)} of {len(clean)}")
     times = [row["cpu"] for row in rows]
     parts.append(f"CPU median {np.median(times):.0f} s, most {max(times):.0f} s")

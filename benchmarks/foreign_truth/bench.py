@@ -35,8 +35,6 @@ class Numbers(NamedTuple):
 
     valve_delay: float = 0.0
     """s, of the current."""
-    valve_play: float = 0.0
-    """A, width: the spool stays until the current has crossed it."""
     spool_bandwidth: float = 0.0
     """Hz, second order; 0: the spool follows at once."""
     spool_damping: float = 0.8
@@ -52,8 +50,6 @@ class Numbers(NamedTuple):
     """1/s."""
     valve_asymmetry: float = 1.0
     """Ratio of the flow at negative openings to that at positive ones."""
-    flow_force: float = 0.0
-    """1/Pa: a drop of pressure pushes the spool back."""
     droop_resistance: float = 0.0
     """Pa s/m3, of the supply line."""
     droop_time: float = 0.05
@@ -73,8 +69,6 @@ class Numbers(NamedTuple):
     """N above `coulomb` at standstill."""
     stribeck_velocity: float = 0.01
     """m/s."""
-    seal_friction: float = 0.0
-    """N/Pa, on the chambers' mean pressure."""
     spring_cubic: float = 0.0
     """N/m3."""
     backlash: float = 0.0
@@ -82,10 +76,6 @@ class Numbers(NamedTuple):
     cushion_stiffness: float = 0.0
     """N/m beyond `cushion_position`, on the piston."""
     cushion_position: float = 0.0
-    """m."""
-    cogging: float = 0.0
-    """N."""
-    cogging_pitch: float = 3e-3
     """m."""
     force_offset: float = 0.0
     """N."""

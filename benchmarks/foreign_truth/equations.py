@@ -59,12 +59,6 @@ def opening(bench, time, spool):
 
 
 @njit
-def edge(bench, drop):
-    """Root of the pressure drop over one edge, less what the flow force closes of it."""
-    return root(drop) / (1.0 + bench.flow_force * drop)
-
-
-@njit
 def spool_rates(bench, current, state, out):
     """Write the spool's rates and return where it stands [A]."""
     if bench.spool_bandwidth <= 0.0:
@@ -86,9 +80,9 @@ def rates(bench, time, current, state, out):
     drawn = opening(bench, time, spool_rates(bench, current, state, out))
     supply, gain = bench.supply_pressure - state[DROOP], flow_gain(bench)
     if drawn >= 0.0:
-        into_a, out_of_b = gain * drawn * edge(bench, supply - a), gain * drawn * edge(bench, b - tank)
+        into_a, out_of_b = gain * drawn * root(supply - a), gain * drawn * root(b - tank)
     else:
-        into_a, out_of_b = gain * drawn * edge(bench, a - tank), gain * drawn * edge(bench, supply - b)
+        into_a, out_of_b = gain * drawn * root(a - tank), gain * drawn * root(supply - b)
     from_supply = into_a if drawn >= 0.0 else -out_of_b
     out[DROOP] = 0.0
     if bench.droop_resistance > 0.0:
@@ -104,8 +98,6 @@ def rates(bench, time, current, state, out):
     force = area * a - area_b * b - bench.viscous_friction * velocity - load + bench.force_offset
     if bench.cushion_stiffness > 0.0 and position > bench.cushion_position:
         force -= bench.cushion_stiffness * (position - bench.cushion_position)
-    if bench.cogging > 0.0:
-        force -= bench.cogging * math.sin(2.0 * math.pi * position / bench.cogging_pitch)
     out[POSITION], out[VELOCITY] = velocity, force / bench.moving_mass
     corner = 2.0 * math.pi * bench.load_cell_bandwidth
     out[CELL] = state[CELL_RATE]
@@ -115,7 +107,7 @@ def rates(bench, time, current, state, out):
 @njit
 def rub(bench, state, seconds):
     """Dry friction for a while, exactly: it slows the mass down and then holds it, and never turns it round."""
-    force = bench.coulomb + bench.seal_friction * 0.5 * (state[PRESSURE_A] + state[PRESSURE_B])
+    force = bench.coulomb
     if bench.stribeck > 0.0:
         force += bench.stribeck * math.exp(-((state[VELOCITY] / bench.stribeck_velocity) ** 2))
     if force > 0.0:

@@ -13,7 +13,7 @@ from numba import njit
 from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.box import PERIOD, command, sense
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES
-from benchmarks.foreign_truth.plant import LOGGED, FloatArray, advance
+from benchmarks.foreign_truth.plant import LOGGED, NONE, FloatArray, advance
 from benchmarks.foreign_truth.recordings import FORCE_NOISE, PRESSURE_NOISE, QUANTUM, RUNS, reference
 
 ROWS = 10
@@ -39,7 +39,7 @@ def _run(bench, box, wanted, gains, noise, quantum, start, out):
             before = row
         row[8] = before[8]
         for j in range(SUBSTEPS):
-            advance(bench, k * PERIOD / ROWS + j * step, row[8], state, step, work)
+            advance(NONE, bench, k * PERIOD / ROWS + j * step, row[8], state, step, work)
 
 
 def logged(truth: dict[str, float], number: int, seed: int, seconds: float) -> FloatArray:

@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from benchmarks.beyond_the_table.physics import MEMORY, all_rates, brake, misread, rested
 from benchmarks.foreign_truth.bench import Numbers, numbers
 from benchmarks.foreign_truth.box import PERIOD, command, sense
-from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY, rates, rub
+from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 
 FloatArray = npt.NDArray[np.float64]
 SUBSTEPS = 200
@@ -24,23 +25,28 @@ LOGGED = 15
 """Columns of a run: those of BenchState from hydraulic_force to integral_gain, then its flags."""
 
 
+Physics = tuple[int, float, float]
+"""Place of a kind in `beyond_the_table.kinds.NAMES`, its magnitude and its second number."""
+NONE: Physics = (-1, 0.0, 1.0)
+
+
 @njit
-def advance(bench, time, current, state, step, work):
+def advance(physics, bench, time, current, state, step, work):
     """One step of Strang's splitting; `work` has room for three sets of states."""
     slope, between, total = work[0], work[1], work[2]
-    rub(bench, state, 0.5 * step)
-    rates(bench, time, current, state, total)
+    brake(physics[0], physics[1], bench, state, 0.5 * step)
+    all_rates(physics, bench, time, current, state, total)
     between[:] = total
     for reach, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
         for n in range(STATES):
             between[n] = state[n] + reach * step * between[n]
-        rates(bench, time, current, between, slope)
+        all_rates(physics, bench, time, current, between, slope)
         for n in range(STATES):
             between[n] = slope[n]
             total[n] += weight * slope[n]
     for n in range(STATES):
         state[n] += step / 6.0 * total[n]
-    rub(bench, state, 0.5 * step)
+    brake(physics[0], physics[1], bench, state, 0.5 * step)
     state[PRESSURE_A], state[PRESSURE_B] = max(state[PRESSURE_A], -1e5), max(state[PRESSURE_B], -1e5)
     if state[POSITION] < 0.0:
         state[POSITION], state[VELOCITY] = 0.0, max(state[VELOCITY], 0.0)
@@ -49,31 +55,31 @@ def advance(bench, time, current, state, step, work):
 
 
 @njit
-def _run(bench, box, reference, gains, noise, quantum, start, substeps, out):
-    step, integral, played, turn = PERIOD / substeps, 0.0, 0.0, 0
+def _run(physics, bench, box, reference, gains, noise, quantum, start, substeps, out):
+    step, integral, turn = PERIOD / substeps, 0.0, 0
     late = np.zeros(max(math.floor(bench.valve_delay / step + 0.5), 1))
     delayed = bench.valve_delay / step >= 0.5
     state, work = np.zeros(STATES), np.zeros((3, STATES))
     state[PRESSURE_A], state[PRESSURE_B] = start, start / bench.area_ratio
     state[POSITION] = bench.spring_rest_position
+    if physics[0] >= 0:
+        state[MEMORY] = rested(physics[0], start)
     for k in range(len(out)):
         row, before = out[k], out[max(k - 1, 0)]
         sense(bench, state, noise[k], quantum, row)
+        misread(physics[0], physics[1], physics[2], bench, k * PERIOD, state, row)
         for force in (0, 2):
             row[force + 1] = before[force + 1] + 0.2 * ((row[force] - before[force]) / PERIOD - before[force + 1])
         row[7] = before[7] + 0.5 * ((row[6] - before[6]) / PERIOD - before[7])
         row[10], row[11], row[12], row[13] = reference[k, 0], reference[k, 1], gains[0], gains[1]
         integral = command(box, row, integral)
         current = row[8]
-        if bench.valve_play > 0.0:
-            played = min(max(played, current - 0.5 * bench.valve_play), current + 0.5 * bench.valve_play)
-            current = played
         for j in range(substeps):
             acting = current
             if delayed:
                 acting, late[turn] = late[turn], current
                 turn = (turn + 1) % len(late)
-            advance(bench, k * PERIOD + j * step, acting, state, step, work)
+            advance(physics, bench, k * PERIOD + j * step, acting, state, step, work)
         if not math.isfinite(state[PRESSURE_A]):
             return k
     return len(out)
@@ -81,7 +87,7 @@ def _run(bench, box, reference, gains, noise, quantum, start, substeps, out):
 
 def run(bench: Numbers, reference: FloatArray, *, box: Numbers | None = None, gains: tuple[float, float] = (80.0, 15.0),
         noise: FloatArray | None = None, quantum: float = 0.0, start: float = 6e6,
-        substeps: int = SUBSTEPS) -> FloatArray:  # fmt: skip
+        substeps: int = SUBSTEPS, physics: Physics = NONE) -> FloatArray:  # fmt: skip
     """What a box logs that tracks a reference on a bench.
 
     Parameters
@@ -98,6 +104,8 @@ def run(bench: Numbers, reference: FloatArray, *, box: Numbers | None = None, ga
         m, of the encoder.
     start
         Pa, of chamber A; B balances it, with the piston at the spring's rest.
+    physics
+        A kind of unnamed physics; its bench has no spool of its own.
 
     Returns
     -------
@@ -110,7 +118,7 @@ def run(bench: Numbers, reference: FloatArray, *, box: Numbers | None = None, ga
     """
     out = np.zeros((len(reference), LOGGED))
     added = np.zeros((len(reference), 4)) if noise is None else noise
-    done = _run(bench, box or numbers(), reference, gains, added, quantum, start, substeps, out)
+    done = _run(physics, bench, box or numbers(), reference, gains, added, quantum, start, substeps, out)
     if done < len(out):
         raise ArithmeticError(f"the foreign plant diverges after {done} ms")
     return out

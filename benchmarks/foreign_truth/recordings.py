@@ -1,31 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two recordings of a case, as a bench would leave them: a rosbag2 folder, or a table in units of its own."""
+"""References of the two runs of a case, and a log as a rosbag2 folder."""
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.box import PERIOD
-from benchmarks.foreign_truth.cases import Case
-from benchmarks.foreign_truth.plant import SUBSTEPS, FloatArray, run
+from benchmarks.foreign_truth.plant import FloatArray
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, StateArray
 
-SECONDS = 25.0
 RUNS = {"sines": 80.0, "steps": 65.0}
 """K_p [1/s] by reference: the first is fitted, the second held out. K_i is 15 in both."""
 FORCE_NOISE, PRESSURE_NOISE, QUANTUM = 0.6, 6e3, 1e-6
 """N and Pa (standard deviations), m (step of the encoder), at noise 1."""
 EPOCH = 1_760_000_000.0
-COLUMNS = (
-    "time=t[ms],hydraulic_force=Fh,load_force=Fl[kN],pressure_a=pA[bar],pressure_b=pB[bar],"
-    "piston_position=pos[mm]+40,valve_current=i[mA]"
-)
-"""What `diagnose --columns` is told of a table."""
 
 
 def reference(kind: str, count: int, seed: int) -> FloatArray:
@@ -51,40 +42,6 @@ def _lag(signal: FloatArray, bandwidth: float) -> FloatArray:
     return out
 
 
-def simulated(case: Case, number: int, seconds: float = SECONDS, substeps: int = SUBSTEPS) -> FloatArray:
-    """Log of the case's run of this number, shape (n, LOGGED); its seeds follow from the case's name."""
-    kind, gain = list(RUNS.items())[number]
-    seed, count = 10 * sum(map(ord, case.name)) + number, round(seconds / PERIOD)
-    deviations = np.array([FORCE_NOISE, FORCE_NOISE, PRESSURE_NOISE, PRESSURE_NOISE])
-    noise = case.noise * deviations * np.random.default_rng([seed, 1]).standard_normal((count, 4))
-    out = run(
-        numbers(**case.truth), reference(kind, count, seed), box=numbers(**case.box), gains=(gain, 15.0), noise=noise,
-        quantum=case.noise * QUANTUM, start=6e6 + 4e5 * number, substeps=substeps,
-    )  # fmt: skip
-    if case.rows_late:
-        out[case.rows_late :, 8] = out[: -case.rows_late, 8].copy()
-        out[: case.rows_late, 8] = 0.0
-    return out
-
-
-def recorded(case: Case, folder: Path, seconds: float = SECONDS, substeps: int = SUBSTEPS) -> list[Path]:
-    """The case's two recordings in a folder; those that are there already stay."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for number, kind in enumerate(RUNS):
-        path = folder / f"{kind}{'.csv' if case.table else ''}"
-        if not path.exists():
-            scratch = folder / "unfinished" / path.name
-            shutil.rmtree(scratch.parent, ignore_errors=True)
-            scratch.parent.mkdir()
-            log = simulated(case, number, seconds, substeps)
-            _write_table(scratch, log) if case.table else write_bag(scratch, log)
-            scratch.rename(path)
-            scratch.parent.rmdir()
-        paths.append(path)
-    return paths
-
-
 def write_bag(folder: Path, log: FloatArray) -> None:
     """Write a log, shape (n, LOGGED), as a rosbag2 folder that there is not yet."""
     with BagWriter(folder) as bag:
@@ -100,10 +57,3 @@ def states_of(log: FloatArray) -> StateArray:
         states[name] = log[:, column]
     states["flags"] = log[:, len(STATE_FIELDS)]
     return states
-
-
-def _write_table(path: Path, log: FloatArray) -> None:
-    """Comma-separated, in ms, N, kN, bar, mm from mid-stroke, and mA."""
-    scale = np.array([1.0, 1e-3, 1e-5, 1e-5, 1e3, 1e3])
-    content = np.column_stack([np.arange(len(log)), scale * log[:, [0, 2, 4, 5, 6, 8]] - [0, 0, 0, 0, 40, 0]])
-    np.savetxt(path, content, delimiter=",", header="t,Fh,Fl,pA,pB,pos,i", comments="", fmt="%.9g")

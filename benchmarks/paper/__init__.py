@@ -7,8 +7,7 @@ metric      Table training_metric: a network M(x) for v along f_l, on the networ
 certificate the filter of that metric, at 100 Hz
 validation  Table val_cont: gamma_1 to gamma_5
 agents      Tables training_agent and rmse: controllers I, II, III
-foreign     a bench outside of the emulator's equations, as a plant
-claims      what the paper says, as comparisons; verdicts: what they come to; reasons: why
-report      the page; captions: what it says around its tables; times: what the pieces cost
+claims      what the paper says, as comparisons
+report      the page
 =========== ==========================================================================
 """

@@ -23,9 +23,7 @@ TABLES = {
     "training_metric": "metric.run",
     "val_cont": "validation.run",
     "rmse": "agents.run",
-    "outside": "agents.run_outside",
     "chatter": "agents.run_chatter",
-    "sensitivity": "sensitivity.run",
 }
 """What runs each; imported when it does: torch and compiled code take seconds, and --show needs neither."""
 

@@ -2,10 +2,10 @@
 """Tables training_agent and rmse: II pretrained in simulation, I trained further on the bench, III fixed (90, 15).
 
 Authority *paper* (K_p to 90, K_i to 15) and *wide* (to 300, 100). II is `pretrain` on the shipped model; I goes on
-from it on the bench as `trainer` does, without a clock: the same samples to the bit. Bench *default* is the emulator's
-truth, *outside* is `foreign`. No filter, the bumpless integral, the mean action of the best policy of the run's own
-examinations, which for I include the one before its first episode; and of I's last policy, which the paper may mean.
-Sines of 300 N, each from rest: 2 s to settle, then at least four periods; one noise seed for each training seed.
+from it on the bench, the emulator's truth, as `trainer` does, without a clock: the same samples to the bit. No filter,
+the bumpless integral, the mean action of the best policy of the run's own examinations, which for I include the one
+before its first episode; and of I's last policy, which the paper may mean. Sines of 300 N, each from rest: 2 s to
+settle, then at least four periods; one noise seed for each training seed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.controllers import policy_of
-from benchmarks.paper.foreign import ForeignPlant
 from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
 from benchmarks.paper.validation import corrector
 from hydro_bridge.safety.guard import GuardSettings
@@ -41,7 +39,6 @@ from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
-PLANTS: dict[str, Callable[[], Plant]] = {"default": lambda: TruthPlant(profile("default")), "outside": ForeignPlant}
 EXAMS = 8
 """Examinations of I on the bench after the first."""
 CHATTER_EPISODES = 2
@@ -75,27 +72,22 @@ class Listening(OfflineGraph):
 
 
 def run(store: Store, seed: int) -> None:
-    """I, II, III on the default bench."""
-    _tables(store, "default", seed)
+    """I, II, III."""
+    store.piece(f"rmse-default-III-{seed}", lambda: _rmse(FixedGains(90.0, 15.0), seed))
+    for authority in AUTHORITIES:
+        for who, make in (("II", _second), ("I", _first)):
+            store.piece(f"rmse-default-{authority}-{who}-{seed}", lambda m=make, a=authority: m(store, a, seed))  # type: ignore[misc]
 
 
-def run_outside(store: Store, seed: int) -> None:
-    """The same on the bench outside of the model's physics."""
-    _tables(store, "outside", seed)
+def bench() -> TruthPlant:
+    """The emulator's default truth."""
+    return TruthPlant(profile("default"))
 
 
 def run_chatter(store: Store, seed: int) -> None:
     """u' during training on the default bench without a filter, behind the paper's, and behind ours."""
     for chosen in CHATTER_FILTERS:
         store.piece(f"chatter-{chosen}-{seed}", lambda c=chosen: _chatter(store, c, seed))  # type: ignore[misc]
-
-
-def _tables(store: Store, bench: str, seed: int) -> None:
-    store.piece(f"rmse-{bench}-III-{seed}", lambda: _rmse(bench, FixedGains(90.0, 15.0), seed))
-    for authority in AUTHORITIES:
-        for who, make in (("II", _second), ("I", _first)):
-            name = f"rmse-{bench}-{authority}-{who}-{seed}"
-            store.piece(name, lambda m=make, a=authority: m(store, bench, a, seed))  # type: ignore[misc]
 
 
 def simulated(store: Store, authority: str, seed: int) -> InitialAgent:
@@ -125,20 +117,20 @@ def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Resul
     return {"curve": json.loads(table.read_text(encoding="utf-8"))["rows"]}
 
 
-def _second(store: Store, bench: str, authority: str, seed: int) -> Result:
+def _second(store: Store, authority: str, seed: int) -> Result:
     start = simulated(store, authority, seed)
-    return _rmse(bench, _controller(start, actor_parameters(start.agent)), seed)
+    return _rmse(_controller(start, actor_parameters(start.agent)), seed)
 
 
-def _first(store: Store, bench: str, authority: str, seed: int) -> Result:
+def _first(store: Store, authority: str, seed: int) -> Result:
     start, episodes = simulated(store, authority, seed), store.size.bench_episodes
-    session, graph = train(PLANTS[bench](), start, episodes, max(episodes // EXAMS, 1), seed)
+    session, graph = train(bench(), start, episodes, max(episodes // EXAMS, 1), seed)
     came = actor_parameters(start.agent)
-    best, last = (came if found is None else found for found in (session.keeper.best, session.keeper.good))
-    told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.gave_up or "")}
+    best, last = (came if found is None else found for found in (session.run.best, session.run.good))
+    told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.run.gave_up or "")}
     told |= {key: [float(exam[key]) for exam in session.progress.exams] for key in ("score", "error")}
-    told |= {"last": _rmse(bench, _controller(start, last), seed)["rmse"]}
-    return {**_rmse(bench, _controller(start, best), seed), **told}
+    told |= {"last": _rmse(_controller(start, last), seed)["rmse"]}
+    return {**_rmse(_controller(start, best), seed), **told}
 
 
 def train(
@@ -163,10 +155,10 @@ def _controller(start: InitialAgent, parameters: Any) -> PolicyController:
     return PolicyController(policy_of(parameters, start), start.gains, "policy")
 
 
-def _rmse(bench: str, controller: Controller, seed: int) -> Result:
+def _rmse(controller: Controller, seed: int) -> Result:
     """Force RMSE [N] at the paper's sines, each from rest, as `trained_controllers` measures; NaN: stopped."""
     guard = GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0)
-    plant, found = PLANTS[bench](), []
+    plant, found = bench(), []
     for frequency in PRINTED["rmse"]["frequencies"]:
         graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed)
         session = EvaluationSession(replace(EVALUATION, frequencies=(float(frequency),)), [controller], graph)
@@ -178,5 +170,5 @@ def _rmse(bench: str, controller: Controller, seed: int) -> Result:
 def _chatter(store: Store, chosen: str, seed: int) -> Result:
     start = simulated(store, "paper", seed)
     made = None if chosen == "none" else corrector(store, chosen, seed)
-    session, graph = train(PLANTS["default"](), start, CHATTER_EPISODES, 0, seed, made)
+    session, graph = train(bench(), start, CHATTER_EPISODES, 0, seed, made)
     return {"chatter": graph.chatter, "trips": graph.trips, "episodes": session.progress.episode}

@@ -12,7 +12,6 @@ import pytest
 
 from benchmarks.diagnosis_peers import main, said
 from benchmarks.peers import terms
-from benchmarks.peers.neural import _windows
 from benchmarks.peers.run import Corrected, held_out, signals
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.estimation.problem import sensor_noise
@@ -41,14 +40,6 @@ def nominal() -> SegmentModel:
     return recorded(BENCH)
 
 
-def test_wrong_spring_and_oil_stand_out_in_their_equations(nominal: SegmentModel) -> None:
-    soft = recorded(replace(BENCH, spring_stiffness=18000.0, bulk_modulus=1.2e9))
-    left = {name: np.sqrt(np.mean(np.square(_windows(model, BENCH)[1]), axis=0)) for name, model in
-            (("nominal", nominal), ("soft", soft))}  # fmt: skip
-    velocity, pressure_a, pressure_b, load_force, _ = left["soft"] / left["nominal"]
-    assert min(velocity, pressure_a, pressure_b, load_force) > 5.0
-
-
 @pytest.mark.parametrize(("key", "term", "ratio"), [("bulk_modulus", "bulk_modulus", 1.1),
                                                     ("valve_nominal_flow", "valve_gain", 0.93)])  # fmt: skip
 def test_terms_hold_the_truth_exactly(nominal: SegmentModel, key: str, term: str, ratio: float) -> None:
@@ -60,13 +51,6 @@ def test_terms_hold_the_truth_exactly(nominal: SegmentModel, key: str, term: str
         np.testing.assert_allclose(
             wrong[f"pressure_{chamber}"] - right[f"pressure_{chamber}"], change, rtol=1e-9, atol=1.0
         )
-
-
-def test_stiffer_spring_is_a_term_of_motion_and_of_the_load_cell(nominal: SegmentModel) -> None:
-    along, stiff = signals(nominal), replace(BENCH, spring_stiffness=1.05 * BENCH.spring_stiffness)
-    change = terms.nominal(along, stiff)["velocity"] - terms.nominal(along, BENCH)["velocity"]
-    term = terms.motion_terms(along, BENCH)["spring_stiffness"]
-    np.testing.assert_allclose(change, -0.05 / BENCH.moving_mass * term, rtol=1e-9, atol=1e-9)
 
 
 def test_no_correction_leaves_the_diagnosis_own_held_out_error(nominal: SegmentModel) -> None:

@@ -3,19 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from benchmarks.paper import metric, report, sensitivity
+from benchmarks.paper import metric, report
 from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
-from benchmarks.paper.foreign import ForeignPlant
 from benchmarks.paper.network import NetworkModel, NetworkPlant, train
 from benchmarks.paper.store import FULL, PRINTED, QUICK, RESULTS, Store
 from hydro_bridge.signals import STATE_DTYPE
@@ -23,7 +19,6 @@ from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.training.data import STABLE, UNSTABLE, Rollout
-from hydro_policy.task import mdp
 from hydro_sim.files.recordings import Data, Run
 
 STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
@@ -151,15 +146,6 @@ def test_a_correction_is_held_for_ten_samples() -> None:
     assert given == [1e-4] * 10 + [2e-4] * 10
 
 
-def test_the_foreign_bench_rests_and_repeats() -> None:
-    plant = ForeignPlant()
-    first = [plant.reset(3), *(plant.step(1e-3) for _ in range(200))]
-    again = [plant.reset(3), *(plant.step(1e-3) for _ in range(200))]
-    np.testing.assert_array_equal(first, again)
-    assert abs(first[0][2]) < 5.0
-    assert first[-1][6] > first[0][6], "current above 0 drives the piston out"
-
-
 def test_held_out_are_rollouts_of_each_label(model: NetworkModel, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every fourth is unstable, as the gains are drawn: with every fifth held out none or few of them would be."""
     states = np.zeros(1000, STATE_DTYPE)
@@ -173,22 +159,3 @@ def test_held_out_are_rollouts_of_each_label(model: NetworkModel, monkeypatch: p
     assert labels == {"stable": 6, "unstable": 2, "neither": 0}
     for part, stable in ((training, 15), (held_out, 3)):
         assert [int(part.stable.sum()), len(part.stable) - int(part.stable.sum())] == [stable, 3]
-
-
-def test_another_normaliser_is_that_of_the_first_actors_observations_and_only_for_its_piece() -> None:
-    samples = np.random.default_rng(3).normal(50.0, 20.0, (500, len(STATE_DTYPE.names)))
-    actions = np.zeros((500, mdp.ACTIONS))
-    seen = mdp.observe(samples, actions)
-
-    class First:
-        def round(self, each_step: Callable[[Any], object]) -> None:
-            each_step(SimpleNamespace(observation=seen))
-
-    with sensitivity.observed("observation-standardised", First):  # type: ignore[arg-type]
-        standardised = mdp.observe(samples, actions)[:, : -mdp.ACTIONS]
-    np.testing.assert_allclose(standardised.mean(axis=0), 0.0, atol=1e-9)
-    moved = seen[:, : -mdp.ACTIONS].std(axis=0) > 1e-3
-    np.testing.assert_allclose(standardised[:, moved].std(axis=0), 1.0)
-    with sensitivity.observed("observation-a-fifth", First):  # type: ignore[arg-type]
-        np.testing.assert_allclose(5.0 * mdp.observe(samples, actions), seen)
-    np.testing.assert_array_equal(mdp.observe(samples, actions), seen)

@@ -5,7 +5,7 @@
  *
  * v = (f_l - f_r) / scale lies along the load force alone, and no equation of the bench reads the load force: of A
  * nothing is left, of K only -K_p/g, of M one row. docs/manual/explanation/safety.md has the certificate. Give it armed
- * samples; one that is none of a bench gets NAN. `ros2 run hydro_filter filter_header` writes HYDRO_FILTER.
+ * samples; one that is none of a bench gets NAN. `ros2 run hydro_filter export_c` writes HYDRO_FILTER.
  */
 #ifndef HYDRO_FILTER_H
 #define HYDRO_FILTER_H

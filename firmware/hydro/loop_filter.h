@@ -7,7 +7,7 @@
  *
  * docs/manual/explanation/safety.md has the certificate; hydro_filter.controller.loop_decision is the same in Python.
  * Samples must follow one another, each once; after a gap begin with a memory of zeros. One that is none of a bench gets
- * NAN, and the memory begins anew. A correction acts one sample after its own. `ros2 run hydro_filter filter_header
+ * NAN, and the memory begins anew. A correction acts one sample after its own. `ros2 run hydro_filter export_c
  * --metric learned` writes HYDRO_LOOP_FILTER.
  *
  * It knows the paper's law alone: under the compensated one (HYDRO_COMPENSATED) apply no correction, and begin with a

@@ -5,7 +5,7 @@
  *   action = tanh(W3' relu(W2' relu(W1' o + b1) + b2) + b3)          in [-1, 1], mapped to [low, high]
  *
  * To be called every tenth sample: the policy was trained at 100 Hz. Between two calls the gains stay. The header that
- * `ros2 run hydro_policy policy_header` writes has the weights, HYDRO_POLICY, and includes this one.
+ * `ros2 run hydro_policy export_c` writes has the weights, HYDRO_POLICY, and includes this one.
  */
 #ifndef HYDRO_POLICY_H
 #define HYDRO_POLICY_H

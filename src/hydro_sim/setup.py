@@ -25,7 +25,8 @@ setup(
     entry_points={
         "console_scripts": [
             "sim = hydro_bridge.process.start:main_of.hydro_sim.nodes.sim",
-            "box_header = hydro_bridge.process.start:main_of.hydro_sim.box.header",
+            "export_c = hydro_bridge.process.start:main_of.hydro_sim.box.header",
+            "box_header = hydro_bridge.process.start:renamed_to.export_c",
             "emulator = hydro_bridge.process.start:main_of.hydro_sim.emulator.command",
             "collect = hydro_bridge.process.start:main_of.hydro_sim.nodes.collect",
             "learn = hydro_bridge.process.start:main_of.hydro_sim.identification.learn",

@@ -52,7 +52,7 @@ def test_a_claim_lapses_with_silence_and_only_then(authority: Authority) -> None
 
 def test_a_holder_whose_requests_are_lost_keeps_it_by_commands(authority: Authority) -> None:
     authority.take("trainer", 0, 0.0)
-    authority.hear(LEASE)
+    authority.renew(LEASE)
     assert "trainer commands" in authority.take("evaluate", 0, LEASE + 0.1)
     assert not authority.lapse(2 * LEASE) and authority.lapse(2 * LEASE + 0.1)
 

@@ -6,14 +6,7 @@ import argparse
 import pytest
 
 from hydro_bridge.bags.writer import RecordingError
-from hydro_bridge.cli.console import (
-    Table,
-    UserError,
-    add_json_argument,
-    command,
-    writable,
-    writable_folder,
-)
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
 
 
 def test_a_json_file_that_cannot_be_written_is_refused_before_the_work_and_after_it(tmp_path, capsys):

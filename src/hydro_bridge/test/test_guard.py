@@ -174,7 +174,7 @@ def test_gains_that_never_come_back_disarm_and_stop_the_reference_once_and_say_s
 
 
 def test_gains_that_come_back_in_time_disarm_nothing():
-    guard = CommandGuard(settings=GuardSettings(abandoned_after=2.0))
+    guard = CommandGuard(settings=GuardSettings(gains_timeout=2.0))
     guard.set_arm(True)
     for now in (0.0, 2.0, 4.0):
         guard.set_gains(30.0, 4.0, now)

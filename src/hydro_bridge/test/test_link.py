@@ -11,8 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from hydro_bridge.link.link import Link, LinkState
-from hydro_bridge.link.remarks import MISSED, NO_LAW, SLOW_LINE, incomplete
+from hydro_bridge.link.link import MISSED, NO_LAW, SLOW_LINE, Link, LinkState, incomplete
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortSettings
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details

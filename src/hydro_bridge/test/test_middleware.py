@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from hydro_bridge.process.middleware import RMW
+from hydro_bridge.process.start import RMW
 
 
 def test_an_executable_ends_in_the_sentence() -> None:

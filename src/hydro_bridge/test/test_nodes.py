@@ -21,14 +21,14 @@ import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 
 from hydro_bridge.bags.recording import STATE_TOPIC, continuity, objects, read_bag  # noqa: E402
 from hydro_bridge.files import bench_file  # noqa: E402
 from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
 from hydro_bridge.ros.companion import Companion  # noqa: E402
-from hydro_bridge.ros.topics import BOX, CORRECTION, DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, GRAPH, REFERENCE, STATE  # noqa: E402
+from hydro_bridge.ros.topics import BOX, CORRECTION, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription  # noqa: E402
 from hydro_bridge.serial.port import PortSettings  # noqa: E402
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame  # noqa: E402
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
@@ -89,7 +89,7 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
     start("bridge", "--port", cable.path, output=output)
     told: list[DiagnosticStatus] = []
     listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
-    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
+    create_subscription(probe.node, DIAGNOSTICS, listen)
     probe.wait(lambda: len(probe.states) > 20)
     probe.take()
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
@@ -113,7 +113,7 @@ def steered(cable, small_box, probe, start):
 
     class Steered:
         box, output = small_box(), io.StringIO()
-        bridge = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.abandoned_after:=2.0", output=output)
+        bridge = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.gains_timeout:=2.0", output=output)
         told: ClassVar[list[DiagnosticStatus]] = []
 
         def gain(self, seconds: float) -> None:
@@ -126,7 +126,7 @@ def steered(cable, small_box, probe, start):
             return bool(self.box.flags & Flag.ARMED)
 
     listen = lambda array: Steered.told.extend(s for s in array.status if s.name == "bridge")  # noqa: E731
-    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
+    create_subscription(probe.node, DIAGNOSTICS, listen)
     probe.wait(lambda: len(probe.states) > 20)
     probe.take()
     assert probe.ask(True).success
@@ -255,7 +255,7 @@ def test_the_box_is_not_greeted_before_all_settings_are_known_to_be_right(cable)
 def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):
     box = small_box()
     alone = start("arm", "--timeout", "0.5")
-    assert alone.process.wait(20.0) == 2 and "no plant runs here" in alone.last_words
+    assert alone.process.wait(20.0) == 2 and "no plant runs here" in alone.last_line
     start("bridge", "--port", cable.path)
     probe.wait(lambda: len(probe.states) > 20)
     output = io.StringIO()
@@ -267,7 +267,7 @@ def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, star
     cable.unplug()
     probe.wait(lambda: not probe.ask(True).success)  # once the bridge has noticed
     refused = start("arm")
-    assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_words
+    assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_line
 
 
 def test_bridge_says_once_that_the_box_tripped_and_why(cable, small_box, probe, start):

@@ -40,9 +40,3 @@ def test_messages_come_at_their_times_freshly_stamped(bag, speed):
         assert np.all(arrivals - stamps > -1e-3)
         late.append(np.median(arrivals - stamps))
     assert min(late) < 0.02
-
-
-def test_stamps_may_be_kept(bag):
-    came: list[bytes] = []
-    Replay(bag, [STATE_TOPIC], lambda _, data: came.append(data), speed=50.0, keep_stamps=True).run()
-    assert stamp(came[0]) == pytest.approx(1.7e9)

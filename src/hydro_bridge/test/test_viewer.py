@@ -13,13 +13,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.bags.schema import definition
 from hydro_bridge.dashboard.series import LAW_TYPE, STATE_COLUMNS
+from hydro_bridge.dashboard.thinning import GrowingThinner
 from hydro_bridge.signals import Flag
-from hydro_bridge.viewer.growing import GrowingThinner
 from hydro_bridge.viewer.marks import MARKS, Marks
-from hydro_bridge.viewer.page import rendered
-from hydro_bridge.viewer.recorded import read_recorded
-from hydro_bridge.viewer.sample_clock import SampleClock
-from hydro_bridge.viewer.view import main
+from hydro_bridge.viewer.recorded import SampleClock, read_recorded
+from hydro_bridge.viewer.view import main, rendered
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 LOG_TYPE = "rcl_interfaces/msg/Log"

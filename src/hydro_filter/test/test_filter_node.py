@@ -18,22 +18,19 @@ pytestmark = pytest.mark.graph
 pytest.importorskip("hydro_msgs.msg", reason="source install/setup.bash")
 
 import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from hydro_bridge.ros.companion import Companion  # noqa: E402
 from hydro_bridge.ros.messages import StateMessage, fill_law_state  # noqa: E402
 from hydro_bridge.ros.topics import (  # noqa: E402
     BOX,
-    BOX_QOS,
     CORRECTION,
-    CORRECTION_QOS,
     DIAGNOSTICS,
-    DIAGNOSTICS_QOS,
     LAW_STATE,
-    LAW_STATE_QOS,
     STATE,
-    STATE_QOS,
+    create_publisher,
+    create_subscription,
 )
 from hydro_bridge.signals import (  # noqa: E402
     PLANT_FIELDS,
@@ -73,11 +70,9 @@ class Source:
         self.executor.add_node(self.node)
         self.corrections: list[Correction] = []
         self.diagnostics: list[DiagnosticStatus] = []
-        self.states = self.node.create_publisher(StateMessage().message.__class__, STATE, STATE_QOS)
-        self._answers = self.node.create_subscription(Correction, CORRECTION, self.corrections.append, CORRECTION_QOS)
-        self.node.create_subscription(
-            DiagnosticArray, DIAGNOSTICS, lambda array: self.diagnostics.extend(array.status), DIAGNOSTICS_QOS
-        )
+        self.states = create_publisher(self.node, STATE)
+        self._answers = create_subscription(self.node, CORRECTION, self.corrections.append)
+        create_subscription(self.node, DIAGNOSTICS, lambda array: self.diagnostics.extend(array.status))
         self._message = StateMessage()
 
     def wait(self, condition: Callable[[], bool], timeout: float = 150.0) -> None:
@@ -205,7 +200,7 @@ def test_a_metric_of_the_papers_law_bypasses_the_compensated_one_and_answers_the
     started: Callable[..., Source], still: FloatArray
 ) -> None:
     source = started(*CONSTANT)
-    laws = source.node.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
+    laws = create_publisher(source.node, LAW_STATE)
     source.wait(lambda: laws.get_subscription_count() > 0)
     sample = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
     for sequence in range(200):
@@ -260,7 +255,7 @@ def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
     beside_the_law: Source, model: Bench, metric: LearnedMetric
 ) -> None:
     source, core = beside_the_law, loop_filter(metric, model, Bench.nominal())
-    laws = source.node.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
+    laws = create_publisher(source.node, LAW_STATE)
     source.wait(lambda: laws.get_subscription_count() > 0)
     assert shaken(model, lambda sample, told: 0.0)[1], "without a filter the box trips"
     expected: list[float] = []
@@ -289,7 +284,7 @@ def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
 
 def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still: FloatArray) -> None:
     source = beside_the_law
-    laws = source.node.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
+    laws = create_publisher(source.node, LAW_STATE)
     source.wait(lambda: laws.get_subscription_count() > 0)
     sample = samples(still, 1)[0]._replace(proportional_gain=90.0, nominal_current=0.0)
     for sequence in range(10):
@@ -359,7 +354,7 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
     started: Callable[..., Source], still: FloatArray
 ) -> None:
     source = started(*CONSTANT)
-    told = source.node.create_publisher(BoxInfo, BOX, BOX_QOS)
+    told = create_publisher(source.node, BOX)
     bad = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
     digests = (Bench.nominal().digest, "0123456789ab", "", Bench.nominal().digest)
     wanted = (
@@ -414,7 +409,7 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
 
 def _another_box_comes(source: Source, sequence: int, still: Sample) -> None:
     """The same box said again, by whichever node, changes nothing; with another one what was told of it is over."""
-    latched = source.node.create_publisher(BoxInfo, BOX, BOX_QOS)
+    latched = create_publisher(source.node, BOX)
     for plant, firmware, mismatched in (("bridge", "one", True), ("sim", "one", True), ("sim", "another", False)):
         latched.publish(BoxInfo(plant=plant, firmware=firmware))
         for _ in range(20):
@@ -428,7 +423,7 @@ def _another_box_comes(source: Source, sequence: int, still: Sample) -> None:
 
 def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source], still: FloatArray) -> None:
     source = started(*CONSTANT)
-    rival = source.node.create_publisher(StateMessage().message.__class__, STATE, STATE_QOS)
+    rival = create_publisher(source.node, STATE)
     source.wait(lambda: "2 nodes publish /hydro/state" in source.diagnostics[-1].message)
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
     heard = len(source.corrections)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from hydro_bridge.signals import ReferenceSignal
-from hydro_policy.envs.filter_kinds import FILTERS
+from hydro_policy.envs import FILTERS
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.learner_process.learner import compile_updates

@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 
 from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better, verdict
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.snapshot import actor_parameters, dump
-from hydro_policy.sessions.episode import Progress
-from hydro_policy.sessions.run_state import RunState
+from hydro_policy.sessions.run_state import Progress, RunState
+from hydro_policy.task.cases import Score
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
-from hydro_policy.task.scoring import Score
 
 CASES = ("0.5 Hz", "1 Hz", "1.5 Hz", "2 Hz")
 FIXED = np.array([5.0, 12.0, 20.0, 40.0])
@@ -48,7 +46,7 @@ class Learner:
     def snapshot(self) -> bytes:
         return self.states[-1]
 
-    def keep(self, good: bytes) -> None:
+    def save_policy(self, good: bytes) -> None:
         pass
 
 
@@ -86,14 +84,14 @@ def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> 
     came = actor_parameters(learner.states[0])
 
     def examined(share: float, scatter: float) -> bool:
-        state.keeper.propose()
+        state.propose()
         return state.add_exam(scores(share * FIXED * np.array([[1.0 - scatter], [1.0 + scatter]])))
 
     assert examined(0.5, 0.04)
     learner.learn()
     assert not examined(0.48, 0.04), "better by less than the scatter"
-    np.testing.assert_array_equal(state.keeper.best, came)
+    np.testing.assert_array_equal(state.best, came)
     assert progress.best_score == pytest.approx(0.5)
     assert examined(0.3, 0.04)
-    np.testing.assert_array_equal(state.keeper.best, actor_parameters(learner.states[1]))
-    assert np.any(state.keeper.best != came)
+    np.testing.assert_array_equal(state.best, actor_parameters(learner.states[1]))
+    assert np.any(state.best != came)

@@ -85,12 +85,12 @@ def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy()
         session.override.hold(20.0, 5.0, 0.0, graph.time)
         session.on_sample(sequence, np.zeros(14), tripped, graph.time)
         assert session.phase is Phase.PAUSED and session.watch.calming
-        assert session.progress.rollbacks == session.keeper.in_a_row == 0
+        assert session.progress.rollbacks == session.run.rollbacks_in_a_row == 0
         session.override.release()
         while phase is Phase.EVALUATING and session.phase is not Phase.TRAINING:
             graph.run(session, 0.1, learner)
-    assert len(session.record.of("exam")) == 1, "the examination began anew and came to its end"
-    assert not session.record.of("stop")
+    assert len(session.run.record.of("exam")) == 1, "the examination began anew and came to its end"
+    assert not session.run.record.of("stop")
 
 
 def test_calm_follows_a_trip_under_gains_that_a_person_holds_in_an_evaluation_too() -> None:

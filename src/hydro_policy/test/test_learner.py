@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_policy.learner_process.learner import compile_updates
-from hydro_policy.learner_process.shared_memory import SharedBlob
+from hydro_policy.learner_process.learner import SharedBlob, compile_updates
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
-from hydro_policy.runs.checkpoint import load_checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
@@ -166,7 +164,7 @@ def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
 
 
 def test_a_torn_blob_is_no_news_and_the_last_whole_one_stays() -> None:
-    memory = bytearray(SharedBlob.memory_size(100))
+    memory = bytearray(SharedBlob.nbytes(100))
     writer, reader = SharedBlob(memory), SharedBlob(memory)
     assert reader.read() is None and reader.latest() is None
     writer.publish(b"first")

@@ -24,7 +24,7 @@ import rclpy
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import CompanionError, executable_path
-from hydro_bridge.ros.topics import BOX, BOX_QOS, CLAIM_SERVICE, STATE, STATE_QOS
+from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded
@@ -34,9 +34,8 @@ from hydro_msgs.srv import Claim
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.startup.box_expectation import box_mismatch
 from hydro_policy.nodes.startup.companions import PlantOptions, commands
-from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.initial_agent import shipped_agent
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
@@ -170,7 +169,7 @@ class SmallPlant:
 
     def __init__(self) -> None:
         self.node, self.gives, self.asked = rclpy.create_node("plant"), False, 0
-        self.states = [self.node.create_publisher(BenchState, STATE, STATE_QOS)]
+        self.states = [create_publisher(self.node, STATE)]
         self.node.create_service(Claim, CLAIM_SERVICE, self._answer)
         self.executor = rclpy.executors.SingleThreadedExecutor()
         self.executor.add_node(self.node)
@@ -211,7 +210,7 @@ def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
         plant.tick()
         now = time.monotonic() - began
         if len(plant.states) == 1 and session.samples > 5:
-            plant.states.append(plant.node.create_publisher(BenchState, STATE, STATE_QOS))
+            plant.states.append(create_publisher(plant.node, STATE))
             before.append(session.samples)
         for _ in range(20 if before else 0):
             plant.states[-1].publish(BenchState(flags=int(Flag.TRIPPED)))
@@ -283,9 +282,9 @@ def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything
     other, node = rclpy.create_node("plant"), GraphNode("newcomer", realtime=False)
     node.box_fault = partial(box_mismatch, BoxIdentity.of_file(None, BASE))
     try:
-        state = other.create_publisher(BenchState, STATE, STATE_QOS)
+        state = create_publisher(other, STATE)
         if told is not None:
-            other.create_publisher(BoxInfo, BOX, BOX_QOS).publish(told)
+            create_publisher(other, BOX).publish(told)
         ticking = node.create_timer(0.05, lambda: state.publish(BenchState()))
         with pytest.raises((CompanionError, NotReadyError), match=sentence):
             node.wait_for_plant()

@@ -12,8 +12,8 @@ pytest.importorskip("rclpy")
 from rclpy.node import Node
 
 from hydro_bridge.errors import UserError
-from hydro_policy.nodes.startup import plant_choice as module
-from hydro_policy.nodes.startup.plant_choice import choose_plant
+from hydro_policy.nodes.startup import options as module
+from hydro_policy.nodes.startup.options import choose_plant
 
 
 class Looking:

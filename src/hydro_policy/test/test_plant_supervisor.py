@@ -7,10 +7,18 @@ import pytest
 
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
-from hydro_policy.supervision.arming import HOW_TO_ARM
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, UNWATCHED, PlantSupervisor
-from hydro_policy.supervision.requirements import COMPILES, NO_FILTER
+from hydro_policy.supervision.plant_supervisor import (
+    COMPILES,
+    FITS,
+    HOW_TO_ARM,
+    IDLE,
+    MISMATCH,
+    NO_FILTER,
+    TOO_EARLY,
+    UNWATCHED,
+    PlantSupervisor,
+)
 
 ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
 
@@ -96,7 +104,7 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
     watch = PlantSupervisor(heard, rearm, [learner.requirement])
     run(watch, 0, 0.0, 60.0)
     assert heard.armings == [] and not any(HOW_TO_ARM in sentence for sentence in heard.said)
-    assert watch.standing == "disarmed, waiting for the learner"
+    assert watch.summary == "disarmed, waiting for the learner"
     learner.ready = True
     run(watch, 0, 60.0, 60.2)
     assert heard.armings == ([False, True] if rearm else [])

@@ -15,10 +15,9 @@ import pytest
 import yaml
 
 from hydro_policy.envs.randomisation import Randomisation, draw_bench
-from hydro_policy.pretraining.source import load_simulation_setup
+from hydro_policy.pretraining.run import load_simulation_setup
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
-from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import dump

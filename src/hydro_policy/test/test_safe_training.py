@@ -64,8 +64,8 @@ def assert_acts_by(session: TrainingSession, parameters: np.ndarray) -> None:
 def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_from_it() -> None:
     graph, learner, session = start(settings())
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.gave_up
-    exams = session.record.of("exam")
+    assert session.finished and not session.run.gave_up
+    exams = session.run.record.of("exam")
     assert [exam["episode"] for exam in exams] == [0, 1, 2]
     assert learner.replay.produced == session.progress.total_steps == 300
     assert len(session.progress.reference_rmse) == 4, "the fixed gains are examined once"
@@ -81,9 +81,9 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
     graph, learner, session = start(settings(top=285.0, exam=ExamSettings(every=0)))
     started = session.learner.snapshot()
     graph.run(session, 12.0, learner)
-    stops = session.record.of("stop")
+    stops = session.run.record.of("stop")
     assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
-    assert "4 rollbacks in a row" in session.gave_up
+    assert "4 rollbacks in a row" in session.run.gave_up
     assert all("error of" in stop["reason"] or "chattering" in stop["reason"] for stop in stops), "not the box"
     assert f"rolled back to the last good one ({session.policy.digest()})" in stops[-1]["sentence"]
     assert graph.references[-1].waveform is Waveform.HOLD and graph.gains_published[-1][:2] == (0.0, 0.0)
@@ -97,7 +97,7 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     graph, learner, session = start(chosen)
     graph.run(session, 13.5 + 2.0 * LEAD, learner)
     assert session.phase is Phase.TRAINING
-    good = session.keeper.good
+    good = session.run.good
     sample = np.zeros(14)
     session._stop("a test says so", sample)
     assert session.phase is Phase.PAUSED
@@ -108,9 +108,9 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     assert session.phase is Phase.PAUSED, "calm first"
     assert {g[:2] for g in graph.gains_published[-80:]} == {(0.0, 0.0)}
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.gave_up and session.progress.rollbacks >= 1
+    assert session.finished and not session.run.gave_up and session.progress.rollbacks >= 1
     assert learner.updates >= updates, "the updates stay counted"
-    assert session.keeper.in_a_row == 0, "an accepted policy ends the row"
+    assert session.run.rollbacks_in_a_row == 0, "an accepted policy ends the row"
 
 
 def test_monitor_tells_chatter_from_noise_and_a_cycle_from_one_sick_sample() -> None:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.replay import ReplayBuffer

@@ -19,9 +19,8 @@ from safetensors.numpy import save_file
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_policy.nodes.training.start import begin_checkpoint, check_run
 from hydro_policy.pretraining.configurations import configuration
-from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import load_policy
 from hydro_sim.learned.model import Learned
 

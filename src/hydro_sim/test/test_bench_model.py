@@ -91,6 +91,39 @@ def test_jacobian_of_a_sample_is_that_of_differences(name: str) -> None:
         np.testing.assert_allclose(dz[:, j] * scale, by_difference[1] * scale, rtol=1e-5, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (effect("sensor_lag sensor=load_force", bandwidth=25.0, damping=0.55),),
+        (MOTION[3], effect("sensor_lag sensor=load_force", bandwidth=25.0, damping=0.55)),
+        (effect("valve_lag", bandwidth=90.0, damping=0.7), *MEMORY[2:]),
+    ],
+    ids=["lag", "hardening spring", "memory"],
+)
+def test_a_lagging_cell_follows_a_displaced_piston_from_the_samples_start(effects: tuple[dict[str, Any], ...]) -> None:
+    """In few steps per sample, as the filter linearizes: a piston elsewhere is another load in the first step, too."""
+    model = BenchModel(replace(Bench.nominal(), effects=effects), substeps=4)
+    k, y, _ = model.begin(model.values)
+    model.rollout(k, y, wave(137))
+    _, dy, _ = model.jacobian(k, y.copy(), 3e-3)
+    assert (dy[:, 4] == 0.0).all()  # the load is no state of its own
+
+    def load(position: float) -> float:
+        hardening = sum(one["parameters"]["coefficient"] for one in effects if one["id"] == "spring_hardening")
+        travel = position - model.bench.spring_rest_position
+        return float(model.bench.spring_stiffness * travel + hardening * travel**3)
+
+    ends = []
+    for position in (y[2] + 1e-7, y[2] - 1e-7):
+        moved = y.copy()
+        moved[2], moved[4] = position, load(position)
+        model.sample(k, moved, 3e-3)
+        ends.append(moved)
+    scales = np.array([state.scale for state in model.states])
+    difference = (ends[0] - ends[1]) / 2e-7 * scales[2] / scales
+    np.testing.assert_allclose(dy[:, 2] * scales[2] / scales, difference, atol=2e-6)
+
+
 @pytest.mark.parametrize("name", SETS)
 def test_gradient_of_a_prediction_is_that_of_differences(name: str) -> None:
     """By every parameter of every effect, by the bench's numbers, and by the start, over 70 samples."""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings are split by time, digests tell them apart; schedules stay within their limits."""
+"""Runs do not cross gaps; schedules stay within their limits."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import Flag, matrix
+from hydro_bridge.signals import Flag
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation import drawn as schedule
@@ -16,20 +16,6 @@ from hydro_sim.files import recordings
 @pytest.fixture(scope="module")
 def recording():
     return record_offline(profile("default"), schedule.draw(24.0, 5), seed=5)
-
-
-def test_splits_by_time_with_a_gap(recording):
-    data = recordings.split({"one": recording.states})
-    (train,), (validation,) = data.training, data.validation
-    assert train.first + len(train) + 1000 <= validation.first
-    assert np.array_equal(validation.x, matrix(recording.states)[validation.first : validation.first + len(validation)])
-
-
-def test_splits_by_recording_where_there_are_three(recording):
-    states = recording.states
-    data = recordings.split({"a": states[:8000], "b": states[8000:16000], "c": states[16000:]})
-    assert [run.name for run in data.training] == ["a", "b"]
-    assert [run.name for run in data.validation] == ["c"]
 
 
 def test_runs_do_not_cross_gaps_or_faults(recording):

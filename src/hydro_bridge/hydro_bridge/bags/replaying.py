@@ -25,7 +25,9 @@ def restamp(data: bytes, time_ns: int) -> bytes:
 
 
 class Replay:
-    """Passes on recorded messages at their original intervals.
+    """Passes on recorded messages at their original intervals, each stamped with its due time.
+
+    A consumer treats an old stamp as a stale sample.
 
     Parameters
     ----------
@@ -39,9 +41,6 @@ class Replay:
         Recorded seconds per second, above 0.
     loop
         Start again at the end.
-    keep_stamps
-        Keep the header stamps as recorded; otherwise each message is stamped with its due time, since a consumer
-        treats an old stamp as a stale sample.
     """
 
     def __init__(
@@ -52,12 +51,11 @@ class Replay:
         *,
         speed: float = 1.0,
         loop: bool = False,
-        keep_stamps: bool = False,
     ) -> None:
         if not speed > 0.0:
             raise SettingsError(f"speed is {speed:g}, it must be above 0")
         self._path, self._topics, self._publish = path, topics, publish
-        self._speed, self._loop, self._keep_stamps = speed, loop, keep_stamps
+        self._speed, self._loop = speed, loop
         self.published = 0
         self.latest = 0.0
         """s, delay of the last message."""
@@ -84,7 +82,7 @@ class Replay:
             ahead = (log_time - first) / self._speed
             if self._wait(began + 1e-9 * ahead):
                 return
-            stamped = not self._keep_stamps and type_name.rpartition("/")[2] in _STAMPED
+            stamped = type_name.rpartition("/")[2] in _STAMPED
             self._publish(topic, restamp(data, began_ns + int(ahead)) if stamped else data)
             self.published += 1
 

@@ -5,19 +5,187 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from struct import Struct
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
-from mcap.records import Channel
+import yaml
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
-from hydro_bridge.bags.files import mcap_files
-from hydro_bridge.bags.mcap_scan import McapScan, Span
 from hydro_bridge.bags.schema import UnknownTypeError, definition
 from hydro_bridge.bags.types import RecordingError
+
+
+def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
+    """Return the .mcap files in order, and notes on anything unusual about the folder.
+
+    Raises
+    ------
+    RecordingError
+        Nothing there, or a recording that is not stored as plain mcap.
+    """
+    if path.is_file():
+        return [path], []
+    if not path.is_dir():
+        raise RecordingError(f"{path} does not exist")
+    if not (path / "metadata.yaml").is_file():
+        files, notes = (sorted(path.glob("*.mcap")), [f"{path} has no metadata.yaml: read every .mcap in it, by name"])
+    else:
+        files, notes = _listed(path), []
+    if not files:
+        raise RecordingError(f"{path} holds no recording: there is no .mcap in it")
+    return files, notes
+
+
+def _listed(folder: Path) -> list[Path]:
+    try:
+        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+        information: dict[str, Any] = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        names = [Path(name).name for name in information["relative_file_paths"]]
+    except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+        raise RecordingError(f"{folder / 'metadata.yaml'} is no metadata of rosbag2") from None
+    storage, mode = (information.get("storage_identifier"), str(information.get("compression_mode") or "none").lower())
+    if storage != "mcap":
+        raise RecordingError(f"{folder} is stored as {storage}, not as mcap: convert it with rosbags-convert")
+    if mode != "none":
+        raise RecordingError(f"{folder} is compressed by {mode}, not within mcap: convert it with rosbags-convert")
+    return [folder / name for name in names]
+
+
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD = Struct("<BQ")
+_MESSAGE = Struct("<HIQQ")
+_LOOSE = 1 << 20  # bytes of messages outside chunks that are handed on together
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """Location of one channel's messages in a block."""
+
+    starts: npt.NDArray[np.int64]
+    sizes: npt.NDArray[np.int64]
+    log_times: npt.NDArray[np.int64]
+    """ns."""
+
+
+@dataclass
+class McapScan:
+    """Contents of the file; filled in while `blocks` runs."""
+
+    path: Path
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    finished: bool = False
+    """Whether the end of the file was reached as its writer meant it."""
+
+    def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
+        """Yield the bytes of each block and the location of each channel's messages in it.
+
+        Raises
+        ------
+        RecordingError
+            Not an MCAP file, or a damaged chunk. A truncated file raises nothing: `finished` stays False.
+        """
+        try:
+            stream = self.path.open("rb")
+        except OSError as error:
+            raise RecordingError(f"{self.path} cannot be read: {error.strerror}") from None
+        with stream:
+            if stream.read(len(_MAGIC)) != _MAGIC:
+                empty = "is empty" if self.path.stat().st_size == 0 else "is no MCAP file"
+                raise RecordingError(f"{self.path} {empty}")
+            for block in self._raw_blocks(stream):
+                yield block, self._split(block)
+
+    def _raw_blocks(self, stream: BinaryIO) -> Iterator[bytes]:
+        loose = bytearray()
+        size = self.path.stat().st_size
+        while len(head := stream.read(_RECORD.size)) == _RECORD.size:
+            opcode, length = _RECORD.unpack(head)
+            if opcode == 0 or stream.tell() + length > size:
+                break  # cut off here
+            if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+                loose += head + stream.read(length)
+            elif opcode == Opcode.CHUNK:
+                yield self._chunk(stream.read(length), stream.tell() - length)
+            elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+                self._note(opcode, stream.read(length))
+            elif opcode == Opcode.DATA_END:
+                self.finished = True
+                break
+            else:
+                stream.seek(length, 1)
+            if len(loose) > _LOOSE:
+                yield bytes(loose)
+                loose.clear()
+        if loose:
+            yield bytes(loose)
+
+    def _chunk(self, body: bytes, place: int) -> bytes:
+        try:
+            stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
+        except CRCValidationError:
+            raise RecordingError(
+                f"{self.path} is damaged: the check sum of the chunk at byte {place} does not hold"
+            ) from None
+        except Exception as error:
+            raise RecordingError(
+                f"{self.path} is damaged: the chunk at byte {place} cannot be unpacked: {error}"
+            ) from None
+        return stream.read(size)
+
+    def _note(self, opcode: int, body: bytes) -> None:
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.METADATA:
+            record = Metadata.read(stream)
+            self.metadata[record.name] = record.metadata
+        else:
+            attachment = Attachment.read(stream)
+            self.attachments[attachment.name] = attachment.data
+
+    def _split(self, block: bytes) -> dict[int, Span]:
+        places: dict[int, list[tuple[int, int, int]]] = {}
+        place, end = 0, len(block)
+        record, message, kind = (_RECORD.unpack_from, _MESSAGE.unpack_from, int(Opcode.MESSAGE))
+        while place + _RECORD.size <= end:
+            opcode, length = record(block, place)
+            place += _RECORD.size
+            if opcode == kind:
+                channel, _, log_time, _ = message(block, place)
+                entry = (place + _MESSAGE.size, length - _MESSAGE.size, log_time)
+                if channel in places:
+                    places[channel].append(entry)
+                else:
+                    places[channel] = [entry]
+            else:
+                self._declare(opcode, block[place : place + length])
+            place += length
+        return {channel: _span(entries) for channel, entries in places.items()}
+
+    def _declare(self, opcode: int, body: bytes) -> None:
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream)
+            self.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream)
+            self.channels[channel.id] = channel
+
+
+def _span(entries: list[tuple[int, int, int]]) -> Span:
+    columns = np.array(entries, np.int64)
+    return Span(starts=columns[:, 0], sizes=columns[:, 1], log_times=columns[:, 2])
+
 
 Table = npt.NDArray[np.void]
 """Structured array of one topic: `time` [s], then the message's fields."""
@@ -109,3 +277,49 @@ def decode_span(path: Path, topic: str, layout: FixedLayout, block: bytes, span:
         except ValueError as error:
             raise RecordingError(f"{path}: a message of {topic} cannot be read: {error}") from None
     return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingSummary:
+    """Counts over one recording."""
+
+    files: tuple[Path, ...]
+    size: int
+    """Bytes of all files."""
+    begin_ns: int
+    """ns since 1970, log time of the first message; 0 without any."""
+    end_ns: int
+    topics: dict[str, tuple[str, int]]
+    """Type and number of messages of each announced topic."""
+    notes: tuple[str, ...]
+    """Irregularities, a sentence each."""
+
+
+def summarized(path: Path | str) -> RecordingSummary:
+    """Count a recording's messages in one pass over its files.
+
+    Raises
+    ------
+    RecordingError
+        Nothing there, or damaged.
+    """
+    source = BagSource(Path(path))
+    counts: dict[str, int] = {}
+    first, last = 2**63 - 1, 0
+    for _, channel, _, span in source.spans():
+        counts[channel.topic] = counts.get(channel.topic, 0) + len(span.log_times)
+        if len(span.log_times):
+            first, last = min(first, int(span.log_times.min())), max(last, int(span.log_times.max()))
+    announced = {
+        channel.topic: scan.schemas[channel.schema_id].name if channel.schema_id in scan.schemas else ""
+        for scan in source.scans
+        for channel in scan.channels.values()
+    }
+    return RecordingSummary(
+        files=tuple(scan.path for scan in source.scans),
+        size=sum(scan.path.stat().st_size for scan in source.scans),
+        begin_ns=first if last else 0,
+        end_ns=last,
+        topics={topic: (kind, counts.get(topic, 0)) for topic, kind in announced.items()},
+        notes=tuple(source.notes),
+    )

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thinning of series to screen resolution: minimum and maximum of each 10 ms slot.
+"""Thinning of series to screen resolution: minimum and maximum of each slot; a pulse of one sample stays visible.
 
-A pulse of one sample stays visible, and memory is bounded by the ring::
+`Thinner`, of a live series, keeps the last minute in a ring::
 
     ring, shape (kept, columns, 2):   slot n is row n % kept;   [..., 0] minimum, [..., 1] maximum, NaN: no sample
     n = floor(time / SLOT)            ... | closed | closed | open |    the open slot is still filling, not yet shown
+
+`GrowingThinner`, of a recording of unknown length, lets its slots grow with it::
+
+    slots of 10 ms   | 0 | 1 | 2 | 3 | ... | limit - 1 |     full, and another sample arrives:
+    slots of 20 ms   |   0   |   1   | ... |           |     pairs are merged; and so on
 """
 
 from __future__ import annotations
@@ -79,12 +84,7 @@ class Thinner:
         if not len(slots):
             return
         self._open_until(int(slots[-1]))
-        rows, starts = np.unique(slots, return_index=True)
-        finite = np.where(np.isfinite(values), values, np.nan)
-        place = rows % kept
-        ring = self._ring
-        ring[place, :, 0] = np.fmin(ring[place, :, 0], np.fmin.reduceat(finite, starts, axis=0))
-        ring[place, :, 1] = np.fmax(ring[place, :, 1], np.fmax.reduceat(finite, starts, axis=0))
+        _reduce_into(self._ring, slots, values)
 
     def take(self) -> Slots:
         """Return the slots closed since the last call."""
@@ -109,3 +109,82 @@ class Thinner:
     def _between(self, first: int, end: int) -> Slots:
         rows = np.arange(first, max(first, end)) % len(self._ring)
         return Slots(first, self._ring[rows])
+
+
+LIMIT = 2**16
+"""Number of slots: 655 s at 10 ms; an hour is 5.6 times that, in slots of 80 ms."""
+JUMP = 3600.0
+"""s between two samples beyond which the later one's stamp is rejected."""
+
+
+class GrowingThinner:
+    """Thins one stream of samples from `begin` on.
+
+    Parameters
+    ----------
+    columns
+        Number of values in a sample.
+    begin
+        Start of the first slot, s.
+    limit
+        Number of slots kept, even.
+    """
+
+    def __init__(self, columns: int, begin: float, limit: int = LIMIT) -> None:
+        self._begin, self._last = begin, begin
+        self._table = np.full((limit, columns, 2), np.nan, np.float32)
+        self._end = 0
+        self.slot = SLOT
+        """s."""
+        self.left_out = 0
+        """Samples before `begin`, or more than `JUMP` after all previous ones."""
+
+    @property
+    def end(self) -> float:
+        """Time of the latest sample, s, on the clock of the samples."""
+        return self._last
+
+    def add(self, times: FloatArray, values: FloatArray) -> None:
+        """Add samples.
+
+        Parameters
+        ----------
+        times
+            s, shape (n,).
+        values
+            Shape (n, columns). Non-finite values count as missing.
+        """
+        good = (times >= self._begin) & (times < self._last + JUMP)
+        self.left_out += int(len(times) - np.count_nonzero(good))
+        times, values = times[good], values[good]
+        if not len(times):
+            return
+        self._last = max(self._last, float(times.max()))
+        while self._last - self._begin >= self.slot * len(self._table):
+            self._merge()
+        slots = np.floor((times - self._begin) / self.slot).astype(np.int64)
+        order = np.argsort(slots, kind="stable")
+        _reduce_into(self._table, slots[order], values[order])
+        self._end = max(self._end, int(slots.max()) + 1)
+
+    def values(self, slot: float) -> npt.NDArray[np.float32]:
+        """Return minimum and maximum in slots of `slot` s, or this series' own if longer, shape (slots, columns, 2)."""
+        while self.slot < slot:
+            self._merge()
+        return self._table[: self._end]
+
+    def _merge(self) -> None:
+        half = len(self._table) // 2
+        self._table[:half, :, 0] = np.fmin(self._table[::2, :, 0], self._table[1::2, :, 0])
+        self._table[:half, :, 1] = np.fmax(self._table[::2, :, 1], self._table[1::2, :, 1])
+        self._table[half:] = np.nan
+        self._end = -(-self._end // 2)
+        self.slot *= 2.0
+
+
+def _reduce_into(table: npt.NDArray[np.float32], slots: npt.NDArray[np.int64], values: FloatArray) -> None:
+    """Extend minimum and maximum of slots, rows `slot % len(table)`, by the values of samples sorted by slot."""
+    numbers, starts = np.unique(slots, return_index=True)
+    rows, finite = numbers % len(table), np.where(np.isfinite(values), values, np.nan)
+    table[rows, :, 0] = np.fmin(table[rows, :, 0], np.fmin.reduceat(finite, starts, axis=0))
+    table[rows, :, 1] = np.fmax(table[rows, :, 1], np.fmax.reduceat(finite, starts, axis=0))

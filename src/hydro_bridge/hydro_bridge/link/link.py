@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 
 from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
-from hydro_bridge.link.remarks import LEAST_BAUD, connection_remarks, incomplete
-from hydro_bridge.link.timing import LinkTimes
-from hydro_bridge.safety.guard import CommandGuard, narrowed
+from hydro_bridge.process.latency import Latency
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings, narrowed
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import (
     VERSION,
@@ -36,6 +36,87 @@ from hydro_bridge.serial.protocol import (
 )
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, Law, flag_names
+
+LEAST_BAUD = 1_300_000
+"""bit/s below which version 3, and with it the other law, is not spoken: its STATE does not fit between two samples."""
+NO_LAW = "only the paper's force law can be run: the box offers no other"
+SLOW_LINE = f"only the paper's force law can be run: another needs a line of {LEAST_BAUD} bit/s (--baud)"
+
+
+def incomplete(version: int, details: BoxDetails | None) -> str:
+    """Return a sentence on a box of version 2 or more whose HELLO is not followed by what belongs to it."""
+    said, missing = ("DETAILS", "LAW") if details else ("HELLO", "DETAILS")
+    return f"the box speaks protocol version {version} and sends no {missing} behind its {said}: no command is sent"
+
+
+MISSED = (
+    "the box speaks protocol version 1: it cannot tell its force and sensor limits, which bench it believes, which "
+    "references it refused, and a restart whose HELLO was lost is seen by its sequence only"
+)
+
+
+def connection_remarks(
+    wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None, law: BoxLaw | None, baud: int
+) -> list[str]:
+    """Return sentences for the log; none for a box with both laws that allows everything the guard is set to."""
+    said = ([] if details else [MISSED]) + ([] if law else [NO_LAW if baud >= LEAST_BAUD else SLOW_LINE])
+    allowed = narrowed(wanted, info)
+    changed = [
+        f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"
+        for entry in fields(wanted)
+        if getattr(wanted, entry.name) != getattr(allowed, entry.name)
+    ]
+    if changed:
+        said.append(f"the box narrows the guard: {', '.join(changed)}")
+    if details and 0.0 < details.force_range < wanted.reference_force_max:
+        said.append(
+            f"the box refuses references beyond {details.force_range:g} N, the guard those beyond "
+            f"{wanted.reference_force_max:g} N"
+        )
+    if details and 0.0 < details.load_force_limit < wanted.reference_force_max:
+        said.append(
+            f"the box trips beyond a load force of {details.load_force_limit:g} N, the guard takes references up to "
+            f"{wanted.reference_force_max:g} N"
+        )
+    return said
+
+
+_RECENT = 256  # number of samples and commands kept
+_WRAP = 0xFFFFFFFF
+
+
+@dataclass
+class LinkTimes:
+    """Two latencies, measured at every sample. Times are seconds of one monotonic clock."""
+
+    turnaround: Latency = field(default_factory=Latency)
+    """From receiving a state frame to sending the command frame that corrects it: publishing, the filter, and back."""
+    round_trip: Latency = field(default_factory=Latency)
+    """From sending a command frame to the first state frame that confirms it; up to one sample of it is the box's."""
+    _arrived: dict[int, float] = field(default_factory=dict)
+    _sent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_RECENT))
+
+    def state_arrived(self, sequence: int, last_command: int, now: float) -> None:
+        """Record a sample, and the newest command that the box had received by then."""
+        self._arrived[sequence] = now
+        self._arrived.pop((sequence - _RECENT) & _WRAP, None)
+        while self._sent and (last_command - self._sent[0][0]) & _WRAP < _RECENT:
+            command, at = self._sent.popleft()
+            if command == last_command:
+                self.round_trip.add(now - at)
+
+    def command_sent(self, sequence: int, corrects: int | None, now: float) -> None:
+        """Record a command, and the sample whose correction triggered it."""
+        self._sent.append((sequence, now))
+        arrived = self._arrived.get(corrects) if corrects is not None else None
+        if arrived is not None:
+            self.turnaround.add(now - arrived)
+
+    def forget(self) -> None:
+        """Discard pending measurements: sequence numbers restart."""
+        self._arrived.clear()
+        self._sent.clear()
+
 
 _NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1

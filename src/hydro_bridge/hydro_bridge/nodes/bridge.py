@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ class BridgeSide(Link):
     """Differences between the box and its bench file, if any."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
+        """See `hydro_bridge.nodes.gate.PlantSide`."""
         report, flags = self.report, self.flags
         with self.lock:
             guard = asdict(self.guard.counts)
@@ -119,34 +119,22 @@ class BridgeNode(PlantNode):
         self.publish_box(known_box(info, self._bench, "bridge", self.link.details), self.link.law)
 
 
-@dataclass(frozen=True, kw_only=True)
-class BridgeOptions:
-    """Options of the command line."""
-
-    port: PortSettings
-    bench: Path | None
-    """bench.yaml of the box; None: none was given, and none is installed."""
-    realtime: bool
-
-
-def arguments(own: Sequence[str]) -> BridgeOptions:
-    """Parse the command line."""
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of the command line."""
+    result = argparse.ArgumentParser(
         prog="bridge",
         description="The box on a serial line as topics: /hydro/state; gains, correction, reference, /hydro/arm.",
         epilog="Limits, ages and time-outs are ROS parameters: --ros-args -p guard.delta_kp_max:=50.0. The plant is "
         "armed by the trainer, or by `ros2 run hydro_bridge arm`.",
     )
     texts, defaults = describe(PortSettings), PortSettings()
-    parser.add_argument("--port", default=defaults.path, help=f"{texts['path'].text}; default %(default)s")
-    parser.add_argument("--baud", type=int, default=defaults.baud, help=f"{texts['baud'].text}; default %(default)s")
-    parser.add_argument(
+    result.add_argument("--port", default=defaults.path, help=f"{texts['path'].text}; default %(default)s")
+    result.add_argument("--baud", type=int, default=defaults.baud, help=f"{texts['baud'].text}; default %(default)s")
+    result.add_argument(
         "--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: the nominal bench"
     )
-    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
-    options = parser.parse_args(own)
-    port = replace(defaults, path=options.port, baud=options.baud)
-    return BridgeOptions(port=port, bench=options.bench or bench_file.shipped(), realtime=options.realtime)
+    result.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
+    return result
 
 
 def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
@@ -175,7 +163,8 @@ def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    asked = arguments(own)
-    bench = bench_file.read_numbers(asked.bench) if asked.bench else None
-    refuse_unusable_port(asked.port)
-    run_node(lambda: BridgeNode(asked.port, bench, realtime=asked.realtime), ros)
+    options = parser().parse_args(own)
+    port, file = PortSettings(path=options.port, baud=options.baud), options.bench or bench_file.shipped()
+    bench = bench_file.read_numbers(file) if file else None
+    refuse_unusable_port(port)
+    run_node(lambda: BridgeNode(port, bench, realtime=options.realtime), ros)

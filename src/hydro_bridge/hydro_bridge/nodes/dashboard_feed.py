@@ -4,33 +4,138 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from functools import partial
 from math import inf
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
-from hydro_bridge.dashboard import series, words
+from hydro_bridge.dashboard import series, status
 from hydro_bridge.dashboard.server import PageServer
-from hydro_bridge.dashboard.thinning import SLOT
-from hydro_bridge.nodes.dashboard_samples import Samples
-from hydro_bridge.ros.messages import listen_to_box
+from hydro_bridge.dashboard.thinning import SLOT, Thinner
+from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.topics import (
     AUTHORITY,
-    AUTHORITY_QOS,
     CORRECTION,
     DIAGNOSTICS,
     GAINS,
     GRAPH,
+    LAW_STATE,
     REFERENCE,
     STATE,
     TRAINING,
+    create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_msgs.msg import Authority, TrainingStatus
+
+QUEUE = 500
+"""Messages per topic that wait for the next frame: half a second."""
+
+_NO_SERVICES = Parameter("start_type_description_service", value=False)
+
+
+class Samples:
+    """Takes the messages received since the last frame, through a separate node that is never spun."""
+
+    def __init__(self) -> None:
+        self._listener = Node(
+            "dashboard_samples",
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[_NO_SERVICES],
+        )
+        self._states, self._corrections = self._queued(STATE), self._queued(CORRECTION)
+        self._decode_states = series.Decoder(series.STATE_TYPE)
+        self._decode_corrections = series.Decoder(series.CORRECTION_TYPE)
+        self._laws, self._decode_laws = self._queued(LAW_STATE), series.Decoder(series.LAW_TYPE)
+        self._sequence = -1
+        self.series = (
+            Thinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA)),
+            Thinner(len(series.CORRECTION_COLUMNS)),
+            Thinner(len(series.LAW_COLUMNS)),
+        )
+        """Thinners of the samples, of the corrections and of the compensated law."""
+        self.decided = status.FilterCounts()
+        self.taken_at = -inf
+        """s, monotonic time at which the last sample was taken."""
+        self.compensated_at = -inf
+        """s, monotonic time at which the compensated law acted last."""
+        self.flags = 0
+        """Flags of the last sample."""
+        self.count = 0
+        self.lost = 0
+        """Samples missing in the sequence."""
+
+    @property
+    def contested(self) -> bool:
+        """Whether more than one plant publishes samples."""
+        return bool(self._states.get_publisher_count() > 1)
+
+    def take(self, now: float) -> None:
+        """Take all queued messages at `now` [s, monotonic]."""
+        self._take_states(now)
+        self._take_corrections()
+        if (table := _decoded(self._decode_laws, _all(self._laws))) is not None:
+            self.compensated_at = now
+            self.series[2].add(table["time"], series.values(series.LAW_COLUMNS, table))
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._listener.destroy_node()
+
+    def _queued(self, topic: str) -> Subscription:
+        qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return self._listener.create_subscription(GRAPH[topic][0], topic, _never, qos, raw=True)
+
+    def _take_states(self, now: float) -> None:
+        table = _decoded(self._decode_states, _all(self._states))
+        if table is None:
+            return
+        sequence = table["sequence"].astype(np.int64)
+        gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
+        self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
+        self.count += len(table)
+        self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
+        self.series[0].add(table["time"], series.state_values(table))
+
+    def _take_corrections(self) -> None:
+        table = _decoded(self._decode_corrections, _all(self._corrections))
+        if table is None:
+            return
+        self.decided.add(Counter(table["status"].tolist()))
+        self.series[1].add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
+
+
+def _all(subscription: Subscription) -> list[bytes]:
+    """Return the queued messages, at most one queue of them."""
+    messages: list[bytes] = []
+    with subscription.handle:
+        while len(messages) < QUEUE and (taken := subscription.handle.take_message(subscription.msg_type, True)):
+            messages.append(taken[0])
+    return messages
+
+
+def _decoded(decoder: series.Decoder, messages: list[bytes]) -> npt.NDArray[np.void] | None:
+    """Return the messages as a table; None if there are none, or of a plant of another version."""
+    try:
+        return decoder.table(messages) if messages else None
+    except ValueError:  # unknown layout
+        return None
+
+
+def _never(_: object) -> None:
+    """Callback that is never called: the node of the samples is not spun."""
+
 
 PERIOD = 0.05
 """s between two frames."""
@@ -54,11 +159,11 @@ class Feed:
         self._authority = self._word = Authority()
         self._box: dict[str, Any] = {}
         self._training: dict[str, Any] = {}
-        self._curve, self._nodes = words.Curve(), words.Nodes()
+        self._curve, self._nodes = status.Curve(), status.Nodes()
         self._frames = 0
         self._server: PageServer | None = None
-        self._words_heard = node.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
-        listen_to_box(node, self._on_box)
+        self._words_heard = create_subscription(node, AUTHORITY, self._on_authority)
+        subscribe_to_box(node, self._on_box)
         node.create_subscription(TrainingStatus, TRAINING, self._on_training, _best_effort(TRAINING))
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, _best_effort(DIAGNOSTICS))
 
@@ -98,27 +203,27 @@ class Feed:
             if self._server.viewers and len(slots.values):
                 frames.append(slots.encoded(number))
         if self._server.viewers:
-            frames.append(words.encoded("pulse", self._pulse(now)))
+            frames.append(status.encoded("pulse", self._pulse(now)))
             if self._frames % _WORDS_EVERY == 0:
-                frames.append(words.encoded("words", self._words(now)))
+                frames.append(status.encoded("words", self._words(now)))
         self._server.publish(frames, partial(self._welcome, now))
 
     def _welcome(self, now: float) -> list[str | bytes]:
         """Return the initial content of a page: names and units, the last minute, the status texts."""
         hello = {"slot": SLOT, "series": series.described()}
-        told: list[str | bytes] = [words.encoded("hello", hello)]
+        told: list[str | bytes] = [status.encoded("hello", hello)]
         for number, thinned in enumerate(self._samples.series):
             told.append(thinned.history().encoded(number))
-        return [*told, words.encoded("pulse", self._pulse(now)), words.encoded("words", self._words(now))]
+        return [*told, status.encoded("pulse", self._pulse(now)), status.encoded("words", self._words(now))]
 
     def _pulse(self, now: float) -> dict[str, Any]:
         age = now - self._samples.taken_at
         return {
             "age": round(age, 3) if age < inf else None,
-            "alive": age < words.DEAD_AFTER,
+            "alive": age < status.DEAD_AFTER,
             "sent": round(1e3 * now),
             "contested": self._samples.contested,
-            "flags": words.flag_words(self._samples.flags),
+            "flags": status.flag_labels(self._samples.flags),
             "epoch": str(self.epoch),
             "holder": self.holder,
         }
@@ -130,7 +235,7 @@ class Feed:
             "training": self._training,
             "curve": self._curve.content(),
             "filter": self._samples.decided.take(),
-            "law": "compensated" if now - self._samples.compensated_at < words.DEAD_AFTER else "paper",
+            "law": "compensated" if now - self._samples.compensated_at < status.DEAD_AFTER else "paper",
             "nodes": self._nodes.content(now),
             "publishers": published,
             "missed": self._samples.lost,
@@ -163,7 +268,7 @@ class Feed:
         }
 
     def _on_training(self, message: TrainingStatus) -> None:
-        phase = words.PHASES[message.phase] if message.phase < len(words.PHASES) else str(message.phase)
+        phase = status.PHASES[message.phase] if message.phase < len(status.PHASES) else str(message.phase)
         self._curve.add(message.phase, message.episode, message.force_rmse, message.episode_return)
         self._training = {
             "phase": phase,
@@ -178,9 +283,9 @@ class Feed:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
-        for status in message.status:
-            values = {entry.key: entry.value for entry in status.values}
-            self._nodes.hear(status.name, int.from_bytes(status.level, "little"), status.message, values, now)
+        for node in message.status:
+            values = {entry.key: entry.value for entry in node.values}
+            self._nodes.update(node.name, int.from_bytes(node.level, "little"), node.message, values, now)
 
 
 def _best_effort(topic: str) -> QoSProfile:

@@ -15,6 +15,7 @@ the time of its first message; commands on a topic with two are then ignored, an
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
@@ -24,20 +25,81 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool
 
-from hydro_bridge.nodes.gate_words import GateWords
-from hydro_bridge.ros.diagnostics import publisher_conflicts
-from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, CLAIM_SERVICE, COMMANDS, CORRECTION, STATE
+from hydro_bridge.ros.diagnostics import CALLS, Status, publisher_conflicts
+from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, CLAIM_SERVICE, COMMANDS, CORRECTION, STATE, create_publisher
 from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import ReferenceSignal
+from hydro_msgs.msg import Authority as AuthorityMessage
 from hydro_msgs.srv import Claim
+
+_NEWCOMERS = 50
+"""Corrections per second without the epoch that are not reported: those of a filter that has not received it yet."""
+
+
+class GateWords:
+    """Announces one authority.
+
+    Parameters
+    ----------
+    node
+        Node of the plant.
+    authority
+        Authority that is announced.
+    """
+
+    def __init__(self, node: Node, authority: Authority) -> None:
+        self._node, self._authority = node, authority
+        self._publisher = create_publisher(node, AUTHORITY)
+        self._told: Counter[str] = Counter()
+        self._last = ""
+        self._calls = node.get_logger().get_child(CALLS)
+
+    def tell(self) -> None:
+        """Publish the holder, and the epoch that commands must carry now."""
+        authority = self._authority
+        message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+        self._last = ""
+
+    def tell_refused(self) -> None:
+        """Log how many commands were refused since the last call, and the publishers of these topics.
+
+        The holder is announced again: messages of a restarted plant are ignored while its killed predecessor is still
+        in the graph, and the new plant cannot know that.
+        """
+        news = self._authority.refused - self._told
+        if news:
+            self.tell()
+        self._told = self._authority.refused.copy()
+        if news[CORRECTION] <= _NEWCOMERS:
+            del news[CORRECTION]
+        for topic, count in news.items():
+            names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
+            self._node.get_logger().warning(
+                f"refused: {count} of {topic} without the authority over this plant (from {', '.join(names) or 'gone'})"
+                ": the valve does not follow them; end what sends them, or wait until it has the authority"
+            )
+
+    def say(self, sentence: str) -> None:
+        """Log a sentence."""
+        self._node.get_logger().info(sentence)
+
+    def called(self, who: str, answer: str) -> None:
+        """Log a caller's request and the answer, once until either changes: some callers repeat their requests."""
+        sentence = f"{who}: {answer}"
+        if sentence != self._last:
+            self._calls.info(sentence)
+        self._last = sentence
+
 
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
 _LOOK = 0.1  # s between two checks of the publishers
 
 
-class Plant(Protocol):
-    """Plant that is armed and disarmed; see `hydro_bridge.nodes.plant_node.PlantSide`."""
+class PlantSide(Protocol):
+    """Plant behind a plant node; it runs in its own thread."""
 
     guard: CommandGuard
 
@@ -46,10 +108,13 @@ class Plant(Protocol):
         """Lock held while the guard is used."""
 
     def send(self, corrects: int | None = None) -> None:
-        """Send the guard's present command at once."""
+        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
 
     def arm(self, arm: bool) -> str:
-        """Arm or disarm; return why it failed, or nothing."""
+        """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
+
+    def status(self) -> Status:
+        """Status for /diagnostics."""
 
 
 class Gate:
@@ -65,7 +130,7 @@ class Gate:
         Whether the box has disarmed by itself.
     """
 
-    def __init__(self, node: Node, plant: Plant, tripped: Callable[[], bool]) -> None:
+    def __init__(self, node: Node, plant: PlantSide, tripped: Callable[[], bool]) -> None:
         self.authority = Authority()
         self._node, self._plant, self._tripped = node, plant, tripped
         self._armed, self._crowd = False, ""
@@ -93,7 +158,7 @@ class Gate:
         now = self._now()
         admitted = self.authority.admits(topic, epoch, now)
         if admitted and topic != CORRECTION:  # the filter continues without the holder
-            self.authority.hear(now)
+            self.authority.renew(now)
         return admitted
 
     def crowd(self) -> str:

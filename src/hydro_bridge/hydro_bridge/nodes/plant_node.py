@@ -15,14 +15,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from hydro_bridge.nodes.gate import Gate
+from hydro_bridge.nodes.gate import Gate, PlantSide
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, with_publisher_conflicts
 from hydro_bridge.ros.messages import (
     StateMessage,
@@ -35,47 +33,20 @@ from hydro_bridge.ros.messages import (
 from hydro_bridge.ros.topics import (
     BOX,
     BOX_LAW,
-    BOX_LAW_QOS,
-    BOX_QOS,
     CORRECTION,
-    CORRECTION_QOS,
     GAINS,
-    GAINS_QOS,
     LAW,
-    LAW_QOS,
     LAW_STATE,
-    LAW_STATE_QOS,
     REFERENCE,
-    REFERENCE_QOS,
     STATE,
-    STATE_QOS,
+    create_publisher,
+    create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.frames import BoxLaw, LawState
 from hydro_bridge.signals import Flag, Law, flag_names
-from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, LawCommand, ReferenceSignal
-from hydro_msgs.msg import BoxLaw as BoxLawMessage
+from hydro_msgs.msg import Correction, Gains, LawCommand, ReferenceSignal
 from hydro_msgs.msg import LawState as LawStateMessage
-
-
-class PlantSide(Protocol):
-    """Plant behind a plant node; it runs in its own thread."""
-
-    guard: CommandGuard
-
-    @property
-    def lock(self) -> AbstractContextManager[Any]:
-        """Lock held while the guard is used."""
-
-    def send(self, corrects: int | None = None) -> None:
-        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
-
-    def arm(self, arm: bool) -> str:
-        """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
-
-    def status(self) -> Status:
-        """Status for /diagnostics."""
 
 
 class PlantNode(Node):
@@ -86,13 +57,13 @@ class PlantNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._publisher = self.create_publisher(BenchState, STATE, STATE_QOS)
+        self._publisher = create_publisher(self, STATE)
         self._state = StateMessage()
-        self._law_publisher = self.create_publisher(LawStateMessage, LAW_STATE, LAW_STATE_QOS)
+        self._law_publisher = create_publisher(self, LAW_STATE)
         self._law_state = LawStateMessage()
         self._law_state.header.frame_id = self._state.message.header.frame_id
-        self._box_publisher = self.create_publisher(BoxInfo, BOX, BOX_QOS)
-        self._box_law_publisher = self.create_publisher(BoxLawMessage, BOX_LAW, BOX_LAW_QOS)
+        self._box_publisher = create_publisher(self, BOX)
+        self._box_law_publisher = create_publisher(self, BOX_LAW)
         self._flags, self._tripped = 0, False
         self._beside_another = False
 
@@ -105,10 +76,10 @@ class PlantNode(Node):
             f"[{limits.delta_ki_min:g}, {limits.delta_ki_max:g}] 1/s^2, relying on {limits.relies_on}"
         )
         self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
-        gains = self.create_subscription(Gains, GAINS, self._on_gains, GAINS_QOS)
-        correction = self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
-        reference = self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
-        law = self.create_subscription(LawCommand, LAW, self._on_law, LAW_QOS)
+        gains = create_subscription(self, GAINS, self._on_gains)
+        correction = create_subscription(self, CORRECTION, self._on_correction)
+        reference = create_subscription(self, REFERENCE, self._on_reference)
+        law = create_subscription(self, LAW, self._on_law)
         for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference), (LAW, law)):
             self.gate.listen(topic, heard)  # no callback runs before the node is spun
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))

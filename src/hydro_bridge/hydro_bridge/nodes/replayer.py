@@ -41,7 +41,6 @@ class ReplayerNode(Node):
             lambda topic, data: self._publishers_by_topic[topic].publish(data),
             speed=options.speed,
             loop=options.loop,
-            keep_stamps=options.keep_stamps,
         )
         self.failure: Exception | None = None
         self.done: Future = Future()
@@ -99,7 +98,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
     parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
-    parser.add_argument("--keep-stamps", action="store_true", help="leave the stamps as they were recorded")
     usual = [STATE, BOX, LAW_STATE, BOX_LAW]
     parser.add_argument(
         "--topics", nargs="+", default=usual, metavar="TOPIC", help=f"default, as far as recorded: {' '.join(usual)}"

@@ -1,7 +1,94 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Self-contained HTML pages: one template engine, one style sheet."""
+"""Self-contained HTML pages: one template engine, one style sheet, one shell: `{% extends "shell.html" %}`."""
 
-from hydro_bridge.pages.render import data_uri, environment
-from hydro_bridge.pages.results import Section, results_page
+from __future__ import annotations
 
-__all__ = ["Section", "data_uri", "environment", "results_page"]
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+
+def environment(package: str, folder: str = "templates") -> Environment:
+    """Return the environment with the templates in `folder` of a package and the shared ones.
+
+    Text is escaped unless it is marked safe; an undefined name is an error, not empty text.
+
+    Parameters
+    ----------
+    package
+        Import name, for instance ``hydro_diagnosis``.
+    folder
+        Folder with ``.html`` templates.
+    """
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(package, folder), PackageLoader("hydro_bridge", "pages/templates")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def data_uri(file: Path) -> str:
+    """Return a PNG picture as text for an `img`; raises OSError."""
+    return f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}"
+
+
+class Tabular(Protocol):
+    """Rows of results: `hydro_bridge.cli.console.Table` is one."""
+
+    title: str
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """Key and meaning, with unit, of each column."""
+
+    @property
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Rows with a value for each key."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """Section of a page: heading and content; entries that are not given are omitted."""
+
+    heading: str
+    text: str = ""
+    table: Tabular | None = None
+    picture: Path | None = None
+    """PNG file; omitted if it does not exist."""
+
+
+def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Section]) -> str:
+    """Return the page, self-contained.
+
+    Parameters
+    ----------
+    title
+        Heading of the page.
+    about
+        Facts about the run by name: plant, seed, filter, version of the code.
+    sections
+        Sections in order.
+
+    Raises
+    ------
+    OSError
+        A picture cannot be read.
+    """
+    made = environment("hydro_bridge", "pages/templates")
+    made.filters["shown"] = _shown
+    pictures = {
+        section.heading: data_uri(section.picture)
+        for section in sections
+        if section.picture and section.picture.is_file()
+    }
+    return made.get_template("results.html").render(title=title, about=about, sections=sections, pictures=pictures)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)

@@ -2,15 +2,33 @@
 """Start-up of all executables, before slow imports.
 
 In a package's setup.py:  "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
+After a change of name:   "secure = hydro_bridge.process.start:renamed_to.create_keystore"
 """
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 from importlib import import_module
+from pathlib import Path
 
 from hydro_bridge.errors import UserError
-from hydro_bridge.process import endings, middleware
+from hydro_bridge.process import endings
+
+RMW = "RMW_IMPLEMENTATION"
+_INDEX = "share/ament_index/resource_index/rmw_typesupport"
+_CHOOSER = "rmw_implementation"  # listed in the index as well, but not a middleware
+
+
+def missing_middleware() -> str:
+    """Return a sentence about why no node can start; empty if the middleware is installed or the default."""
+    wanted = os.environ.get(RMW, "")
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    installed = sorted({path.name for prefix in prefixes for path in (prefix / _INDEX).glob("*")} - {_CHOOSER})
+    if not wanted or not installed or wanted in installed:
+        return ""
+    return f"{RMW} is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
 
 
 class MainOf:
@@ -27,7 +45,7 @@ class MainOf:
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         endings.answer(endings.leave)  # importing takes seconds, and a traceback would not help the user
-        if trouble := middleware.missing_middleware():
+        if trouble := missing_middleware():
             endings.complain(trouble)
             return 2
         try:
@@ -42,4 +60,22 @@ class MainOf:
         return status
 
 
+class RenamedTo:
+    """Entry point under an executable's former name, which refuses and names the present one."""
+
+    def __init__(self, name: str = "") -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> RenamedTo:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return RenamedTo(name)
+
+    def __call__(self) -> int:
+        """Refuse."""
+        endings.complain(f"`{Path(sys.argv[0]).name}` is now `{self._name}`")
+        return 2
+
+
 main_of = MainOf()
+renamed_to = RenamedTo()

@@ -18,20 +18,17 @@ from std_srvs.srv import Trigger
 from hydro_bridge.ros.messages import fill_law_command, reference_to_message
 from hydro_bridge.ros.topics import (
     AUTHORITY,
-    AUTHORITY_QOS,
     CLAIM_SERVICE,
     END_SERVICE,
     GAINS,
-    GAINS_QOS,
     LAW,
-    LAW_QOS,
     REFERENCE,
-    REFERENCE_QOS,
+    create_publisher,
+    create_subscription,
 )
 from hydro_bridge.signals import LawCommand, ReferenceSignal
 from hydro_msgs.msg import Authority, Gains
 from hydro_msgs.msg import LawCommand as LawMessage
-from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import Claim
 
 _AGAIN = 0.5  # s between two requests; the plant may give the authority to others after 3 s of silence
@@ -70,7 +67,7 @@ class Commander:
         self._reference_publisher: Publisher | None = None
         self._law = LawMessage()
         self._law_publisher: Publisher | None = None  # from the first command of a law on
-        self._words = node.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
+        self._words = create_subscription(node, AUTHORITY, self._on_authority)
 
     @property
     def held(self) -> bool:
@@ -110,7 +107,7 @@ class Commander:
         if not self.held:
             return
         if self._law_publisher is None:
-            self._law_publisher = self._node.create_publisher(LawMessage, LAW, LAW_QOS)
+            self._law_publisher = create_publisher(self._node, LAW)
         message = fill_law_command(self._law, command)
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.step, message.epoch = step, self._epoch
@@ -164,8 +161,8 @@ class Commander:
     def _begin(self) -> None:
         first = self._gains_publisher is None
         if first:
-            self._gains_publisher = self._node.create_publisher(Gains, GAINS, GAINS_QOS)
-            self._reference_publisher = self._node.create_publisher(ReferenceMessage, REFERENCE, REFERENCE_QOS)
+            self._gains_publisher = create_publisher(self._node, GAINS)
+            self._reference_publisher = create_publisher(self._node, REFERENCE)
         if self._reference is not None:
             self.reference(self._reference)
         if first:

@@ -25,7 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from tqdm import tqdm
 
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, STATE
+from hydro_bridge.ros.topics import DIAGNOSTICS, STATE, create_subscription
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -75,7 +75,7 @@ class Companion:
     ) -> None:
         self.name = name or executable
         self._output = output or sys.stderr
-        self._last_line = ""
+        self._last_output = ""
         parent = os.getpid()
         self.process = subprocess.Popen(
             [str(executable_path(package, executable)), *arguments],
@@ -97,11 +97,11 @@ class Companion:
         return self.process.poll() is None
 
     @property
-    def last_words(self) -> str:
+    def last_line(self) -> str:
         """Its last line of output; once it has ended, all output has been read."""
         if not self.running:
             self._echo.join(1.0)
-        return self._last_line
+        return self._last_output
 
     def stop(self, timeout: float = 5.0) -> int:
         """End the process group by SIGINT, after `timeout` s by SIGKILL; returns its status, negative for a signal."""
@@ -130,7 +130,7 @@ class Companion:
         assert self.process.stdout is not None
         with self.process.stdout as lines:
             for line in lines:
-                self._last_line = line.strip() or self._last_line
+                self._last_output = line.strip() or self._last_output
                 with suppress(ValueError, OSError):  # the program's output is closed already
                     self._output.write(f"[{self.name}] {line.rstrip()}\n")
                     self._output.flush()
@@ -167,7 +167,7 @@ class RecorderWatch:
         self.since = inf
         """Time of its first report of samples, s of the monotonic clock."""
         self._folder, self._recorder = str(folder), recorder
-        node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+        create_subscription(node, DIAGNOSTICS, self._on_diagnostics)
 
     @property
     def requirement(self) -> Requirement:

@@ -12,7 +12,7 @@ from rcl_interfaces.msg import Log
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, LOG, LOG_QOS
+from hydro_bridge.ros.topics import DIAGNOSTICS, LOG, create_publisher
 
 
 class Level(IntEnum):
@@ -41,7 +41,7 @@ class DiagnosticsPublisher:
     ) -> None:
         self._node, self._collect, self._hardware_id = node, collect, hardware_id
         self._name = name or node.get_name()
-        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, DIAGNOSTICS_QOS)
+        self._publisher = create_publisher(node, DIAGNOSTICS)
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
@@ -97,7 +97,7 @@ class Journal:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._publisher = node.create_publisher(Log, LOG, LOG_QOS)
+        self._publisher = create_publisher(node, LOG)
 
     def tell(self, sentence: str, warning: bool = False) -> None:
         """Add a sentence."""

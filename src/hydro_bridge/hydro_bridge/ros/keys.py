@@ -231,7 +231,7 @@ def key_error(error: RuntimeError) -> SettingsError:
     keystore = os.environ.get(KEYSTORE) or "not set"
     return SettingsError(
         f"ROS does not start with keys ({KEYSTORE}: {keystore}): {said}; "
-        "`ros2 run hydro_bridge secure KEYSTORE` makes them, docs/manual/explanation/network.md says "
+        "`ros2 run hydro_bridge create_keystore KEYSTORE` makes them, docs/manual/explanation/network.md says "
         "what else they need"
     )
 
@@ -283,7 +283,7 @@ def make_keystore(folder: Path, policy: bytes, enclaves: Iterable[str]) -> None:
     except ImportError as error:
         raise UserError(
             f"keys are made by the package sros2, which is not here ({error}): apt install ros-jazzy-sros2, "
-            "and source ROS 2; `secure --policy FILE` writes the policy without it"
+            "and source ROS 2; `create_keystore --policy FILE` writes the policy without it"
         ) from None
     if folder.exists():
         raise UserError(f"{folder} is there already: name another folder, its keys will not know those of this one")

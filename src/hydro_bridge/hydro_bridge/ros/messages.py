@@ -10,7 +10,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-from hydro_bridge.ros.topics import BOX, BOX_QOS
+from hydro_bridge.ros.topics import BOX, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.serial.frames import BoxInfo, BoxLaw, LawState
 from hydro_bridge.signals import STATE_FIELDS, Law, LawCommand, ReferenceSignal, Waveform
@@ -161,6 +161,6 @@ def law_state_from_message(message: LawStateMessage) -> LawState:
     return LawState(Law(message.law), *followed, coefficients, message.velocity_compensation, message.valve_gain_scale)
 
 
-def listen_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
+def subscribe_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
     """Call `on_box` with the box's description as soon as the plant node is discovered, and at each change."""
-    return node.create_subscription(BoxMessage, BOX, lambda message: on_box(box_from_message(message)), BOX_QOS)
+    return create_subscription(node, BOX, lambda message: on_box(box_from_message(message)))

@@ -33,7 +33,7 @@ from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from hydro_bridge.errors import UserError
-from hydro_bridge.process import endings, middleware
+from hydro_bridge.process import endings, start
 from hydro_bridge.process.realtime import limit_run
 from hydro_bridge.ros.keys import enclave_arguments, key_error, security_enabled, verify_keys
 from hydro_bridge.settings import Setting, SettingsError, check, converted, describe
@@ -54,7 +54,7 @@ def stay_on_this_machine() -> None:
     UserError
         The middleware that the user selected is not installed.
     """
-    if trouble := middleware.missing_middleware():
+    if trouble := start.missing_middleware():
         raise UserError(trouble)
     here = os.environ.setdefault(RANGE, THIS_MACHINE) == THIS_MACHINE
     profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))

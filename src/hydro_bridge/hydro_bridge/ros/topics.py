@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
 from hydro_msgs.msg import (
     Authority,
@@ -55,38 +59,39 @@ def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
     )
 
 
-STATE_QOS = _qos(200, reliable=False)
-"""Best effort, since an old sample has no value; the queue holds 200 ms of samples for a delayed reader."""
-CORRECTION_QOS = _qos(50, reliable=False)
-GAINS_QOS = _qos(10, reliable=True)
-LAW_QOS = GAINS_QOS
-LAW_STATE_QOS = STATE_QOS
-BOX_QOS = _qos(1, reliable=True, latched=True)
-BOX_LAW_QOS = BOX_QOS
-AUTHORITY_QOS = _qos(1, reliable=True, latched=True)
-REFERENCE_QOS = _qos(1, reliable=True, latched=True)
-TRAINING_QOS = _qos(10, reliable=True)
-POLICY_QOS = _qos(100, reliable=True)
-DIAGNOSTICS_QOS = _qos(10, reliable=True)
-LOG_QOS = _qos(1000, reliable=True, latched=True)
-"""Quality of service of ROS's own log."""
+_SAMPLES = _qos(200, reliable=False)  # an old sample has no value; 200 ms of samples for a delayed reader
+_LATCHED = _qos(1, reliable=True, latched=True)
+_EVENTS = _qos(10, reliable=True)
 
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
-    STATE: (BenchState, STATE_QOS),
-    BOX: (BoxInfo, BOX_QOS),
-    BOX_LAW: (BoxLaw, BOX_LAW_QOS),
-    LAW_STATE: (LawState, LAW_STATE_QOS),
-    AUTHORITY: (Authority, AUTHORITY_QOS),
-    CORRECTION: (Correction, CORRECTION_QOS),
-    GAINS: (Gains, GAINS_QOS),
-    LAW: (LawCommand, LAW_QOS),
-    REFERENCE: (ReferenceSignal, REFERENCE_QOS),
-    TRAINING: (TrainingStatus, TRAINING_QOS),
-    POLICY: (PolicyStep, POLICY_QOS),
-    DIAGNOSTICS: (DiagnosticArray, DIAGNOSTICS_QOS),
-    LOG: (Log, LOG_QOS),
+    STATE: (BenchState, _SAMPLES),
+    BOX: (BoxInfo, _LATCHED),
+    BOX_LAW: (BoxLaw, _LATCHED),
+    LAW_STATE: (LawState, _SAMPLES),
+    AUTHORITY: (Authority, _LATCHED),
+    CORRECTION: (Correction, _qos(50, reliable=False)),
+    GAINS: (Gains, _EVENTS),
+    LAW: (LawCommand, _EVENTS),
+    REFERENCE: (ReferenceSignal, _LATCHED),
+    TRAINING: (TrainingStatus, _EVENTS),
+    POLICY: (PolicyStep, _qos(100, reliable=True)),
+    DIAGNOSTICS: (DiagnosticArray, _EVENTS),
+    LOG: (Log, _qos(1000, reliable=True, latched=True)),
 }
 """Type and quality of service of every topic."""
+
+
+def create_publisher(node: Node, topic: str) -> Publisher:
+    """Publish a topic of `GRAPH`."""
+    kind, qos = GRAPH[topic]
+    return node.create_publisher(kind, topic, qos)
+
+
+def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
+    """Subscribe to a topic of `GRAPH`."""
+    kind, qos = GRAPH[topic]
+    return node.create_subscription(kind, topic, callback, qos)
+
 
 COMMANDS = (GAINS, REFERENCE, CORRECTION, LAW)
 """Topics that command a plant: one publisher each, or nothing is armed."""

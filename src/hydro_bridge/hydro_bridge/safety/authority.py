@@ -84,7 +84,7 @@ class Authority:
         """Take it back from a holder silent for `LEASE`, and return whether one was. Not while the plant is armed."""
         return now - self._heard > LEASE and self.give(self.claim, now)
 
-    def hear(self, now: float) -> None:
+    def renew(self, now: float) -> None:
         """Record a command of the holder, which ends its silence."""
         self._heard = now
 

@@ -322,8 +322,8 @@ class CommandGuard:
 
     def command(self, now: float) -> Command:
         """Return the command that may be sent at time `now`."""
-        if self._arm and self._gained and now - self._gains_at > self.settings.abandoned_after:
-            self.give_up(f"no gains for {self.settings.abandoned_after:g} s, whoever chose them is gone")
+        if self._arm and self._gained and now - self._gains_at > self.settings.gains_timeout:
+            self.give_up(f"no gains for {self.settings.gains_timeout:g} s, whoever chose them is gone")
         if self.compensated:
             return self._compensated_command(now)
         answered, gained = self._answered(now), self.gains_fresh(now)

@@ -40,7 +40,7 @@ class GuardSettings:
     """An older correction acts no more, while the gains that it allows go on (decision 0064)."""
     gains_age_max: Annotated[float, quantity("s", 0.01, 2.0)] = 0.2
     """Older gains are stale."""
-    abandoned_after: Annotated[float, quantity("s", 2.0, 3600.0)] = 10.0
+    gains_timeout: Annotated[float, quantity("s", 2.0, 3600.0)] = 10.0
     """Without gains, after there were some since arming: reference 0 N, disarmed."""
     relies_on: str = "nothing"
     """The filter that gains of this range need to be safe; nothing: the bench bears them all; told at the start."""

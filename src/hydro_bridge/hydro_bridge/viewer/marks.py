@@ -10,28 +10,67 @@ watchdog     flag WATCHDOG: no commands for 50 ms
 authority    /hydro/authority: change of holder
 episode      /hydro/training: start of the next episode, and result of the last one
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
-weights      /hydro/policy: change of the acting weights (`viewer.weights`)
+weights      /hydro/policy: change of the acting weights (`WeightChanges`)
 rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by a person, to within 0.5 s
 call         /rosout, names that end in `calls`: requests to arm, disarm or override, and the answers
 log          /rosout: warnings and errors of all nodes
-window       report.json of a diagnosis: where the recording and the model differ (`viewer.findings`)
+window       report.json of a diagnosis: where the recording and the model differ (`read_report_marks`)
 ===========  ==========================================================================================
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.dashboard.words import PHASES, flag_words
+from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.dashboard.status import PHASES, flag_labels
 from hydro_bridge.signals import Flag, StateArray
-from hydro_bridge.viewer.weights import WeightChanges
+
+STILL = 1.0
+"""s without a change, after which a change is marked."""
+
+
+def digest_of(weights: int) -> str:
+    """Return `PolicyStep.weights` as in the trainer's diagnostics: 12 hex digits."""
+    return f"{weights:012x}"
+
+
+class WeightChanges:
+    """Tracks the acting weights while a recording is read in order."""
+
+    def __init__(self) -> None:
+        self._weights: int | None = None
+        self._changed, self._count = 0.0, 0
+
+    def add(self, steps: npt.NDArray[np.void]) -> list[tuple[float, str]]:
+        """Add PolicyStep records, with `time` [s] and `weights`; returns the marks by time [s] and sentence."""
+        if not len(steps):
+            return []
+        times, weights = steps["time"], steps["weights"]
+        marks = []
+        if self._weights is None:
+            self._changed, self._weights = float(times[0]), int(weights[0])
+            marks.append((self._changed, f"weights {digest_of(self._weights)}, the first to act"))
+        before = np.concatenate((np.array([self._weights], weights.dtype), weights[:-1]))
+        for n in np.flatnonzero(weights != before):
+            time, self._count = float(times[n]), self._count + 1
+            if time - self._changed >= STILL:
+                often = f"{self._count} change{'s' if self._count > 1 else ''} since the mark before"
+                marks.append((time, f"weights {digest_of(int(weights[n]))}, {often}"))
+                self._count = 0
+            self._changed = time
+        self._weights = int(weights[-1])
+        return marks
+
 
 MARKS = 20_000
 """Maximum number of marks; later ones are counted, not kept."""
@@ -132,7 +171,7 @@ class Marks:
     def _change(self, time: float, before: int, now: int) -> None:
         risen, fallen = now & ~before, before & ~now
         if risen & Flag.TRIPPED:
-            others = ", ".join(flag_words(risen & ~int(Flag.TRIPPED)))
+            others = ", ".join(flag_labels(risen & ~int(Flag.TRIPPED)))
             self._add(time, "trip", f"tripped{f': {others}' if others else ''}")
         if risen & Flag.ARMED:
             self._add(time, "armed", "armed")
@@ -160,3 +199,63 @@ _SENTENCES: dict[str, Callable[[str], str]] = {
     "override": lambda said: "gains given back" if said == "no" else f"gains by hand: {said}",
     "examination": lambda said: said,
 }
+
+
+REPORT = "report.json"
+_SAME = 1e-3  # s between two stamps of one sample
+
+
+def report_beside(bag: Path) -> Path | None:
+    """Return the report in the same folder as a recording, if there is one."""
+    report = bag.absolute().parent / REPORT
+    return report if report.is_file() else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportMarks:
+    """Windows of a report for each of its recordings."""
+
+    report: Path
+    marks: dict[str, list[Mark]]
+    """Start of each window by the recording's name, in s from its first sample."""
+    begins: list[tuple[str, float | None]]
+    """Name and stamp [s] of the first sample of each bag; empty in reports without stamps."""
+
+    def of(self, bag: Path, begin: float) -> list[Mark]:
+        """Return those of the recording whose first sample is stamped `begin`; by its name if the report has no stamps.
+
+        Among several with the same start the name decides. A name shared by two recordings is ambiguous and has none.
+        """
+        named = [name for name in self.marks if Path(name).name in (bag.name, bag.stem)]
+        if self.begins:
+            every = [name for name, _ in self.begins]
+            alike = [name for name, stamp in self.begins if stamp is not None and abs(stamp - begin) < _SAME]
+            named = [name for name in alike if len(alike) == 1 or name in named]
+            named = [name for name in named if every.count(name) == 1]
+        return [mark for name in named for mark in self.marks.get(name, [])]
+
+
+def read_report_marks(report: Path) -> ReportMarks:
+    """Read report.json of a diagnosis.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or is not the report of a diagnosis.
+    """
+    try:
+        content = json.loads(report.read_text(encoding="utf-8"))
+        marks: dict[str, list[Mark]] = {}
+        for place in content["location"]:
+            for name, stretches in place["windows"].items():
+                told = [
+                    f"{place['equation']}, for {end - begin:.2f} s: {place['sentence']}" for begin, end in stretches
+                ]
+                begins = [float(begin) for begin, _ in stretches]
+                marks.setdefault(name, []).extend(map(Mark, begins, ["window"] * len(told), told))
+        stamps = [(entry["name"], entry["begin"]) for entry in content.get("recordings", ())]
+        return ReportMarks(report=report, marks=marks, begins=stamps)
+    except OSError as error:
+        raise RecordingError(f"{report}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise RecordingError(f"{report} is no report of a diagnosis") from None

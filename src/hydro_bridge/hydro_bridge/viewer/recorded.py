@@ -15,11 +15,37 @@ import numpy.typing as npt
 from hydro_bridge.bags.reader import STATE_TOPIC, as_states
 from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.dashboard import series, words
-from hydro_bridge.viewer.findings import read_findings
-from hydro_bridge.viewer.growing import GrowingThinner
-from hydro_bridge.viewer.marks import Mark, Marks
-from hydro_bridge.viewer.sample_clock import SampleClock
+from hydro_bridge.dashboard import series, status
+from hydro_bridge.dashboard.thinning import GrowingThinner
+from hydro_bridge.signals import FloatArray
+from hydro_bridge.viewer.marks import Mark, Marks, read_report_marks
+
+APART = 2.0
+"""s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""
+
+
+class SampleClock:
+    """Tracks the samples of a recording as it is read, block by block."""
+
+    def __init__(self) -> None:
+        self._logged, self._time, self._rate = 0.0, 0.0, 0.0  # of the last sample; 0: none yet
+
+    def see(self, logged: npt.NDArray[np.int64], times: FloatArray) -> None:
+        """Add a block of samples: log times [ns] and stamps [s], both of shape (n,)."""
+        if not len(logged):
+            return
+        span = 1e-9 * float(logged[-1] - logged[0])
+        self._rate = float(times[-1] - times[0]) / span if span > 0.0 else self._rate
+        self._logged, self._time = 1e-9 * float(logged[-1]), float(times[-1])
+
+    def at(self, stamps: npt.ArrayLike, logged: npt.ArrayLike) -> FloatArray:
+        """Return the samples' time [s] of messages from their stamps [s] and log times [s], of one shape."""
+        stamps, logged = np.asarray(stamps, np.float64), np.asarray(logged, np.float64)
+        if not self._rate or abs(self._time - self._logged) <= APART:  # no samples yet, or one clock
+            return stamps
+        by_wall_clock = np.abs(stamps - logged) <= APART
+        return np.where(by_wall_clock, self._time + self._rate * (logged - self._logged), stamps)
+
 
 CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro/training", "/hydro/authority"
 POLICY_TOPIC, DIAGNOSTICS_TOPIC, LOG_TOPIC = "/hydro/policy", "/diagnostics", "/rosout"
@@ -84,7 +110,7 @@ class _Reading:
     corrections: GrowingThinner | None = None
     laws: GrowingThinner | None = None
     marks: Marks = field(default_factory=Marks)
-    curve: words.Curve = field(default_factory=words.Curve)
+    curve: status.Curve = field(default_factory=status.Curve)
     clock: SampleClock = field(default_factory=SampleClock)
     foreign: set[str] = field(default_factory=set)
     """Topics whose messages are of another version or type."""
@@ -136,8 +162,8 @@ class _Reading:
         if topic == AUTHORITY_TOPIC:
             self.marks.authority(time, message.holder)
             return
-        for status in message.status:
-            self.marks.diagnostics(time, status.name, {entry.key: entry.value for entry in status.values})
+        for node in message.status:
+            self.marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
 
 
 def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> Recorded:
@@ -157,7 +183,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     RecordingError
         The recording is missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
     """
-    found = None if report is None else read_findings(report)
+    found = None if report is None else read_report_marks(report)
     source = BagSource(Path(path))
     reading = _Reading(span=span)
     decoder = MessageDecoder(source)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_filter filter_header --metric M --bench bench.yaml --out filter_config.h: a filter's numbers for C.
+"""ros2 run hydro_filter export_c --metric M --bench bench.yaml --out filter_config.h: a filter's numbers for C.
 
 Of the constant metric (the default here) for firmware/hydro/filter.h, whose decision is that of `compiled.decide`; of
 the learned one, the graph's default, for firmware/hydro/loop_filter.h (`loop_header`), whose is `loop_decision.decide`.
@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
     """Parser of the command line."""
     usual = FilterSettings()
     parser = argparse.ArgumentParser(
-        prog="filter_header",
+        prog="export_c",
         description="Write a filter's numbers for a box in C: of the constant metric for firmware/hydro/filter.h, "
         "of the learned one for firmware/hydro/loop_filter.h.",
         allow_abbrev=False,
@@ -68,7 +68,7 @@ def header(parts: FilterParts, digest: str) -> str:
         f"    .noise_floor = HYDRO_R({float(parts.noise_floor)!r}),",
     ]
     body = '#include "hydro/filter.h"\n\nstatic const hydro_filter HYDRO_FILTER = {\n' + "\n".join(lines) + "\n};"
-    origin = f"Written by `ros2 run hydro_filter filter_header` for the bench {digest}, constant metric."
+    origin = f"Written by `ros2 run hydro_filter export_c` for the bench {digest}, constant metric."
     return header_file("HYDRO_FILTER_CONFIG_H", origin, body)
 
 
@@ -118,5 +118,5 @@ def _learned(choice: FilterChoice, options: argparse.Namespace) -> str:
     parts = loop_parts(LearnedMetric.load(files["metric"]), load_model(files["model"]), choice.bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     return loop_header.header(
-        parts, f"Written by `ros2 run hydro_filter filter_header` for the bench {choice.bench.digest}: {told}."
+        parts, f"Written by `ros2 run hydro_filter export_c` for the bench {choice.bench.digest}: {told}."
     )

@@ -40,18 +40,16 @@ from hydro_bridge.ros.diagnostics import (
     publisher_conflicts,
     with_publisher_conflicts,
 )
-from hydro_bridge.ros.messages import law_state_from_message, listen_to_box, seconds
+from hydro_bridge.ros.messages import law_state_from_message, seconds, subscribe_to_box
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import (
     AUTHORITY,
-    AUTHORITY_QOS,
     CLOCK,
     CORRECTION,
-    CORRECTION_QOS,
     LAW_STATE,
-    LAW_STATE_QOS,
     STATE,
-    STATE_QOS,
+    create_publisher,
+    create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.settings import check
@@ -124,16 +122,16 @@ class FilterNode(Node):
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
-        self._boxes = listen_to_box(self, self._on_box)
-        self._words = self.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
+        self._boxes = subscribe_to_box(self, self._on_box)
+        self._words = create_subscription(self, AUTHORITY, self._on_authority)
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
         self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._law: LawState | None = None  # the last one, while another law than the paper's acts
         self._waiting: BenchState | None = None  # for its law
-        self._laws = self.create_subscription(LawState, LAW_STATE, self._on_law_state, LAW_STATE_QOS)
+        self._laws = create_subscription(self, LAW_STATE, self._on_law_state)
         # last: states are queued from now on
-        self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        self._states = create_subscription(self, STATE, self._on_state)
 
     def _come_forward(self) -> None:
         """Start answering, unless another filter does."""
@@ -146,7 +144,7 @@ class FilterNode(Node):
                 throttle_duration_sec=10.0,
             )
         else:
-            self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
+            self._publisher = create_publisher(self, CORRECTION)
 
     def _on_authority(self, message: Authority) -> None:
         if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone

@@ -3,3 +3,11 @@
 
 May import `task` and `sac`'s acting policy.
 """
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+FilterName = Literal["none", "constant", "learned"]
+FILTERS: tuple[FilterName, ...] = get_args(FilterName)
+"""Filters between policy and box of a simulated bench, by name; `vector_filter` creates them."""

@@ -19,7 +19,7 @@ from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_decision import LoopParts, Workspace
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories
-from hydro_policy.envs.filter_kinds import FILTERS
+from hydro_policy.envs import FILTERS
 from hydro_sim.model.bench import Bench
 
 _ARMED = np.uint32(Flag.ARMED)

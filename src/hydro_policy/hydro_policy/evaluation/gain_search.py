@@ -20,8 +20,8 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings

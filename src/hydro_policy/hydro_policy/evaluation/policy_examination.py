@@ -13,13 +13,12 @@ import numpy as np
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.sac.policy import Policy
+from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
-from hydro_policy.task.cases import ExamSettings
+from hydro_policy.task.cases import ExamSettings, Score
 from hydro_policy.task.mdp import GainRange
-from hydro_policy.task.scoring import Score
 
 RETRIES = 2
 """Repeats of a sine with late corrections, whose result is not due to the policy."""
@@ -35,16 +34,6 @@ What arming or other gains leave in the box's integral fades with K_p / K_i, whi
 
 EXAMINED = "policy"
 """Name of the policy in an examination's scores."""
-
-
-@dataclass(frozen=True)
-class SessionContext:
-    """Context shared by an examination and the training session that it interrupts."""
-
-    outputs: Outputs
-    watch: PlantSupervisor
-    override: GainOverride
-    monitor: SafetyMonitor
 
 
 @dataclass(frozen=True)
@@ -104,24 +93,28 @@ def examination(
     policy: Policy,
     gains: GainRange,
     reference_too: bool,
-    around: SessionContext,
+    outputs: Outputs,
     *,
+    watch: PlantSupervisor,
+    override: GainOverride,
+    monitor: SafetyMonitor,
     fresh: bool = False,
 ) -> EvaluationSession:
     """Create the session that examines `policy` and, if requested, the fixed gains that its score is relative to.
 
-    `fresh`: no episode has passed since the box was armed.
+    It shares watch, override and monitor with the training session that it interrupts. `fresh`: no episode has passed
+    since the box was armed.
     """
     controllers: list[Controller] = [PolicyController(policy, gains, EXAMINED)]
     if reference_too:
-        controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, around.override.base))
+        controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, override.base))
     return EvaluationSession(
         settings.evaluation,
         controllers,
-        around.outputs,
-        watch=around.watch,
-        override=around.override,
-        monitor=around.monitor,
+        outputs,
+        watch=watch,
+        override=override,
+        monitor=monitor,
         retries=RETRIES,
         lead=LEAD if fresh or reference_too else 0.0,
     )

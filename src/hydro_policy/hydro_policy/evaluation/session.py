@@ -20,13 +20,12 @@ from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
-from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_policy.task.cases import Case, EvaluationSettings, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE_RATE
-from hydro_policy.task.scoring import Score, Trace, score
 from hydro_policy.task.step_aggregator import HELD, StepClock
 from hydro_sim.files import load_force
 

@@ -17,6 +17,7 @@ import multiprocessing
 import os
 import signal
 import time
+import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -28,9 +29,7 @@ import torch
 
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
-from hydro_policy.learner_process.shared_memory import SharedBlob
-from hydro_policy.runs.checkpoint import save_checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, save_checkpoint
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
@@ -38,6 +37,77 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters, dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from hydro_sim.files.stamping import stamped
+
+_HEADER = 64
+_SLOT_HEADER = 16
+
+
+class SharedBlob:
+    """Latest-value exchange of at most `capacity` bytes over a shared buffer (one writer, any number of readers).
+
+    Parameters
+    ----------
+    memory
+        Writable buffer of `nbytes(capacity)` bytes, zero at first, mapped by all sides.
+    """
+
+    def __init__(self, memory: object) -> None:
+        self._bytes = np.frombuffer(memory, np.uint8)  # type: ignore[call-overload]
+        self._version = self._bytes[:8].view(np.int64)
+        self.capacity = (len(self._bytes) - _HEADER) // 2 - _SLOT_HEADER
+        self._seen = 0
+
+    @staticmethod
+    def nbytes(capacity: int) -> int:
+        """Return the bytes needed for blobs of up to `capacity` bytes (rounded up to a multiple of eight)."""
+        return _HEADER + 2 * (_SLOT_HEADER + (capacity + 7) // 8 * 8)
+
+    def publish(self, blob: bytes) -> None:
+        """Make `blob` the latest value.
+
+        Raises
+        ------
+        ValueError
+            `blob` is longer than the capacity.
+        """
+        if len(blob) > self.capacity:
+            raise ValueError(f"{len(blob)} bytes do not fit the {self.capacity} shared ones")
+        version = int(self._version[0]) + 1
+        slot = self._slot(version)
+        slot[:_SLOT_HEADER].view(np.int64)[:] = len(blob), zlib.crc32(blob)
+        slot[_SLOT_HEADER : _SLOT_HEADER + len(blob)] = np.frombuffer(blob, np.uint8)
+        self._version[0] = version
+
+    def read(self) -> bytes | None:
+        """Return the latest value if it is newer than the last one read here, else None."""
+        version = int(self._version[0])
+        if version == self._seen:
+            return None
+        blob = self._copy(version)
+        if blob is not None:
+            self._seen = version
+        return blob
+
+    def latest(self) -> bytes | None:
+        """Return the latest complete value, read before or not; None if there never was one."""
+        version = int(self._version[0])
+        for candidate in range(version, max(version - 2, 0), -1):  # a writer killed halfway leaves the other slot whole
+            blob = self._copy(candidate)
+            if blob is not None:
+                return blob
+        return None
+
+    def _slot(self, version: int) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
+        size = _SLOT_HEADER + self.capacity
+        start = _HEADER + (version % 2) * size
+        return self._bytes[start : start + size]
+
+    def _copy(self, version: int) -> bytes | None:
+        slot = self._slot(version)
+        length, checksum = (int(v) for v in slot[:_SLOT_HEADER].view(np.int64))
+        blob = slot[_SLOT_HEADER : _SLOT_HEADER + min(max(length, 0), self.capacity)].tobytes()
+        return blob if length > 0 and zlib.crc32(blob) == checksum else None
+
 
 SNAPSHOT_PERIOD = 0.5  # s
 _CONTEXT = multiprocessing.get_context("spawn")
@@ -52,10 +122,10 @@ class LearnerMemory:
         hidden = settings.sac.hidden_size
         parameters = 4 * (2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64)  # bytes per network, upper bound
 
-        self._replay = self._block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
-        self._weights = self._block(SharedBlob.memory_size(parameters))
-        self._snapshot = self._block(SharedBlob.memory_size(16 * parameters + 16384))
-        self._good = self._block(SharedBlob.memory_size(16 * parameters + 16384))
+        self._replay = self._block(ReplayBuffer.nbytes(OBSERVATIONS, ACTIONS, self.capacity))
+        self._weights = self._block(SharedBlob.nbytes(parameters))
+        self._snapshot = self._block(SharedBlob.nbytes(16 * parameters + 16384))
+        self._good = self._block(SharedBlob.nbytes(16 * parameters + 16384))
         self._status = self._block(64)
 
     def _block(self, size: int) -> Any:

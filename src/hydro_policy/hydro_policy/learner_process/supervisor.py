@@ -32,8 +32,7 @@ from hydro_policy.learner_process.learner import (
     run_learner,
     write_run,
 )
-from hydro_policy.runs.checkpoint import Checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run import Checkpoint, RunDirectory, TrainingSettings
 from hydro_policy.sac.algorithm import Losses
 
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
@@ -167,7 +166,7 @@ class LearnerSupervisor:
         """Return the learner's whole state, at most half a second old; None before the first."""
         return self._snapshot.latest()
 
-    def keep(self, good: bytes) -> None:
+    def save_policy(self, good: bytes) -> None:
         """Store this state as the last good one."""
         self._good.publish(good)
 

@@ -81,7 +81,7 @@ def main() -> int:
     options = parser().parse_args(own)
     import rclpy
 
-    from hydro_policy.nodes.evaluation.run import evaluate  # with compiled code: not for --help or a wrong option
+    from hydro_policy.nodes.evaluation import evaluate  # with compiled code: not for --help or a wrong option
 
     start_ros(ros)
     try:

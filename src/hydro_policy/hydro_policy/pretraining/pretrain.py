@@ -1,11 +1,76 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_policy pretrain: train the policy in simulation."""
+"""Train the policy in simulation: 160 episodes of 18 s on many benches at once, in a minute or two.
+
+ros2 run hydro_policy pretrain --out runs/pretrained
+ros2 run hydro_policy pretrain --out runs/wide --configuration wide
+ros2 run hydro_policy pretrain --out runs/corrected --bench corrected.yaml
+ros2 run hydro_policy trainer --plant emulator --from runs/pretrained
+"""
 
 from __future__ import annotations
 
-from hydro_bridge.cli.console import command
-from hydro_policy.pretraining.options import parser
+import argparse
+from pathlib import Path
+from typing import get_args
+
+from hydro_bridge.cli.console import add_json_argument, command, writable_folder
+from hydro_policy.envs import FILTERS
+from hydro_policy.pretraining.configurations import CONFIGURATIONS
+from hydro_sim.box.box import Integral
 from hydro_sim.files.weights import WeightsError
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="pretrain", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    where = result.add_mutually_exclusive_group(required=True)
+    where.add_argument("--out", type=writable_folder, metavar="RUN", help="folder of a new run")
+    where.add_argument(
+        "--resume",
+        type=Path,
+        metavar="RUN",
+        help="go on with a run as it was begun, after Ctrl-C or with more --episodes",
+    )
+    what = result.add_argument_group("what is simulated")
+    what.add_argument(
+        "--model",
+        metavar="shipped|analytic|FILE",
+        help="the learned bench that comes with hydro_sim, the analytic one, weights of `hydro_sim learn`, or a bench "
+        "file, as --bench (default: shipped; with --bench: analytic)",
+    )
+    what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
+    what.add_argument(
+        "--box",
+        "--box-bench",
+        metavar="FILE",
+        help="bench.yaml that the box believes in (default: the nominal bench)",
+    )
+    what.add_argument(
+        "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box (default: 15 5, the paper's)"
+    )
+    what.add_argument(
+        "--randomise", action="store_true", help="another bench every episode: docs/manual/how-to/pretrain.md"
+    )
+    what.add_argument(
+        "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
+    )
+    what.add_argument(
+        "--integral", choices=get_args(Integral), default="bumpless", help="of the box's force law (default: bumpless)"
+    )
+    how = result.add_argument_group("how")
+    how.add_argument(
+        "--configuration", choices=CONFIGURATIONS, default="paper", help="see docs/manual/how-to/pretrain.md"
+    )
+    how.add_argument("--episodes", type=int, metavar="N", help="default 160")
+    how.add_argument("--hidden", type=int, metavar="N", help="units in each of the two hidden layers, default 32")
+    how.add_argument("--steps", type=int, metavar="N", help="policy steps of 10 ms in an episode, default 1800")
+    how.add_argument("--updates-per-step", type=float, metavar="X", help="default 1")
+    how.add_argument("--benches", type=int, default=8, metavar="N", help="side by side, default 8")
+    how.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that is drawn; default 0")
+    add_json_argument(result)
+    return result
 
 
 @command(ValueError, WeightsError)

@@ -4,35 +4,218 @@
 from __future__ import annotations
 
 import argparse
+import math
+import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+import yaml
 from tqdm import tqdm
 
 from hydro_bridge.bags.recording_run import code_version
-from hydro_bridge.cli.console import UserError, progress
+from hydro_bridge.cli.console import Table, UserError, progress
 from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.settings_file import from_mapping, read_yaml
+from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process import endings
+from hydro_bridge.settings import SettingsError
+from hydro_bridge.signals import FloatArray
 from hydro_bridge.viewer.runs import refresh_index
+from hydro_filter.controller.factory import FilterChoice
+from hydro_policy.envs import FilterName
 from hydro_policy.envs.environment import Transitions
+from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.pretraining.configurations import configuration, configuration_of
-from hydro_policy.pretraining.options import parser
-from hydro_policy.pretraining.report import CURVE, curve_page, curve_table, draw_curve
-from hydro_policy.pretraining.source import SimulationSetup, load_simulation_setup, simulation_setup
-from hydro_policy.pretraining.training import Pretraining
-from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.pretraining.pretrain import parser
+from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
-from hydro_sim.files.pairing import raise_if_mismatched
+from hydro_policy.task.cases import Case
+from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
 from hydro_sim.files.stamping import stamped
+from hydro_sim.learned.any_model import is_bench_file
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+from hydro_sim.plotting import BLUE, figure, legend
+
+SOURCE = "pretrain.yaml"
+"""File name in a run's folder, beside config.yaml."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationSetup:
+    """Simulated bench, model and filter; together with config.yaml all that `--resume` needs."""
+
+    model: str
+    """shipped, analytic, a bench file, or a weights file of `hydro_sim learn`."""
+    bench: str | None = None
+    """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
+    box: str | None = None
+    """bench.yaml that the box believes in; None: the nominal bench."""
+    base_gains: list[float] | None = None
+    """K_p [1/s], K_i [1/s^2] of the box; None: the paper's."""
+    randomise: bool = False
+    filter: FilterName = "none"
+    benches: int = 8
+    integral: Integral = "bumpless"
+    """Form of the force law's integral, `BoxConfig.integral`."""
+
+    def simulated(self) -> Bench | Learned:
+        """Analytic bench or learned model."""
+        if is_bench_file(self.model):
+            return Bench.load(self.model)
+        if self.model == "analytic":
+            return Bench.load(self.bench) if self.bench else Bench.nominal()
+        return Learned.load(None if self.model == "shipped" else self.model)
+
+    def believed(self) -> Bench:
+        """Bench assumed by the box's force law."""
+        return Bench.load(self.box) if self.box else Bench.nominal()
+
+    def box_config(self) -> BoxConfig:
+        """Base gains and limits of the box."""
+        box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
+        return replace(box, integral=self.integral)
+
+    def made_for(self) -> MadeFor:
+        """Box that its policies are made for: the simulated one, whatever the plant."""
+        box, learned = self.box_config(), self.weights
+        return MadeFor(
+            box=self.believed().digest, model=weights.digest(learned) if learned else "", base_kp=box.base_kp,
+            base_ki=box.base_ki, integral=box.integral, any_bench=self.randomise,
+        )  # fmt: skip
+
+    @property
+    def weights(self) -> Path | None:
+        """File of the learned model; None: a bench file is simulated."""
+        if self.model == "analytic" or is_bench_file(self.model):
+            return None
+        return weights.shipped() if self.model == "shipped" else Path(self.model)
+
+    def trouble(self) -> str:
+        """Return why bench, model and filter do not belong together, in one sentence; empty if they do."""
+        box, learned = BoxIdentity.of_file(self.box), self.weights
+        remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --bench FILE --box FILE"
+        made = None if learned is None else Learned.load(learned).made
+        wrong = "" if learned is None else mismatch(f"the model {learned.name}", made, box, remedy)
+        if wrong or self.filter != "learned":
+            return wrong
+        return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
+
+    def pretraining(self, training: TrainingSettings) -> Pretraining:
+        """Return a new pretraining."""
+        randomisation = Randomisation() if self.randomise else None
+        settings = PretrainSettings(
+            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter,
+            box=self.box_config(),
+        )  # fmt: skip
+        return Pretraining(settings, self.simulated(), self.believed())
+
+    def save(self, folder: Path) -> None:
+        """Save into a run's folder, beside config.yaml."""
+        write_whole(folder / SOURCE, yaml.safe_dump(asdict(self), sort_keys=False).encode())
+
+
+def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
+    """Return the simulation set-up of the command line."""
+    model = options.model or ("analytic" if options.bench else "shipped")
+    if options.bench and is_bench_file(model):
+        raise UserError("--model names a bench file, and so does --bench: which of them is simulated?")
+    if options.bench and model != "analytic":
+        raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
+    files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
+    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
+    chosen: dict[str, Any] = {
+        "base_gains": options.base_gains,
+        "integral": options.integral,
+        "randomise": options.randomise,
+        "filter": options.filter,
+        "benches": options.benches,
+    }
+    return SimulationSetup(model=model, **chosen, **files)
+
+
+def load_simulation_setup(folder: Path) -> SimulationSetup:
+    """Return the simulation set-up of a run on disk.
+
+    Raises
+    ------
+    UserError
+        The folder holds no pretraining.
+    """
+    try:
+        return from_mapping(
+            SimulationSetup, {"integral": "paper", **read_yaml(folder / SOURCE)}, SOURCE
+        )  # older runs had that
+    except SettingsError as error:
+        raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error
+
+
+CURVE = "curve.png"
+"""File name of the learning curve in a pretraining's folder."""
+
+
+def curve_page(
+    folder: Path, history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray,
+    about: Mapping[str, Any],
+) -> str:  # fmt: skip
+    """Return the page of a pretraining in `folder`, with its `CURVE`."""
+    table = Section(heading="Rounds", table=curve_table(history, cases, reference))
+    sections = [Section(heading="Learning curve", picture=folder / CURVE), table]
+    return results_page(f"Pretraining {folder.name}", about, sections)
+
+
+def curve_table(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray) -> Table:
+    """Return the table with one row per round, the first for fixed gains."""
+    kp, ki = REFERENCE_GAINS
+    drawn = bool(history) and history[0]["changed"] is not None
+    columns = {
+        "episode": "episodes so far",
+        "return": "mean return of the round's episodes",
+        "trips": "times a box tripped in them",
+        **{case.name: "force RMSE [N] of the mean action" for case in cases},
+        "score": f"mean over cases and benches of the RMSE over that of fixed ({kp:g}, {ki:g}) there",
+        **({"changed": "the same over the drawn benches alone"} if drawn else {}),
+        "updates": "gradient updates so far",
+    }
+    table = Table(columns, title="pretraining")
+    names = [case.name for case in cases]
+    fixed: dict[str, Any] = dict(zip(names, map(float, reference), strict=True))
+    fixed |= {"return": math.nan, "trips": 0, "score": 1.0, "updates": 0} | ({"changed": 1.0} if drawn else {})
+    table.add(episode=f"fixed ({kp:g}, {ki:g})", **fixed)
+    for entry in history:
+        values = {key: entry[key] for key in columns.keys() & entry.keys() - {"episode"}}
+        table.add(**values, episode=str(entry["episode"]), **dict(zip(names, entry["rmse"], strict=True)))
+    return table
+
+
+def draw_curve(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray, path: Path) -> None:
+    """Draw the episodes' return, and RMSE of the mean action relative to that of the fixed gains, against episodes."""
+    episodes = np.array([entry["episode"] for entry in history])
+    rmse = np.array([entry["rmse"] for entry in history], np.float64)
+    with figure(path, 2, size=(7.0, 5.5), sharex=True) as (_, (returns, ratios)):
+        returns.plot(episodes, [-entry["return"] for entry in history], color=BLUE, marker=".")
+        returns.set(yscale="log", ylabel="- return")
+        for column, case in enumerate(cases):
+            ratios.plot(episodes, rmse[:, column] / reference[column], marker=".", label=case.name)
+        changed = [entry["changed"] for entry in history]
+        if None not in changed:
+            ratios.plot(episodes, changed, color="k", marker=".", label="drawn benches, mean")
+        ratios.axhline(1.0, color="0.5", linestyle="--")
+        ratios.set(xlabel="episodes", ylabel="RMSE / fixed ({:g}, {:g})".format(*REFERENCE_GAINS))
+        legend(ratios)
+
 
 AGENT = "learner.safetensors"
 

@@ -1,34 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of one training run, and its settings as YAML.
+"""A training run on disk: settings as YAML, record of events, checkpoints.
 
 runs/NAME/
     config.yaml            settings, and which plant; `--resume` reads them back
     policy.safetensors     the best policy so far (`policy` module); before an examination: the latest
-    checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
+    checkpoints/latest/    learner.safetensors   networks, optimizers, temperature, random generator (`snapshot`)
+                           replay.npy            stored transitions, oldest first
+                           trainer.json          count of all ever stored; episode, steps, random states, best episode
     checkpoints/best/      learner.safetensors of the best policy so far: the complete agent, to start others from
-    run.json               events: episodes, examinations, rollbacks, overrides (`record` module)
+    run.json               {"events": [{"time": ISO 8601, "kind": KIND, "sentence": ..., further values by name}, ...]},
+                           KIND is start, episode, exam, stop, override or end; a resumed run appends
     bag/                   the recording
     evaluation.json, tracking.png, log.txt
+
+A checkpoint is written into a temporary folder and renamed, so that an interrupted writer leaves the previous one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import math
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.atomic import flush_folder, write_whole
 from hydro_bridge.files.settings_file import from_mapping, read_yaml
+from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import BASE, TaskSettings
 from hydro_sim.files.pairing import MadeFor
+
+if TYPE_CHECKING:
+    from hydro_policy.sac.replay import ReplayBuffer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,3 +154,127 @@ class RunDirectory:
 def new_run(parent: Path, name: str | None) -> RunDirectory:
     """Return runs/NAME, by default named after date and time."""
     return RunDirectory(parent / (name or datetime.now().strftime("%Y%m%d-%H%M%S")))
+
+
+class RunRecord:
+    """Appends events; saves them to `path` if given.
+
+    Parameters
+    ----------
+    path
+        run.json; None: in memory only.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path = path
+        self._writer = ThreadPoolExecutor(max_workers=1)  # a busy disk must not delay gains
+        self._written: Future[None] = Future()
+        self._written.set_result(None)
+        self.events: list[dict[str, Any]] = []
+        if path is not None and path.exists():
+            try:
+                self.events = list(json.loads(path.read_text(encoding="utf-8"))["events"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise ValueError(f"{path} is no record of a run ({error}): move it away to begin another") from error
+
+    def add(self, kind: str, sentence: str = "", **numbers: Any) -> None:
+        """Add an event at the present time; non-finite values become null."""
+        event = {"time": datetime.now().astimezone().isoformat(timespec="milliseconds"), "kind": kind}
+        if sentence:
+            event["sentence"] = sentence
+        self.events.append(event | {key: _plain(value) for key, value in numbers.items()})
+        if self._path is not None:
+            if self._written.done():
+                self._written.result()  # raises a write error
+            self._written = self._writer.submit(_write, self._path, tuple(self.events))
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        """Return all events of a kind."""
+        return [event for event in self.events if event["kind"] == kind]
+
+    def flush(self) -> None:
+        """Wait until everything is on disk; so does the end of the process.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        self._written.result()
+
+
+def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
+    write_whole(path, (json.dumps({"events": events}, indent=1) + "\n").encode())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint: the learner's bytes, transitions [n, width], their total count, the acting side's state."""
+
+    learner: bytes
+    replay: NDArray[np.float32]
+    produced: int
+    trainer: dict[str, Any]
+
+
+def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer: dict[str, Any]) -> None:
+    """Write a checkpoint to `folder`, replacing the one there only once it is complete on disk.
+
+    Raises
+    ------
+    OSError
+        The checkpoint cannot be written; the previous one is unchanged.
+    """
+    partial, previous = folder.with_name(folder.name + ".partial"), folder.with_name(folder.name + ".previous")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        partial.mkdir(parents=True)
+        rows, produced = replay.stored()
+        with (partial / "replay.npy").open("wb") as file:
+            np.save(file, rows)
+            _flush(file)
+        write_whole(partial / "learner.safetensors", learner)
+        state = {"produced": produced, "trainer": trainer}
+        write_whole(partial / "trainer.json", json.dumps(state, indent=1).encode())
+    except OSError:  # full disk: the partial checkpoint takes space that others need
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    shutil.rmtree(previous, ignore_errors=True)
+    if folder.exists():
+        folder.rename(previous)
+    partial.rename(folder)
+    flush_folder(folder.parent)
+    shutil.rmtree(previous, ignore_errors=True)
+
+
+def load_checkpoint(folder: Path) -> Checkpoint:
+    """Read a checkpoint, or the previous one if the writer died between the two renames.
+
+    Raises
+    ------
+    ValueError
+        There is no checkpoint, or it is damaged.
+    """
+    previous = folder.with_name(folder.name + ".previous")
+    source = previous if not (folder / "trainer.json").exists() and previous.exists() else folder
+    try:
+        state = json.loads((source / "trainer.json").read_text())
+        rows = np.load(source / "replay.npy", allow_pickle=False)
+        if rows.ndim != 2 or not len(rows) <= int(state["produced"]) or not isinstance(state["trainer"], dict):
+            raise UnsoundError(f"{rows.shape} transitions of {state['produced']} and the state beside them do not fit")
+        check_numbers({"replay.npy": rows})
+        return Checkpoint((source / "learner.safetensors").read_bytes(), rows, int(state["produced"]), state["trainer"])
+    except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{folder} holds no readable checkpoint: {error}") from error
+
+
+def _flush(file: Any) -> None:
+    file.flush()
+    os.fsync(file.fileno())

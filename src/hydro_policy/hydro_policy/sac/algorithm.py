@@ -107,7 +107,7 @@ class Sac:
         self.losses = Losses()
         """Mean over the updates of the last `learn`, or those of the last `update`."""
         self._actions, self._dtype = actions, dtype
-        self._numbers = kernel.Numbers(
+        self._hyperparameters = kernel.Hyperparameters(
             observations, actions, settings.discount, settings.target_rate, settings.target_entropy,
             settings.reward_scale, settings.log_std_min, settings.log_std_max,
         )  # fmt: skip
@@ -141,7 +141,7 @@ class Sac:
         gradients = (self.actor_network.gradient, self.critics.gradient, torch.zeros(1, dtype=self._dtype))
         adams = [optimizer.views(gradient) for optimizer, gradient in zip(optimizers, gradients, strict=True)]
         losses = np.empty((updates, len(self.losses)))
-        kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy(), losses)
+        kernel.learn(self._networks, *adams, self._hyperparameters, replay.rows, places.numpy(), noise.numpy(), losses)
         self.losses = Losses(*losses.mean(axis=0).tolist())
         for optimizer in optimizers:
             optimizer.steps += updates

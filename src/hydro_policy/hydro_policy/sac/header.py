@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_policy policy_header --policy FILE --out policy_weights.h: a policy's mean action for C.
+"""ros2 run hydro_policy export_c --policy FILE --out policy_weights.h: a policy's mean action for C.
 
 The header holds the weights of a policy.safetensors, its observation and its gains; firmware/hydro/policy.h acts.
 """
@@ -22,7 +22,7 @@ from hydro_sim.box.c_text import header_file, reals, wrapped
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line."""
     parser = argparse.ArgumentParser(
-        prog="policy_header",
+        prog="export_c",
         description="Write a policy's weights for a box in C (firmware/hydro/policy.h).",
         allow_abbrev=False,
     )
@@ -72,7 +72,7 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     policy, gains, _ = load_policy(options.policy)
-    origin = f"Written by `ros2 run hydro_policy policy_header` from {options.policy.name}."
+    origin = f"Written by `ros2 run hydro_policy export_c` from {options.policy.name}."
     write_whole(Path(options.out), header(policy, gains, origin).encode())
     print(
         f"{options.out}: {policy.sizes[1]} units twice, delta_kp {gains.delta_kp_min:g} to {gains.delta_kp_max:g} 1/s"

@@ -35,7 +35,7 @@ class Networks(NamedTuple):
     target_parameters: Floats
 
 
-class Numbers(NamedTuple):
+class Hyperparameters(NamedTuple):
     """Settings of the algorithm."""
 
     observations: int

@@ -42,7 +42,7 @@ class ReplayBuffer:
     capacity
         Rows kept, more than 64; the oldest are overwritten.
     memory
-        Writable buffer of `memory_size` bytes, initially zero. None: private memory.
+        Writable buffer of `nbytes` bytes, initially zero. None: private memory.
     """
 
     def __init__(self, observations: int, actions: int, capacity: int, memory: object | None = None) -> None:
@@ -50,14 +50,14 @@ class ReplayBuffer:
             raise ValueError(f"a replay buffer holds more than {_MARGIN} transitions, not {capacity}")
         self.widths = (observations, observations, actions, 1, 1)
         if memory is None:
-            memory = bytearray(self.memory_size(observations, actions, capacity))
+            memory = bytearray(self.nbytes(observations, actions, capacity))
         self._counter = np.frombuffer(memory, np.int64, 1)  # type: ignore[call-overload]
         rows = np.frombuffer(memory, np.float32, capacity * sum(self.widths), _COUNTER_BYTES)  # type: ignore[call-overload]
         self.rows: NDArray[np.float32] = rows.reshape(capacity, -1)
         self._tensor = torch.from_numpy(self.rows)
 
     @staticmethod
-    def memory_size(observations: int, actions: int, capacity: int) -> int:
+    def nbytes(observations: int, actions: int, capacity: int) -> int:
         """Return the bytes needed for a buffer of these sizes."""
         return _COUNTER_BYTES + 4 * capacity * (2 * observations + actions + 2)
 

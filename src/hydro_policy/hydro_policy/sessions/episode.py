@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of an episode and of a run."""
+"""An episode: exploration, a hundred times a second, and statistics."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+import time
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 
-from hydro_policy.task.mdp import REFERENCE_RATE
+from hydro_bridge.process.latency import Latency
+from hydro_bridge.signals import FloatArray
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.supervision.interfaces import Outputs
+from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, observe
 from hydro_policy.task.step_aggregator import Step
 
 SETTLING_STEPS = 50
@@ -76,25 +82,97 @@ class EpisodeRecord:
         }
 
 
-@dataclass
-class Progress:
-    """Progress of a run; part of the checkpoint."""
+class Explorer:
+    """Draws actions from the policy, publishes gains, and appends transitions to the replay buffer.
 
-    episode: int = 0
-    """Episodes finished."""
-    total_steps: int = 0
-    interruptions: int = 0
-    last_return: float = math.nan
-    last_rmse: float = math.nan
-    best_lag: float = math.inf
-    rollbacks: int = 0
-    examined: int = -1
-    """Finished episodes at the last examination; -1: none yet."""
-    reference_rmse: list[float] = field(default_factory=list)
-    """RMSE [N] of the fixed gains that scores are relative to, one per sine; empty until they are examined."""
-    best_score: float = math.inf
-    """Score of the best policy so far: mean over the sines of its RMSE over the reference's."""
-    passed_at: int = -1
-    """Finished episodes when a policy first beat the reference at every sine; -1: not yet."""
-    exams: list[dict[str, Any]] = field(default_factory=list)
-    history: list[dict[str, float]] = field(default_factory=list)
+    Parameters
+    ----------
+    settings
+        Settings of the run.
+    replay
+        Replay buffer of the transitions.
+    outputs
+        The graph.
+    """
+
+    def __init__(self, settings: TrainingSettings, replay: ReplayBuffer, outputs: Outputs) -> None:
+        self.task = settings.task
+        self.policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
+        self.rng = np.random.default_rng(settings.seed)
+        self.inference = Latency()  # observe, act, map to gains
+        self.published = 0
+        """Number of gains sent so far, from any source: the message's step."""
+        self._replay, self._outputs = replay, outputs
+        self._observation: FloatArray | None = None
+        self._action: FloatArray = np.zeros(ACTIONS)
+        self._mean: FloatArray = np.zeros(ACTIONS)  # mean of the drawn action
+
+    def step(self, step: Step) -> float | None:
+        """Act, then store the transition, so that gains leave at once; returns the last action's reward."""
+        before, taken, observation = self._observation, self._action, self._act(step)
+        if observation is None:
+            return None
+        reward = math.nan
+        if before is not None:
+            reward = self.task.reward(step.error, step.error_rate)
+            if step.whole:
+                self._remember(before, taken, reward, observation, terminated=False)
+        self._tell(reward)
+        return None if before is None else reward
+
+    def hold(self, gains: tuple[float, float], step: Step | None = None) -> float | None:
+        """Publish these gain changes instead of the policy's; the transitions that follow are not stored.
+
+        The step that they end is still the policy's and is stored: pass it. Returns its reward.
+        """
+        before, taken = self._observation, self._action
+        reward = None
+        if before is not None and step is not None:
+            reward = self.task.reward(step.error, step.error_rate)
+            after = observe(step.sample, taken)
+            if step.whole and np.isfinite(after).all():
+                self._remember(before, taken, reward, after, terminated=False)
+        self._publish(gains)
+        self._observation = None
+        self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # previous action in the policy's observation
+        return reward
+
+    def terminate(self, sample: FloatArray) -> None:
+        """Store the last action's transition as terminal, with the penalty: its result had to be stopped."""
+        if self._observation is not None:
+            after = observe(sample, self._action)
+            after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
+            self._remember(self._observation, self._action, -self.task.trip_penalty, after, terminated=True)
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard the last action: the next sample does not follow from it."""
+        self._observation = None
+
+    def _act(self, step: Step) -> FloatArray | None:
+        """Publish the policy's gains; returns the observation that it acted on, None if that is not finite."""
+        begin = time.perf_counter()
+        observation = observe(step.sample, self._action)
+        if not np.isfinite(observation).all():
+            self._observation = None  # the box trips on this; its flags follow
+            return None
+        self._action, self._mean = self.policy.draw(observation, self.rng)
+        gains = self.task.gains.gains(self._action)
+        self.inference.add(time.perf_counter() - begin)
+        self._publish(gains)
+        self._observation = observation
+        return observation
+
+    def _publish(self, gains: tuple[float, float]) -> None:
+        self._outputs.gains(*gains, self.published)
+        self.published += 1
+
+    def _tell(self, reward: float) -> None:
+        weights = int(self.policy.digest(), 16)
+        self._outputs.acted(self.published - 1, self.task.gains.gains(self._mean), reward, weights)
+
+    def _remember(
+        self, before: FloatArray, action: FloatArray, reward: float, after: FloatArray, terminated: bool
+    ) -> None:
+        row = np.concatenate((before, after, action, (reward, float(terminated)))).astype(np.float32)
+        self._replay.extend(row[np.newaxis])

@@ -29,8 +29,7 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, SaveRequest
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.snapshot import dump
-from hydro_policy.sessions.session import Session
-from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.supervision.interfaces import Outputs, Session
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
@@ -83,8 +82,8 @@ class InlineLearner:
         """See `LearnerSupervisor.snapshot`; the present state."""
         return dump(self._learner.sac)
 
-    def keep(self, good: bytes) -> None:
-        """See `LearnerSupervisor.keep`."""
+    def save_policy(self, good: bytes) -> None:
+        """See `LearnerSupervisor.save_policy`."""
         self._memory.good().publish(good)
 
     def roll_back(self) -> None:

@@ -20,17 +20,15 @@ from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import Flag, FloatArray
 from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sessions.episode import EpisodeRecord, Phase, Progress
-from hydro_policy.sessions.run_state import RunState
-from hydro_policy.sessions.training_episode import EpisodePlayer
-from hydro_policy.supervision.learner_requests import ActingLearner
-from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
+from hydro_policy.sessions.run_state import Progress, RunState
+from hydro_policy.supervision.interfaces import ActingLearner, Outputs
+from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
-from hydro_policy.supervision.requirements import learner as learner_ready
+from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.step_aggregator import Step, StepClock
 
 FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
@@ -73,20 +71,19 @@ class TrainingSession:
         record: RunRecord | None = None,
         requirements: Sequence[Requirement] = (),
     ) -> None:
-        self.settings, self.learner = settings, learner
-        self.override, self.record = override or GainOverride(), record or RunRecord()
+        self.settings, self.learner, self.override = settings, learner, override or GainOverride()
         self.watch = PlantSupervisor(outputs, rearm, (learner_ready(learner), *requirements), self.override)
         self.clock = StepClock()
-        self.progress = Progress() if state is None else Progress(**state["progress"])
-        self.state_of_run = RunState(settings, learner, self.progress, best, self.record)
-        self.keeper = self.state_of_run.keeper
-        self.player = EpisodePlayer(settings, learner, outputs, self.progress)
-        self.explorer, self.monitor = self.player.explorer, self.player.monitor
+        progress = Progress() if state is None else Progress(**state["progress"])
+        self.run = RunState(settings, learner, progress, best, record)
+        self.explorer, self.monitor = Explorer(settings, learner.replay, outputs), SafetyMonitor(settings.monitor)
+        self.explorer.published = progress.total_steps
+        self.current = EpisodeRecord(episode=0)
+        """The present episode, or the last one."""
         if state is not None:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.phase = Phase.WAITING
         self.exam: EvaluationSession | None = None
-        self._around = policy_examination.SessionContext(outputs, self.watch, self.override, self.monitor)
         self._outputs = outputs
         self._fresh = True  # no episode has passed since the box was armed
 
@@ -96,19 +93,14 @@ class TrainingSession:
         return self.explorer.policy
 
     @property
-    def current(self) -> EpisodeRecord:
-        """The present episode, or the last one."""
-        return self.player.current
+    def progress(self) -> Progress:
+        """Progress of the run."""
+        return self.run.progress
 
     @property
     def finished(self) -> bool:
         """Whether all episodes are done, or the run was given up."""
         return self.phase is Phase.FINISHED
-
-    @property
-    def gave_up(self) -> str:
-        """Why the run ended before its last episode; empty if it did not."""
-        return self.state_of_run.gave_up
 
     def state(self) -> dict[str, Any]:
         """Return the state for a checkpoint, as JSON types."""
@@ -148,14 +140,14 @@ class TrainingSession:
         """Make one policy step of an armed plant outside of examinations; returns True if gains were sent."""
         held = self.override.gains(now)
         if held is not None:
-            self.player.hold(held, step, episode=self.phase is Phase.TRAINING)
+            self._hold(held, step)
             return True
         if self.watch.calming:
             self.explorer.hold((0.0, 0.0))
             return True
         if self.watch.mismatched and not self.watch.unready(now):
             self.watch.acted(now)
-            self.player.hold(FALLBACK, step, episode=self.phase is Phase.TRAINING)
+            self._hold(FALLBACK, step)
             return True
         if self.phase is not Phase.TRAINING:
             if not self.watch.may_begin(now):
@@ -170,33 +162,61 @@ class TrainingSession:
 
     def _begin(self) -> None:
         """Begin what is due: an examination, an episode, or the end."""
-        self.keeper.start()
-        if self.state_of_run.exam_due:
+        self.run.start()
+        if self.run.exam_due:
             self._begin_exam()
-        elif self.state_of_run.trained:
+        elif self.run.trained:
             self.phase = Phase.FINISHED
         else:
-            self.player.begin()
-            self.phase = Phase.TRAINING
+            self._begin_episode()
+
+    def _begin_episode(self) -> None:
+        """Begin the episode after the finished ones, or restart it."""
+        done = self.progress.episode
+        signal = self.settings.task.reference(done, self.settings.seed)
+        self._outputs.reference(signal)
+        self.current = EpisodeRecord(episode=done + 1, amplitude=signal.amplitude, frequency=signal.frequency)
+        self.monitor.reset()
+        self.phase = Phase.TRAINING
 
     def _step(self, step: Step) -> None:
-        reason = self.player.step(step)
+        """Make one step under the newest policy, unless the monitor requests a stop."""
+        reason = self.monitor.add(step)
         if reason is not None:
             self._stop(reason, step.sample)
-        elif self.player.complete:
+            return
+        parameters = self.learner.new_weights()
+        if parameters is not None:
+            self.policy.load_flat(parameters)
+        self._count(step, self.explorer.step(step))
+        if self.current.steps >= self.settings.task.steps_per_episode:
             self._fresh = False
-            self._go_on(best=self.state_of_run.add_episode(self.current))
+            self._go_on(best=self.run.add_episode(self.current))
+
+    def _hold(self, gains: tuple[float, float], step: Step) -> None:
+        """Make one step under gain changes that are not the policy's; in an episode it counts as one of its steps."""
+        reward = self.explorer.hold(gains, step)
+        if self.phase is Phase.TRAINING:
+            self._count(step, reward)
+            self.current.overridden_steps += 1
+        self.monitor.reset()  # it assesses policies
+
+    def _count(self, step: Step, reward: float | None) -> None:
+        if reward is not None:
+            self.current.add(step, reward)
+            self.progress.total_steps += 1
 
     def _begin_exam(self) -> None:
         """Examine the learner's present state; learning continues meanwhile, the acting policy does not change."""
-        parameters = self.keeper.propose()
+        parameters = self.run.propose()
         if parameters is not None:
             self.policy.load_flat(parameters)
         reference_too = not self.progress.reference_rmse
         gains = self.settings.task.gains
         self.exam = policy_examination.examination(
-            self.settings.exam, self.policy, gains, reference_too, self._around, fresh=self._fresh
-        )
+            self.settings.exam, self.policy, gains, reference_too, self._outputs,
+            watch=self.watch, override=self.override, monitor=self.monitor, fresh=self._fresh,
+        )  # fmt: skip
         self.explorer.forget()
         self.phase = Phase.EVALUATING
 
@@ -207,7 +227,7 @@ class TrainingSession:
             self._stop(reason, sample)
         elif running.finished:
             self.exam = None
-            self._go_on(best=self.state_of_run.add_exam(running.scores, self.policy.digest()))
+            self._go_on(best=self.run.add_exam(running.scores, self.policy.digest()))
         return acted
 
     def _go_on(self, *, best: bool) -> None:
@@ -234,11 +254,11 @@ class TrainingSession:
             self.progress.examined, self.exam = self.progress.episode, None
         self.explorer.hold((0.0, 0.0))
         self.watch.calm()
-        good = self.keeper.roll_back()
+        good = self.run.roll_back()
         if good is not None:
             self.policy.load_flat(good)
-        sentence = self.state_of_run.add_stop(reason, where, "" if good is None else self.policy.digest())
-        self.phase = Phase.FINISHED if self.state_of_run.gave_up else Phase.PAUSED
+        sentence = self.run.add_stop(reason, where, "" if good is None else self.policy.digest())
+        self.phase = Phase.FINISHED if self.run.gave_up else Phase.PAUSED
         self._outputs.say(sentence, warning=True)
 
     def _pause(self, reason: str, where: str) -> None:

@@ -16,15 +16,112 @@ stopped                  a second of calm, armed, base gains, no reference, befo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from hydro_bridge.safety.limits import NARROW
 from hydro_bridge.safety.readiness import Readiness, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
-from hydro_policy.supervision import requirements as needs
-from hydro_policy.supervision.arming import Arming
-from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.supervision.interfaces import ActingLearner, Outputs
 from hydro_policy.supervision.override import GainOverride
+
+COMPILES = "it loads for some seconds; where `make setup` was not run after a change it compiles, up to a minute"
+HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
+NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
+
+
+def plant(ready: Callable[[], bool]) -> Requirement:
+    """Samples arrive."""
+    missing = "no samples on /hydro/state for 600 s: there is nothing to act on"
+    return Requirement(name="the plant", ready=ready, hint=HOW_TO_GET_A_PLANT, within=600.0, missing=missing)
+
+
+def corrections(ready: Callable[[], bool]) -> Requirement:
+    """The filter's corrections reach the plant; without them it continues at base gains."""
+    return Requirement(name="the filter", ready=ready, hint=COMPILES, within=45.0, missing=NO_FILTER, essential=False)
+
+
+def fitting_filter(ready: Callable[[], bool]) -> Requirement:
+    """The filter's model fits this bench, by the filter's own monitor of its predictions."""
+    hint = "its model is not this bench's: start it with model and metric of this bench, or with --metric constant"
+    missing = f"the filter says MISMATCH for 300 s: {hint}"
+    return Requirement(name="a filter that fits", ready=ready, hint=hint, within=300.0, missing=missing)
+
+
+def learner(learning: ActingLearner) -> Requirement:
+    """The learner has published weights and is compiled."""
+    missing = "the learner is not ready after 300 s: nothing would learn, and nothing was armed for it"
+    return Requirement(name="the learner", ready=lambda: learning.ready, hint=COMPILES, within=300.0, missing=missing)
+
+
+SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
+RETRY = 1.0  # s
+
+HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
+
+
+class Arming:
+    """Arms the plant, and disarms it when it must not stay armed.
+
+    Parameters
+    ----------
+    outputs
+        Outputs of the requests.
+    rearm
+        Whether arming without a person is allowed.
+    """
+
+    def __init__(self, outputs: Outputs, rearm: bool) -> None:
+        self._outputs, self.alone = outputs, rearm
+        self._arm_after = math.inf  # time to arm after a disarm, s
+        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
+        self._prompted = ""  # condition in which a person was asked to arm
+
+    def arm(self, now: float) -> None:
+        """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
+        self._outputs.arm(False)
+        self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
+
+    def under_way(self, now: float) -> bool:
+        """Whether this object requested arming, which may explain an armed plant."""
+        return now - self._asked <= RETRY
+
+    def seek(self, ready: bool, now: float) -> None:
+        """Call on each tick while the plant is not armed; `ready`: it may be."""
+        self._lowered = -math.inf
+        if not ready:
+            if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
+                self._arm_after = math.inf
+        elif now >= self._arm_after:
+            self._arm_after = math.inf
+            self._outputs.arm(True)
+        elif self.alone and now - self._asked > RETRY:
+            self.arm(now)
+
+    def rest(self) -> None:
+        """Request nothing; call on each tick while the plant is armed or absent."""
+        self._arm_after, self._asked, self._prompted = math.inf, -math.inf, ""
+
+    def lower(self, now: float, why: str) -> None:
+        """Disarm with reference 0 N and report why; call on each tick as long as it stays armed."""
+        if now - self._lowered <= RETRY:
+            return
+        if self._lowered == -math.inf:
+            self._outputs.say(why, warning=True)
+        self._lowered = now
+        self._outputs.reference(ReferenceSignal())
+        self._outputs.arm(False)
+
+    def prompt(self, condition: str, ready: bool, now: float) -> str:
+        """Return what a person must do now, once for each condition of a plant that is not armed; else nothing."""
+        if self.alone or not ready or condition == self._prompted or self.under_way(now):
+            return ""
+        self._prompted = condition
+        return HOW_TO_ARM
+
+    def prompt_anew(self) -> None:
+        """Ask the person again, since the last answer had no effect."""
+        self._prompted = ""
+
 
 FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)
 """Changes of K_p, K_i held while the filter reports MISMATCH: the upper end of the range that the guard then passes,
@@ -73,9 +170,9 @@ class PlantSupervisor:
     ) -> None:
         self._outputs, self._override = outputs, override or GainOverride()
         self._arming = Arming(outputs, rearm)
-        samples = needs.plant(lambda: not self.lost)
-        answers = needs.corrections(lambda: self.mismatched or not self._flags & Flag.FILTER_STALE)
-        fitting = needs.fitting_filter(lambda: not self.mismatched)
+        samples = plant(lambda: not self.lost)
+        answers = corrections(lambda: self.mismatched or not self._flags & Flag.FILTER_STALE)
+        fitting = fitting_filter(lambda: not self.mismatched)
         needed = (samples, *requirements, answers, fitting)  # the filter's answers, after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
         self._seen = -math.inf
@@ -110,7 +207,7 @@ class PlantSupervisor:
         )
 
     @property
-    def standing(self) -> str:
+    def summary(self) -> str:
         """Condition and awaited requirements as text."""
         return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.awaited}")
 

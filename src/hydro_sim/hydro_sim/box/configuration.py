@@ -120,7 +120,7 @@ def header(numbers: dict[str, Any]) -> str:
     name, digest = (numbers[field].rstrip(b"\0").decode() for field in ("name", "digest"))
     return (
         "/* SPDX-License-Identifier: Apache-2.0 */\n"
-        f"/* Written by `ros2 run hydro_sim box_header` for the bench {digest}, box {name}. */\n"
+        f"/* Written by `ros2 run hydro_sim export_c` for the bench {digest}, box {name}. */\n"
         '#ifndef HYDRO_BOX_CONFIG_H\n#define HYDRO_BOX_CONFIG_H\n\n#include "hydro/config.h"\n\n'
         "static const hydro_config HYDRO_BOX_CONFIG = {\n" + "\n".join(lines) + "\n};\n\n#endif\n"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_sim box_header --bench bench.yaml --out box_config.h: the configuration of a box in C."""
+"""ros2 run hydro_sim export_c --bench bench.yaml --out box_config.h: the configuration of a box in C."""
 
 from __future__ import annotations
 
@@ -19,19 +19,12 @@ from hydro_sim.model.sensors import Sensors
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line."""
     parser = argparse.ArgumentParser(
-        prog="box_header", description="Write the configuration of a box in C from a bench file.", allow_abbrev=False
+        prog="export_c", description="Write the configuration of a box in C from a bench file.", allow_abbrev=False
     )
-    ages = Sensors()
     parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: nominal")
     parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
     parser.add_argument("--name", default=NAME, help="name and version that the box gives itself; default: %(default)s")
     parser.add_argument("--integral", choices=get_args(Integral), default="bumpless", help="default: %(default)s")
-    parser.add_argument(
-        "--force-rate-age", type=float, default=ages.force_rate_age, metavar="S", help="lag of f'; default: %(default)s"
-    )
-    parser.add_argument(
-        "--velocity-age", type=float, default=ages.velocity_age, metavar="S", help="lag of x'; default: %(default)s"
-    )
     return parser
 
 
@@ -40,7 +33,6 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    sensors = Sensors(force_rate_age=options.force_rate_age, velocity_age=options.velocity_age)
-    text = header(values(bench, BoxConfig(integral=options.integral), sensors, options.name))
+    text = header(values(bench, BoxConfig(integral=options.integral), Sensors(), options.name))
     write_whole(Path(options.out), text.encode())
     print(f"{options.out}: box {options.name}, bench {bench.digest}")

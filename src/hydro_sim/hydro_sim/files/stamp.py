@@ -59,7 +59,6 @@ def parser() -> argparse.ArgumentParser:
         "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box; policies and agents have them"
     )
     result.add_argument("--integral", choices=("bumpless", "paper"), default="", help="form of the law's integral")
-    result.add_argument("--any-bench", action="store_true", help="trained with --randomise")
     add_json_argument(result)
     return result
 
@@ -67,7 +66,7 @@ def parser() -> argparse.ArgumentParser:
 def _asked(options: argparse.Namespace) -> MadeFor | None:
     """The stamp to write; None: only show."""
     if not options.bench:
-        if options.model or options.base_gains or options.integral or options.any_bench:
+        if options.model or options.base_gains or options.integral:
             raise UserError("a stamp needs --bench: what the box believed")
         return None
     bench = Bench.nominal() if options.bench == "nominal" else Bench.load(options.bench)
@@ -75,5 +74,5 @@ def _asked(options: argparse.Namespace) -> MadeFor | None:
     kp, ki = options.base_gains or (None, None)
     return MadeFor(
         box=bench.digest, model=weights.digest(model) if model else "", base_kp=kp, base_ki=ki,
-        integral=options.integral, any_bench=options.any_bench,
+        integral=options.integral,
     )  # fmt: skip

@@ -12,8 +12,9 @@
     y = [ p_a  p_b  x_p  x_p'  F  F' | hidden states of the effects | past currents ]
           Pa   Pa   m    m/s   N  N/s                                 A, latest first
 
-F is f_l behind the load cell's amplifier. Edges are held over a step at their mean. Pressures are kept from falling
-below zero: the oil cavitates there, and the volume it then lacks is not accounted for.
+F is f_l behind the load cell's amplifier; of an ideal cell it is an output, on which no step depends. Edges are held
+over a step at their mean. Pressures are kept from falling below zero: the oil cavitates there, and the volume it then
+lacks is not accounted for.
 """
 
 from __future__ import annotations
@@ -227,6 +228,15 @@ class Assembly:
         dry = self._sliding if self._holds() else _nothing
         return rates.textbook(self.numbers, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
 
+    def _cell_force(self, y: Sequence[Symbol]) -> Symbol:
+        """f_l [N] on an ideal load cell: the load's force in this state, and no state of its own."""
+        for effect in self.effects:
+            effect.at.velocity = y[3]
+        force = rates.load(self.numbers, self.effects, y[2])
+        if any(effect.acts_in("inertia") for effect in self.effects):
+            force = force + rates.inertia(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
+        return force
+
     # --- an integration step -----------------------------------------------------------------------------------------
 
     def _rates(self, y: Sequence[Symbol], edges: rates.Edges, dry: Callable[[Symbol], Symbol]) -> list[Symbol]:
@@ -245,6 +255,8 @@ class Assembly:
         for effect in self.effects:
             effect.next, effect.at.began = {}, self.y[2]
         states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
+        if self.numbers.load_cell_omega is None:
+            states[4] = self._cell_force(states)
         spool = self._spool()
         for effect in self.effects:
             effect.at.spool, effect.at.current = spool, self.current
@@ -290,11 +302,7 @@ class Assembly:
         if self.numbers.load_cell_omega is None:
             hidden = list(self.hidden_now)
             self._bind([effect.next.get(one.name, old) for (effect, one), old in zip(self.hidden, hidden, strict=True)])
-            for effect in self.effects:
-                effect.at.velocity = end[3]
-            late[4] = rates.load(self.numbers, self.effects, end[2])
-            if any(effect.acts_in("inertia") for effect in self.effects):
-                late[4] = late[4] + rates.inertia(self.effects, end[2]) * self._acceleration(SX(vertcat(*end[:6])))
+            late[4] = self._cell_force(end)
             self._bind(hidden)
         signals = dict(zip(READINGS, zip(self._truth(early), self._truth(late), strict=True), strict=True))
         for effect in self.effects:

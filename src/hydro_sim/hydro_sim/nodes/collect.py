@@ -111,7 +111,7 @@ def _why_ended(recorder: Companion, out: Path) -> str:
     if recorder.running:
         return ""
     if recorder.process.returncode == 2:  # it could not use `out`
-        return recorder.last_words.removeprefix("error: ")
+        return recorder.last_line.removeprefix("error: ")
     return f"the recorder ended (exit status {recorder.process.returncode}); {out} holds what came before"
 
 

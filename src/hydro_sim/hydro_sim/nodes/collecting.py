@@ -25,9 +25,9 @@ from hydro_bridge.process import endings
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, RecorderWatch
 from hydro_bridge.ros.diagnostics import publisher_conflicts
-from hydro_bridge.ros.messages import listen_to_box
+from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import spin
-from hydro_bridge.ros.topics import COMMANDS, STATE, STATE_QOS
+from hydro_bridge.ros.topics import COMMANDS, STATE, create_subscription
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
@@ -75,8 +75,8 @@ class CollectNode(Node):
         self._bar: Any = None
         self._commander = Commander(self, self._on_authority, endings.ask)
         self._arming = Arming(self, self._commander)
-        self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
-        listen_to_box(self, self._on_box)
+        create_subscription(self, STATE, self._on_state)
+        subscribe_to_box(self, self._on_box)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def meet(self) -> bool:

@@ -4,12 +4,73 @@
 from __future__ import annotations
 
 import argparse
-from typing import NoReturn
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from datetime import datetime, timezone
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NoReturn
 
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from hydro_bridge.bags.source import RecordingSummary, summarized
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.nodes.verbs import bags, names, parameters, services, topics
-from hydro_bridge.nodes.verbs.launching import verb as launching
+from hydro_bridge.nodes.verbs.graph import (
+    PATIENCE,
+    SPIN_TIME,
+    absolute,
+    answer_of,
+    find_node,
+    full_name,
+    hidden,
+    node_names,
+    settle,
+    types_of,
+    visiting,
+    wait_for,
+)
+from hydro_bridge.nodes.verbs.launch import add_group
+from hydro_bridge.nodes.verbs.messages import as_yaml, fill, interface, parsed, part
 from hydro_bridge.ros.companion import CompanionError
+from hydro_bridge.ros.node import spin
+
+Run = Callable[[argparse.Namespace], None]
+Argument = tuple[tuple[str, ...], dict[str, Any]]
+"""Names and options of an argument."""
+Names = Iterable[tuple[str, list[str]]]
+"""Names with their types."""
+
+GROUPS = {
+    "topic": "topics of the running graph: list, info, type, echo, hz",
+    "node": "nodes of the running graph: list, info",
+    "param": "parameters of nodes: list, get",
+    "service": "services of the running graph: list, type, call",
+    "bag": "recordings: info",
+}
+_VERBS: list[tuple[str, str, str, tuple[Argument, ...], Run]] = []
+_DEPTH = 1000
+_REPORT = 1.0  # s
+_PUBLISHER = 3.0  # s, for the first publisher to be discovered; a later one is heard, but not its latched message
+_TYPES = {
+    ParameterType.PARAMETER_BOOL: "Boolean value is",
+    ParameterType.PARAMETER_INTEGER: "Integer value is",
+    ParameterType.PARAMETER_DOUBLE: "Double value is",
+    ParameterType.PARAMETER_STRING: "String value is",
+    ParameterType.PARAMETER_BYTE_ARRAY: "Byte values are",
+    ParameterType.PARAMETER_BOOL_ARRAY: "Boolean values are",
+    ParameterType.PARAMETER_INTEGER_ARRAY: "Integer values are",
+    ParameterType.PARAMETER_DOUBLE_ARRAY: "Double values are",
+    ParameterType.PARAMETER_STRING_ARRAY: "String values are",
+}
+_UNITS = ("B", "KiB", "MiB", "GiB")
 
 
 class Parser(argparse.ArgumentParser):
@@ -24,11 +85,15 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
     result = Parser(prog="ros2", description=__doc__)
     groups = result.add_subparsers(dest="group", required=True, metavar="GROUP", parser_class=Parser)
-    for module in (topics, names, parameters, services, bags):
-        group = groups.add_parser(module.GROUP, help=module.HELP, description=module.HELP, allow_abbrev=False)
+    for name, summary in GROUPS.items():
+        group = groups.add_parser(name, help=summary, description=summary, allow_abbrev=False)
         verbs = group.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
-        module.add_verbs(verbs)
-    launching.add_group(groups)
+        for _, verb, text, arguments, run in (entry for entry in _VERBS if entry[0] == name):
+            added = verbs.add_parser(verb, help=text)
+            for names, options in arguments:
+                added.add_argument(*names, **options)
+            added.set_defaults(carry_out=run)
+    add_group(groups)
     return result
 
 
@@ -40,5 +105,323 @@ def main() -> int | None:
     return status
 
 
-if __name__ == "__main__":
-    main()
+def _argument(*names: str, **options: Any) -> Argument:
+    return names, options
+
+
+def _verb(group: str, name: str, text: str, *arguments: Argument) -> Callable[[Run], Run]:
+    """Register a function as `ros2 group name`."""
+
+    def register(run: Run) -> Run:
+        _VERBS.append((group, name, text, arguments, run))
+        return run
+
+    return register
+
+
+_SPIN_TIME = _argument(
+    "--spin-time", type=float, default=SPIN_TIME, metavar="S", help=f"s to look around at least ({SPIN_TIME:g})"
+)
+_TOPIC, _SERVICE, _NODE, _PARAMETER = (_argument(name) for name in ("topic", "service", "node", "parameter"))
+
+
+def _list_arguments(things: str) -> tuple[Argument, ...]:
+    return (
+        _argument("-t", "--show-types", action="store_true", help="with their types"),
+        _argument("-c", f"--count-{things}", dest="count", action="store_true", help="only how many"),
+        _argument(f"--include-hidden-{things}", dest="include_hidden", action="store_true", help="hidden ones, too"),
+        _SPIN_TIME,
+    )
+
+
+def _print_list(options: argparse.Namespace, found: Names) -> None:
+    shown = sorted((name, kinds) for name, kinds in found if options.include_hidden or not hidden(name))
+    if options.count:
+        print(len(shown))
+        return
+    for name, kinds in shown:
+        print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
+
+
+@_verb("topic", "list", "names of all topics", *_list_arguments("topics"))
+def _topic_list(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        settle(node, options.spin_time)
+        _print_list(options, node.get_topic_names_and_types())
+
+
+@_verb(
+    "topic", "info", "a topic's type, and who publishes and subscribes to it", _TOPIC,
+    _argument("-v", "--verbose", action="store_true", help="each of them by name, with quality of service"), _SPIN_TIME,
+)  # fmt: skip
+def _topic_info(options: argparse.Namespace) -> None:
+    topic = absolute(options.topic)
+    with visiting() as node:
+        kinds = _topic_types(node, topic)
+        settle(node, options.spin_time)
+        publishers, subscribers = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
+    print(f"Type: {', '.join(kinds)}")
+    for what, endpoints in (("Publisher", publishers), ("Subscription", subscribers)):
+        print(f"{what} count: {len(endpoints)}")
+        if options.verbose:
+            print("".join(f"\n{endpoint}\n" for endpoint in endpoints))
+
+
+@_verb("topic", "type", "a topic's type", _TOPIC)
+def _topic_type(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        print("\n".join(_topic_types(node, absolute(options.topic))))
+
+
+@_verb(
+    "topic", "echo", "what is published, until Ctrl-C", _TOPIC,
+    _argument("type", nargs="?", help="default: what its publishers say"),
+    _argument("--once", action="store_true", help="one message, then end"),
+    _argument("--field", metavar="NAME", help="only this field, e.g. header.stamp"),
+)  # fmt: skip
+def _topic_echo(options: argparse.Namespace) -> None:
+    done = Future()
+
+    def show(message: Any) -> None:
+        if done.done():
+            return
+        try:
+            print(f"{as_yaml(part(message, options.field) if options.field else message)}---", flush=True)
+        except Exception as error:  # raised here, rclpy would print it as well
+            done.set_exception(error)
+            return
+        if options.once:
+            done.set_result(None)
+
+    with visiting() as node:
+        topic = absolute(options.topic)
+        kind = interface(options.type or _topic_types(node, topic)[0], "msg")
+        node.create_subscription(kind, topic, show, _offered_qos(node, topic))
+        spin(node, done)
+    if done.done():
+        done.result()
+
+
+@_verb(
+    "topic", "hz", "how often something is published, each second until Ctrl-C", _TOPIC,
+    _argument("-w", "--window", type=int, default=10_000, metavar="N", help="messages that count (10000)"),
+)  # fmt: skip
+def _topic_hz(options: argparse.Namespace) -> None:
+    """Count serialized messages on arrival, without decoding them."""
+    if options.window < 2:
+        raise UserError(f"--window {options.window}: two messages or more make a rate")
+    times: deque[float] = deque(maxlen=options.window)
+    new, done = 0, Future()
+
+    def count(_: bytes) -> None:
+        nonlocal new
+        times.append(time.monotonic())
+        new += 1
+
+    def report() -> None:
+        nonlocal new
+        if done.done():
+            return
+        try:
+            print(_rate(times) if new else "no new messages", flush=True)
+        except OSError as error:  # closed by `| head`; raised here, rclpy would print it
+            done.set_exception(error)
+        new = 0
+
+    with visiting() as node:
+        topic = absolute(options.topic)
+        kind = interface(_topic_types(node, topic)[0], "msg")
+        node.create_subscription(kind, topic, count, _offered_qos(node, topic), raw=True)
+        node.create_timer(_REPORT, report)
+        spin(node, done)
+    if done.done():
+        done.result()
+
+
+def _rate(times: deque[float]) -> str:
+    stamps = list(times)
+    steps = [later - earlier for earlier, later in pairwise(stamps)]
+    if not steps or not sum(steps):
+        return "no new messages"
+    return (
+        f"average rate: {len(steps) / sum(steps):.3f}\n\tmin: {min(steps):.3f}s max: {max(steps):.3f}s "
+        f"std dev: {statistics.pstdev(steps):.5f}s window: {len(stamps)}"
+    )
+
+
+def _topic_types(node: Node, topic: str) -> list[str]:
+    return types_of(node.get_topic_names_and_types, topic, f"nobody publishes or hears {topic}")
+
+
+def _offered_qos(node: Node, topic: str) -> QoSProfile:
+    """Return the QoS that all present publishers can serve: reliable, or latched, only if each of them is.
+
+    A subscriber may be discovered before the publisher: a latched message would then be missed for good.
+    """
+    with suppress(UserError):
+        wait_for(lambda: node.count_publishers(topic), "", patience=_PUBLISHER)
+    offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
+    reliable = bool(offered) and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+    latched = bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+@_verb(
+    "node", "list", "names of all nodes",
+    _argument("-a", "--all", action="store_true", help="hidden ones, too"),
+    _argument("-c", "--count-nodes", action="store_true", help="only how many"), _SPIN_TIME,
+)  # fmt: skip
+def _node_list(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        settle(node, options.spin_time)
+        found = [name for name in node_names(node) if options.all or not hidden(name)]
+    print(len(found) if options.count_nodes else "\n".join(found))
+
+
+@_verb(
+    "node", "info", "what a node publishes, hears, serves and calls", _NODE,
+    _argument("--include-hidden", action="store_true", help="hidden topics and services, too"), _SPIN_TIME,
+)  # fmt: skip
+def _node_info(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        name, namespace = find_node(node, options.node)
+        settle(node, options.spin_time)
+        sections: dict[str, Names] = {
+            "Subscribers": node.get_subscriber_names_and_types_by_node(name, namespace),
+            "Publishers": node.get_publisher_names_and_types_by_node(name, namespace),
+            "Service Servers": node.get_service_names_and_types_by_node(name, namespace),
+            "Service Clients": node.get_client_names_and_types_by_node(name, namespace),
+        }
+    print(full_name(namespace, name))
+    for title, entries in sections.items():
+        print(f"  {title}:")
+        for entry, kinds in sorted(entries):
+            if options.include_hidden or not hidden(entry):
+                print(f"    {entry}: {', '.join(kinds)}")
+
+
+@_verb("param", "list", "names of a node's parameters, or of all nodes'", _argument("node", nargs="?"), _SPIN_TIME)
+def _param_list(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        if options.node:
+            for name in _parameters(node, full_name(*reversed(find_node(node, options.node)))):
+                print(f"  {name}")
+            return
+        settle(node, options.spin_time)
+        for owner in node_names(node):
+            if not hidden(owner):
+                print(f"{owner}:")
+                try:
+                    names = _parameters(node, owner)
+                except UserError as error:  # a node without parameters may have no parameter services
+                    names = [f"({error})"]
+                print(*(f"  {name}" for name in names), sep="\n")
+
+
+@_verb(
+    "param", "get", "a parameter's value", _NODE, _PARAMETER,
+    _argument("--hide-type", action="store_true", help="the value alone"),
+)  # fmt: skip
+def _param_get(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        owner = full_name(*reversed(find_node(node, options.node)))
+        answer: Any = answer_of(node, _parameter_client(node, owner).get_parameters([options.parameter]), owner)
+    value = answer.values[0] if answer.values else ParameterValue()
+    if value.type == ParameterType.PARAMETER_NOT_SET:
+        raise UserError(f"{owner} has no parameter {options.parameter}")
+    shown = parameter_value_to_python(value)
+    print(shown if options.hide_type else f"{_TYPES[value.type]}: {shown}")
+
+
+def _parameters(node: Node, owner: str) -> list[str]:
+    answer: Any = answer_of(node, _parameter_client(node, owner).list_parameters(), owner)
+    return sorted(answer.result.names)
+
+
+def _parameter_client(node: Node, owner: str) -> AsyncParameterClient:
+    client = AsyncParameterClient(node, owner)
+    if not client.wait_for_services(PATIENCE):
+        raise UserError(f"{owner} offers no parameters (looked for {PATIENCE:g} s)")
+    return client
+
+
+@_verb("service", "list", "names of all services", *_list_arguments("services"))
+def _service_list(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        settle(node, options.spin_time)
+        _print_list(options, node.get_service_names_and_types())
+
+
+@_verb("service", "type", "a service's type", _SERVICE)
+def _service_type(options: argparse.Namespace) -> None:
+    with visiting() as node:
+        print("\n".join(_service_types(node, absolute(options.service))))
+
+
+@_verb(
+    "service", "call", "ask a service once, and show what it answers", _SERVICE,
+    _argument("type", help="e.g. std_srvs/srv/SetBool"),
+    _argument("values", nargs="?", default="", help="fields as YAML, e.g. '{data: false}'"),
+)  # fmt: skip
+def _service_call(options: argparse.Namespace) -> None:
+    service, kind = absolute(options.service), interface(options.type, "srv")
+    request = kind.Request(check_fields=True)
+    fill(request, parsed(options.values))
+    with visiting() as node:
+        offered = _service_types(node, service)
+        if f"{kind.__module__.partition('.')[0]}/srv/{kind.__name__}" not in offered:
+            raise UserError(f"{service} is of type {', '.join(offered)}, not {options.type}")
+        client = node.create_client(kind, service)
+        if not client.wait_for_service(timeout_sec=PATIENCE):
+            raise UserError(f"{service} was not ready within {PATIENCE:g} s")
+        print(f"requester: making request: {request}\n")
+        print(f"response:\n{answer_of(node, client.call_async(request), service)}\n")
+
+
+def _service_types(node: Node, service: str) -> list[str]:
+    return types_of(node.get_service_names_and_types, service, f"nobody offers the service {service}")
+
+
+@_verb(
+    "bag", "info", "what a recording holds; of a recorder that was killed or still runs, too",
+    _argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file"),
+)  # fmt: skip
+def _bag_info(options: argparse.Namespace) -> None:
+    print(_summary_text(summarized(options.bag)))
+
+
+def _summary_text(summary: RecordingSummary) -> str:
+    """Return a summary in the format of upstream's `ros2 bag info`, then the irregularities of the recording."""
+    topics = [
+        f"Topic: {topic} | Type: {kind} | Count: {count} | Serialization Format: cdr"
+        for topic, (kind, count) in sorted(summary.topics.items())
+    ]
+    lines = {
+        "Files:": "  ".join(path.name for path in summary.files),
+        "Bag size:": _size(summary.size),
+        "Storage id:": "mcap",
+        "Duration:": f"{1e-9 * (summary.end_ns - summary.begin_ns):.9f}s",
+        "Start:": _date(summary.begin_ns),
+        "End:": _date(summary.end_ns),
+        "Messages:": str(sum(count for _, count in summary.topics.values())),
+        "Topic information:": f"\n{'':19}".join(topics),
+    }
+    return "\n".join([*(f"{name:<19}{value}" for name, value in lines.items()), *summary.notes])
+
+
+def _date(time_ns: int) -> str:
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    words = datetime.fromtimestamp(seconds, timezone.utc).strftime("%b %d %Y %H:%M:%S")
+    return f"{words}.{rest:09d} UTC ({seconds}.{rest:09d})"
+
+
+def _size(count: float) -> str:
+    unit = 0
+    while count >= 1024.0 and unit < len(_UNITS) - 1:
+        count, unit = count / 1024.0, unit + 1
+    return f"{count:.1f} {_UNITS[unit]}"

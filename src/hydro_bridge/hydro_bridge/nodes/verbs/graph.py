@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Temporary access to the graph: a hidden node for the duration of one verb, and waiting for discovery."""
+"""Access to the graph for one verb: a hidden node for its duration, discovery, and names."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import rclpy
@@ -22,33 +21,6 @@ PATIENCE = 10.0
 """s, wait for a named item: on a busy machine announcements get lost and are repeated every few seconds."""
 _CALM = 0.5
 _LOOK = 0.05
-
-
-def add_spin_time(parser: argparse.ArgumentParser) -> None:
-    """Add `--spin-time S`, upstream's option."""
-    parser.add_argument(
-        "--spin-time", type=float, default=SPIN_TIME, metavar="S", help=f"s to look around at least ({SPIN_TIME:g})"
-    )
-
-
-def add_list_options(parser: argparse.ArgumentParser, things: str) -> None:
-    """Add upstream's options of a list of `things`."""
-    parser.add_argument("-t", "--show-types", action="store_true", help="with their types")
-    parser.add_argument("-c", f"--count-{things}", dest="count", action="store_true", help="only how many")
-    parser.add_argument(
-        f"--include-hidden-{things}", dest="include_hidden", action="store_true", help="hidden ones, too"
-    )
-    add_spin_time(parser)
-
-
-def print_list(options: argparse.Namespace, found: Iterable[tuple[str, list[str]]]) -> None:
-    """Print names, with their types if requested; `options` are those of `add_list_options`."""
-    shown = sorted((name, kinds) for name, kinds in found if options.include_hidden or not hidden(name))
-    if options.count:
-        print(len(shown))
-        return
-    for name, kinds in shown:
-        print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
 
 
 @contextmanager
@@ -104,3 +76,22 @@ def absolute(name: str) -> str:
 def hidden(name: str) -> bool:
     """Return whether one of a name's parts begins with `_`."""
     return any(part.startswith("_") for part in name.split("/"))
+
+
+def node_names(node: Node) -> list[str]:
+    """Return the full names of all nodes, sorted."""
+    return sorted(full_name(namespace, name) for name, namespace in node.get_node_names_and_namespaces())
+
+
+def find_node(node: Node, wanted: str) -> tuple[str, str]:
+    """Return name and namespace of a node once it is found; raises UserError."""
+    wanted = absolute(wanted)
+    wait_for(lambda: wanted in node_names(node), f"there is no node {wanted}")
+    namespace, _, name = wanted.rpartition("/")
+    return name, namespace or "/"
+
+
+def types_of(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
+    """Return the types of a topic or service once it is in the graph; raises UserError with `sentence`."""
+    wait_for(lambda: name in dict(offered()), sentence)
+    return list(dict(offered())[name])

@@ -19,40 +19,128 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from hydro_bridge.process import endings
+from hydro_bridge.process.latency import Latency
 from hydro_bridge.process.realtime import drop_realtime
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
-from hydro_bridge.ros.diagnostics import Journal
-from hydro_bridge.ros.messages import law_from_message, listen_to_box, seconds, state_from_message
+from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
+from hydro_bridge.ros.messages import law_from_message, seconds, state_from_message, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
-from hydro_bridge.ros.topics import (
-    BOX_LAW,
-    BOX_LAW_QOS,
-    CORRECTION,
-    CORRECTION_QOS,
-    LAW_STATE,
-    LAW_STATE_QOS,
-    STATE,
-    STATE_QOS,
-)
+from hydro_bridge.ros.topics import BOX_LAW, CORRECTION, LAW_STATE, POLICY, STATE, create_publisher, create_subscription
 from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import LawCommand, ReferenceSignal
-from hydro_msgs.msg import BenchState, Correction, Gains, LawState
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, LawCommand, ReferenceSignal
+from hydro_msgs.msg import BenchState, Correction, Gains, LawState, PolicyStep
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.nodes.graph.announcements import Announcer
-from hydro_policy.nodes.graph.authority_wait import ALONE_WITHIN, AuthorityWait
-from hydro_policy.nodes.graph.companion_watch import CompanionWatch
-from hydro_policy.nodes.graph.freeze_service import FreezeService
-from hydro_policy.nodes.graph.gain_timing import GainTiming
-from hydro_policy.nodes.graph.override_service import OverrideService
-from hydro_policy.nodes.graph.policy_steps import PolicySteps
-from hydro_policy.sessions.session import Session
-from hydro_policy.supervision import requirements
+from hydro_policy.nodes.graph.announcements import Announcer, CompanionWatch
+from hydro_policy.nodes.graph.services import FreezeService, OverrideService
+from hydro_policy.supervision import plant_supervisor
+from hydro_policy.supervision.interfaces import Session
 from hydro_policy.supervision.override import GainOverride
+
+_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
+
+
+class GainTiming:
+    """Latencies of policy steps, from a sample to the publication of its gains."""
+
+    def __init__(self) -> None:
+        self.response = Latency()
+        """From the sample's arrival in this process to the gains' publication."""
+        self.age = Latency()
+        """From the sample's stamp to the gains' stamp: total latency."""
+        self.jitter = Latency()
+        """|interval between gains - 10 ms|; pauses of five intervals or more are excluded."""
+        self._published = 0.0
+
+    def add(self, arrived: float, published: float, age: float) -> None:
+        """Count one step: a sample's arrival and the gains' publication [s, monotonic], and their age [s]."""
+        self.response.add(published - arrived)
+        self.age.add(age)
+        interval, self._published = published - self._published, published
+        if interval < 5 * _PERIOD:
+            self.jitter.add(abs(interval - _PERIOD))
+
+
+ALONE_WITHIN = 600.0
+"""s that a new node waits for the present holder of the plant."""
+ANSWER_WITHIN = 30.0
+"""s, wait for the plant's answer."""
+UNANSWERED = "the plant does not say who may command it (/hydro/claim)"
+
+
+class AuthorityWait:
+    """Reports why a node does not command the plant, each reason once, and gives up after a timeout.
+
+    Parameters
+    ----------
+    node
+        Waiting node.
+    commander
+        Requests the authority from the plant, and holds its answer.
+    warn
+        Called with each reason.
+    """
+
+    def __init__(self, node: Node, commander: Commander, warn: Callable[[str], None]) -> None:
+        self._node, self._commander, self._warn = node, commander, warn
+        self._since = math.inf
+        self._two_plants, self._crowd, self._refusal = False, "", ""  # seen since the last check; already reported
+
+    def note_two_plants(self) -> None:
+        """Record that samples of two plants arrived, which are both ignored."""
+        self._two_plants = True
+
+    def look(self, now: float, sampled: bool) -> None:
+        """Check who commands the plant, at every tick; `sampled`: whether any sample has arrived.
+
+        Raises
+        ------
+        NotReadyError
+            The wait exceeded its time-out.
+        """
+        crowd = publisher_conflicts(self._node, STATE) if self._two_plants else ""
+        if crowd and not self._crowd:
+            self._warn(f"{crowd}; until then no sample is believed")
+        self._two_plants, self._crowd = False, crowd
+        if self._commander.held or not sampled:
+            self._since, self._refusal = math.inf, ""
+            return
+        self._since = min(self._since, now)
+        refusal, within = self._commander.refusal or UNANSWERED, ALONE_WITHIN
+        if not self._commander.refusal:
+            within = ANSWER_WITHIN
+        elif refusal != self._refusal:
+            self._warn(f"{refusal}; {self._node.get_name()} waits, {within:g} s at most")
+        self._refusal = refusal
+        if now - self._since > within:
+            raise NotReadyError(f"{refusal}, still after {within:g} s")
+
+
+class PolicySteps:
+    """Publishes `PolicyStep` a hundred times a second, with one reused message object.
+
+    Parameters
+    ----------
+    node
+        Node that acts.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._clock, self._message = node.get_clock(), PolicyStep()
+        self._publisher = create_publisher(node, POLICY)
+
+    def publish(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        """See `hydro_policy.supervision.interfaces.Outputs.acted`."""
+        message = self._message
+        message.header.stamp = self._clock.now().to_msg()
+        message.step, message.weights, message.reward = step, weights, reward
+        message.mean_delta_kp, message.mean_delta_ki = mean
+        self._publisher.publish(message)
+
 
 TICK = 0.05  # s
 PRIORITY = 10
@@ -62,7 +150,7 @@ DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
 
 
 class GraphNode(Node):
-    """Moves messages between the graph and one session at a time; implements `supervision.outputs.Outputs`.
+    """Moves messages between the graph and one session at a time; implements `supervision.interfaces.Outputs`.
 
     It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
@@ -111,9 +199,9 @@ class GraphNode(Node):
         self._wait = AuthorityWait(self, self._commander, self.warn)
         self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
-        listen_to_box(self, self._on_box)
-        self.create_subscription(BoxLawMessage, BOX_LAW, self._on_box_law, BOX_LAW_QOS)
+        self._states = create_subscription(self, STATE, self._on_state)
+        subscribe_to_box(self, self._on_box)
+        create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
@@ -136,7 +224,7 @@ class GraphNode(Node):
             No plant appeared in time, or its box was not described.
         """
         needed = (
-            requirements.plant(lambda: self._sampled < math.inf),
+            plant_supervisor.plant(lambda: self._sampled < math.inf),
             box_info_requirement(lambda: self.box is not None and self._laws_told),
         )
         self._laws_told |= not law
@@ -194,7 +282,7 @@ class GraphNode(Node):
 
     def listen_to_corrections(self) -> None:
         """Subscribe to the filter's corrections, a thousand a second, and pass them to the session."""
-        self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
+        create_subscription(self, CORRECTION, self._on_correction)
 
     def compensate(self, compensation: LiveCompensation) -> None:
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
@@ -203,7 +291,7 @@ class GraphNode(Node):
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
 
         FreezeService(self, compensation, self.warn)
-        self.create_subscription(LawState, LAW_STATE, take, LAW_STATE_QOS)
+        create_subscription(self, LAW_STATE, take)
 
     def tell_steps(self) -> None:
         """Publish the policy's result of each step on /hydro/policy from now on."""
@@ -215,31 +303,31 @@ class GraphNode(Node):
             threading.Thread(target=self._read_keys, daemon=True).start()
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        """See `hydro_policy.supervision.outputs.Outputs`."""
+        """See `hydro_policy.supervision.interfaces.Outputs`."""
         self._gains = self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
 
     def command_law(self, command: LawCommand, step: int) -> None:
-        """See `hydro_policy.supervision.outputs.Outputs`."""
+        """See `hydro_policy.supervision.interfaces.Outputs`."""
         self._commander.law(command, step)
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """See `hydro_policy.supervision.outputs.Outputs`."""
+        """See `hydro_policy.supervision.interfaces.Outputs`."""
         if self._steps is not None:
             self._steps.publish(step, mean, reward, weights)
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """See `hydro_policy.supervision.outputs.Outputs`."""
+        """See `hydro_policy.supervision.interfaces.Outputs`."""
         self._commander.reference(signal)
 
     def arm(self, arm: bool) -> None:
-        """See `hydro_policy.supervision.outputs.Outputs`."""
+        """See `hydro_policy.supervision.interfaces.Outputs`."""
         answer = self._commander.arm(arm)
         if answer is not None:
             answer.add_done_callback(self._on_arm_answer if arm else self._on_disarm_answer)
 
     def say(self, sentence: str, warning: bool = False) -> None:
-        """See `hydro_policy.supervision.outputs.Outputs`."""
+        """See `hydro_policy.supervision.interfaces.Outputs`."""
         self.announcer.say(sentence, warning)
 
     def warn(self, sentence: str) -> None:

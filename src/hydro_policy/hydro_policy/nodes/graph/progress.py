@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from hydro_bridge.cli.console import progress
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
-from hydro_bridge.ros.topics import TRAINING, TRAINING_QOS
+from hydro_bridge.ros.topics import TRAINING, create_publisher
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.nodes.graph.node import GraphNode
@@ -36,7 +36,7 @@ class TrainingProgress:
         self._ticks, self._told = 0, session.progress.episode
         self._examined = len(session.progress.exams)
         self._message = TrainingStatus()
-        self._publisher = node.create_publisher(TrainingStatus, TRAINING, TRAINING_QOS)
+        self._publisher = create_publisher(node, TRAINING)
         node.create_timer(0.5, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(node, self._status)
 
@@ -79,7 +79,7 @@ class TrainingProgress:
         steps = session.settings.task.steps_per_episode
         under_way = session.current.steps if session.phase is Phase.TRAINING else 0
         bar.n = min(session.progress.episode * steps + under_way, bar.total or 0)
-        state = "" if session.phase is Phase.TRAINING else f" ({session.watch.standing})"
+        state = "" if session.phase is Phase.TRAINING else f" ({session.watch.summary})"
         bar.set_description_str(f"{session.phase.name.lower()}{state}", refresh=False)
         bar.set_postfix_str(self._figures(), refresh=False)
         bar.refresh()
@@ -105,7 +105,7 @@ class TrainingProgress:
             "interruptions": session.progress.interruptions,
             "rollbacks": session.progress.rollbacks,
             "examination": _exam_line(exams[-1], session) if (exams := session.progress.exams) else "none yet",
-            "last stop": session.state_of_run.last_stop or "none",
+            "last stop": session.run.last_stop or "none",
             "override": session.override.description,
             "policy": f"blake2b {session.explorer.policy.digest()}",
             "best score": session.progress.best_score,
@@ -120,7 +120,7 @@ class TrainingProgress:
             "state to gains": node.timing.age.sentence(),
             "jitter": node.timing.jitter.sentence(),
         }
-        message = f"{phase.name.lower()}, plant {session.watch.standing}"
+        message = f"{phase.name.lower()}, plant {session.watch.summary}"
         message += "" if learner.alive else ", learner down"
         message += f", OVERRIDDEN by hand: {session.override.description}" if overridden else ""
         return Status(level=Level.OK if fine else Level.WARN, message=message, values=values)
@@ -139,7 +139,7 @@ class EvaluationProgress:
         self._bar.n = round(session.seconds_done)
         if not session.finished:
             _, case, controller = session.plan[len(session.scores)]
-            state = "" if session.watch.armed else f" ({session.watch.standing})"
+            state = "" if session.watch.armed else f" ({session.watch.summary})"
             held = f"OVERRIDDEN {session.override.description}, " if session.override.active else ""
             self._bar.set_description_str(f"evaluating{state}", refresh=False)
             self._bar.set_postfix_str(f"{held}{controller.name} at {case.name}", refresh=False)

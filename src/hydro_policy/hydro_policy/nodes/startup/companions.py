@@ -1,24 +1,130 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Companion processes: the nodes that a trainer or an evaluation starts, without `ros2 launch`.
+"""Companion processes: the nodes that a trainer or an evaluation starts without `ros2 launch`, and their arguments.
 
 --plant sim         sim, filter, recorder
 --plant emulator    emulator, bridge, filter, recorder
 --plant bench       bridge, filter, recorder
 --plant external    none: everything runs already
+
+The guard is widened to the policy's range of gains, and told which filter that range relies on. A recording gets the
+bench file, and digests of all weights involved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydro_bridge.ros.companion import Companion
+from hydro_bridge.safety.guard import GuardSettings
 from hydro_policy.nodes.graph.announcements import CompanionOutput
-from hydro_policy.nodes.startup import provenance
-from hydro_policy.nodes.startup.guard_range import filter_command, guard_parameters, requested_filter
+from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange
+from hydro_sim.files.weights import shipped
+
+if TYPE_CHECKING:
+    from hydro_filter.controller.factory import FilterChoice, Settings
+
+
+def bench_file(given: Path | None) -> Path:
+    """Return the path of the bench.yaml in use: the one given, or the nominal one of hydro_sim."""
+    return given or Path(str(resources.files("hydro_sim") / "data" / "bench.yaml"))
+
+
+def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Path | None = None) -> list[str]:
+    """Return key=value words: SHA-256 of the simulation's model and of each policy that the recording may contain.
+
+    The sim node runs the given model, else the analytic model of a bench file, else the weights shipped with it.
+    """
+    words = [f"policy_sha256_{path.stem}={_digest(path)}" for path in policies if path.is_file()]
+    if plant == "sim":
+        file = model or (None if bench else shipped())
+        words.append("model=analytic" if file is None else f"model_sha256={_digest(file)}")
+    return words
+
+
+def of_filter(choice: FilterChoice) -> list[str]:
+    """Return key=value words: SHA-256 of the filter's metric and of its prediction model, or that it has none."""
+    return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()] or [
+        f"filter_metric={choice.metric}"
+    ]
+
+
+def describe_policy(path: Path) -> str:
+    """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings.
+
+    Raises
+    ------
+    ValueError
+        The file is not a policy.
+    """
+    return f"policy {path}: weights {load_policy(path)[0].digest()}, SHA-256 {_digest(path)}"
+
+
+def _digest(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
+
+
+def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, Settings]:
+    """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program.
+
+    Raises
+    ------
+    PairingError
+        Its metric and model are not this bench's: nothing is started, and no guard is widened for it.
+    """
+    from hydro_filter.nodes.options import arguments
+
+    choice, settings, _ = arguments([*(["--bench", str(bench)] if bench else []), *words])
+    return choice, settings
+
+
+def guard_range(gains: GainRange) -> GainRange:
+    """Return the gain changes allowed by the plant's guard: its defaults, widened to the policy's range if larger."""
+    default = GuardSettings()
+    return GainRange(
+        delta_kp_min=min(gains.delta_kp_min, default.delta_kp_min),
+        delta_kp_max=max(gains.delta_kp_max, default.delta_kp_max),
+        delta_ki_min=min(gains.delta_ki_min, default.delta_ki_min),
+        delta_ki_max=max(gains.delta_ki_max, default.delta_ki_max),
+    )
+
+
+def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
+    """Return the ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
+
+    The guard is given the filter on which the wider range relies, and reports it: it is never widened silently.
+    """
+    default, wanted = GuardSettings(), asdict(guard_range(gains))
+    changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
+    words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
+    return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
+
+
+def filter_command(words: Sequence[str]) -> str:
+    """Return the filter's command line with its metric named explicitly."""
+    from hydro_filter.controller.factory import DEFAULT
+
+    named = any(word.split("=")[0] == "--metric" for word in words)
+    return " ".join(words if named else (f"--metric {DEFAULT}", *words))
+
+
+def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
+    """Return why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
+    choice, settings = requested_filter(words, bench)
+    if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
+        return ""
+    if settings.bypass:
+        return "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
+    if choice.constant:
+        return "the constant metric does not protect from high gains: only the monitor and the box's force limit do"
+    return ""
+
 
 PLANTS = ("sim", "emulator", "bench", "external")
 LOAD_FORCE = "load_force"
@@ -113,8 +219,8 @@ def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) 
 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
-    digests = provenance.weights(options.plant, options.bench, options.policies, options.model)
-    digests += provenance.of_filter(requested_filter(options.filter, options.bench)[0])
+    digests = weights(options.plant, options.bench, options.policies, options.model)
+    digests += of_filter(requested_filter(options.filter, options.bench)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
-    attachments = [provenance.bench_file(options.bench), *options.attachments]
+    attachments = [bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

@@ -1,35 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training run: prepare, train, evaluate, disarm."""
+"""Training run: prepare, train, evaluate, disarm, write the results."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.safety.readiness import Readiness
+from hydro_policy.evaluation import report as evaluation
+from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
-from hydro_policy.nodes.evaluation.results import conditions, show_results
-from hydro_policy.nodes.evaluation.run import evaluate_on, search_on
+from hydro_policy.nodes.evaluation import conditions, evaluate_on, search_on, show_results, write_page
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrainingProgress
+from hydro_policy.nodes.startup.companions import describe_policy
 from hydro_policy.nodes.startup.options import load_cell, may_rearm
-from hydro_policy.nodes.startup.provenance import describe_policy
-from hydro_policy.nodes.training.results import (
-    SEARCHED,
-    paper_controllers,
-    print_files,
-    timing,
-    trained_a_better_one,
-    write_training_page,
-)
 from hydro_policy.nodes.training.start import (
     Prepared,
     begin_record,
@@ -38,11 +33,88 @@ from hydro_policy.nodes.training.start import (
     restore_plant_file,
     start_plant,
 )
-from hydro_policy.runs.initial_agent import InitialAgent
-from hydro_policy.runs.record import RunRecord
+from hydro_policy.runs import report as training
+from hydro_policy.runs.initial_agent import AGENT, InitialAgent
+from hydro_policy.runs.run import RunDirectory, RunRecord
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
-from hydro_policy.supervision import requirements
+from hydro_policy.supervision import plant_supervisor
+
+SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))
+"""References of the search for the best fixed gains."""
+
+
+def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> list[Controller]:
+    """Return the paper's controllers: I trained on the bench, II pretrained, III fixed; without II the base gains.
+
+    I is the best policy of the run, or the last one if none was better than the initial one.
+    """
+    gains, best = session.settings.task.gains, session.run.best
+    name = "I: last policy, trained here"
+    if best is not None and trained_a_better_one(session):
+        session.policy.load_flat(best)
+        name = "I: policy, trained here"
+    controllers: list[Controller] = [PolicyController(session.policy, gains, name)]
+    if start is not None:
+        before = Policy(start.sac.hidden_size)
+        before.load_flat(actor_parameters(start.agent))
+        controllers.append(PolicyController(before, gains, "II: policy it started from"))
+    base = session.settings.base_gains
+    controllers.append(FixedGains(90.0, 15.0, base))
+    return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0, base)]
+
+
+def trained_a_better_one(session: TrainingSession) -> bool:
+    """Return whether a policy trained here scored better than the initial one, by more than noise."""
+    return any(exam["best"] and exam["episode"] > 0 for exam in session.progress.exams)
+
+
+def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
+    """Return percentiles [s] of the timings reported in results.md."""
+    measured = {"jitter": node.timing.jitter, "inference": session.explorer.inference, "response": node.timing.response}
+    return {f"{name}_p99": latency.percentile(99) for name, latency in measured.items()}
+
+
+def write_training_page(
+    run: RunDirectory, record: RunRecord, results: EvaluationSession | None, notes: Mapping[str, Any]
+) -> None:
+    """Write learning.png and report.html into the run's folder; a failure is reported, never raised."""
+    found = evaluation.sections(results, run.tracking_plot) if results is not None and results.scores else []
+    try:
+        training.draw_curve(record.events, run.learning_curve)
+    except OSError as error:
+        print(f"no learning curve: {error.strerror or error}", file=sys.stderr)
+    told = training.sections(record.events, run.learning_curve)
+    write_page(run, f"Training {run.path.name}", notes, found + told)
+
+
+def print_files(
+    run: RunDirectory, recording: Path | None, finished: bool, options: argparse.Namespace, seconds: float
+) -> None:
+    """Print where each file is and what to run next."""
+    listed = [
+        ("policy", run.policy),
+        ("checkpoint", run.latest),
+        ("best agent", run.best / AGENT),
+        ("what happened", run.record),
+        ("recording", recording),
+        ("evaluation", run.evaluation),
+        ("tracking plot", run.tracking_plot),
+        ("page of the run", run.page),
+        ("log", run.log),
+    ]
+    print(f"\n{'Done' if finished else 'Ended early'} after {seconds:.0f} s. Files:")
+    for name, path in listed:
+        if path is not None and path.exists():
+            print(f"  {name:22s} {path}")
+    plant = f"--plant {options.plant}" + (f" --port {options.port}" if options.port else "")
+    print("Next:")
+    if not finished and run.latest.exists():
+        print(f"  go on            ros2 run hydro_policy trainer {plant} --resume {run.path}")
+    print(f"  full training    ros2 run hydro_policy trainer {plant} --resume {run.path} --episodes 160 --evaluate")
+    print(f"  compare again    ros2 run hydro_policy evaluate {plant} --policy {run.path} --fixed 90 15 --fixed 15 5")
 
 
 def say_policy(node: GraphNode, path: Path, *, resumed: bool) -> None:
@@ -79,15 +151,15 @@ def train(options: argparse.Namespace) -> int:
         finished, results = drive(options, node, session, learner, prepared.start)
         if finished:  # a stopped run hands nothing over
             node.successor = options.hand_over or ""
-        record.add("end", session.gave_up, **timing(node, session), complete=finished)
+        record.add("end", session.run.gave_up, **timing(node, session), complete=finished)
     notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
     if results is not None:
         show_results(results, run, notes)
     record.flush()
     write_training_page(run, record, results, notes)
     print_files(run, recording, finished, options, time.monotonic() - began)
-    if session.gave_up:
-        print(f"Training was given up: {session.gave_up}; {run.record} has what happened.", file=sys.stderr)
+    if session.run.gave_up:
+        print(f"Training was given up: {session.run.gave_up}; {run.record} has what happened.", file=sys.stderr)
         return 1
     return 0 if finished else 130
 
@@ -132,17 +204,17 @@ def drive(
         return False, None
     bar = TrainingProgress(node, session, learner)
     try:
-        finished = session.state_of_run.trained or node.run_session(session, bar.tick)
+        finished = session.run.trained or node.run_session(session, bar.tick)
     finally:
         bar.close()
     inference = session.explorer.inference.sentence()
     node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; of which inference {inference}")
     if session.progress.exams and not trained_a_better_one(session):
         node.say("no policy trained here was better, by more than noise, than the one it started from: that is kept")
-    if not finished or session.gave_up or not options.evaluate:
-        return finished and not session.gave_up, None
+    if not finished or session.run.gave_up or not options.evaluate:
+        return finished and not session.run.gave_up, None
     wait_for(learner, node)  # a finished run that was resumed: not done yet
-    session.keeper.start()
+    session.run.start()
     bar.phase = lambda: Phase.EVALUATING
     controllers = paper_controllers(session, start)
     rearm, watch = may_rearm(options), session.watch
@@ -173,7 +245,7 @@ def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
     NotReadyError
         It takes too long.
     """
-    readiness = Readiness([requirements.learner(learner)], node.say)
+    readiness = Readiness([plant_supervisor.learner(learner)], node.say)
     while not readiness.complete:
         if (sentence := learner.restart_if_dead()) is not None:
             node.say(sentence, warning=True)

@@ -26,25 +26,28 @@ from hydro_policy.nodes.startup.box_expectation import (
     require_same_box,
     training_stamp,
 )
-from hydro_policy.nodes.startup.companions import LOAD_FORCE, start_companions
-from hydro_policy.nodes.startup.guard_range import guard_range, protection_gap, requested_filter
+from hydro_policy.nodes.startup.companions import (
+    LOAD_FORCE,
+    guard_range,
+    protection_gap,
+    requested_filter,
+    start_companions,
+)
 from hydro_policy.nodes.startup.options import (
     SCRATCH,
+    choose_plant,
     declare_settings,
     load_cell,
     plant_options,
     plant_options_as_yaml,
 )
-from hydro_policy.nodes.startup.plant_choice import choose_plant
 from hydro_policy.pretraining.configurations import configuration
-from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
-from hydro_policy.runs.record import RunRecord
-from hydro_policy.runs.run import RunDirectory, TrainingSettings, new_run
+from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint, new_run
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.snapshot import check_agent, dump
-from hydro_policy.sessions.episode import Progress
+from hydro_policy.sessions.run_state import Progress
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.files.pairing import BoxIdentity

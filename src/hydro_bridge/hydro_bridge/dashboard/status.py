@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Status of the graph for the page, besides the series: holder of the authority, state of the nodes, learning progress.
+
+All of it is bounded: the latest status of each node, and a curve of at most `CURVE` episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite, nan
+from typing import Any
+
+import msgspec
+
+from hydro_bridge.signals import CorrectionStatus, Flag
+
+CURVE = 1000
+"""Maximum number of points of the learning curve; beyond it every second one is dropped."""
+NODES = 32
+"""Number of nodes whose diagnostics are kept: those heard last."""
+VALUES = 60
+"""Number of values kept of each node."""
+PHASES = ("waiting", "training", "evaluating", "paused", "finished")
+"""TrainingStatus.phase in words."""
+DEAD_AFTER = 0.5
+"""s without a sample after which the plant counts as lost."""
+
+
+def encoded(kind: str, content: Mapping[str, Any]) -> str:
+    """Encode a message to the page; non-finite values become null."""
+    return msgspec.json.encode({"kind": kind, **content}).decode()
+
+
+def flag_labels(flags: int) -> list[str]:
+    """Return the page's names of the flags that are set."""
+    return [str(flag.name).lower().replace("_", " ") for flag in Flag if flag & flags]
+
+
+class Curve:
+    """Learning curve: results of the finished episodes."""
+
+    def __init__(self) -> None:
+        self.episodes: list[int] = []
+        self.rmse: list[float] = []  # N
+        self.returns: list[float] = []
+        self._last = 0
+        self._result = (nan, nan)
+
+    def add(self, phase: int, episode: int, rmse: float, episode_return: float) -> None:
+        """Add a TrainingStatus; `episode` is the present one, in other phases than training the last one.
+
+        The other values are of the last finished episode: another result is another episode's. An episode number that
+        falls back starts another run.
+        """
+        if episode < self._last:
+            for series in (self.episodes, self.rmse, self.returns):
+                series.clear()
+        result, self._last = (rmse, episode_return), episode
+        if result == self._result or not isfinite(episode_return):
+            return
+        self._result = result
+        under_way = PHASES[phase : phase + 1] == ("training",)
+        self.episodes.append(episode - 1 if under_way else episode)
+        self.rmse.append(rmse)
+        self.returns.append(episode_return)
+        if len(self.episodes) > CURVE:
+            del self.episodes[::2], self.rmse[::2], self.returns[::2]
+
+    def content(self) -> dict[str, Any]:
+        """For the page."""
+        return {"episode": self.episodes, "rmse": self.rmse, "return": self.returns}
+
+
+class Nodes:
+    """Latest status of each node on /diagnostics."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
+
+    def update(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
+        """Add a status; `now` [s] of any one clock."""
+        kept = dict(list(values.items())[:VALUES])
+        self._heard.pop(name, None)
+        self._heard[name] = (now, {"name": name, "level": level, "message": message, "values": kept})
+        while len(self._heard) > NODES:
+            del self._heard[next(iter(self._heard))]
+
+    def content(self, now: float) -> list[dict[str, Any]]:
+        """For the page, each with its `age` [s]."""
+        return [{**said, "age": round(now - heard, 1)} for heard, said in sorted(self._heard.values(), key=_by_name)]
+
+
+def _by_name(entry: tuple[float, dict[str, Any]]) -> str:
+    return str(entry[1]["name"])
+
+
+class FilterCounts:
+    """Counts of the filter's decisions over about the last second, in words."""
+
+    def __init__(self) -> None:
+        self._counts = dict.fromkeys(CorrectionStatus, 0)
+
+    def add(self, statuses: Mapping[int, int]) -> None:
+        """Add the counts of each status."""
+        for status, count in statuses.items():
+            if status in tuple(CorrectionStatus):
+                self._counts[CorrectionStatus(status)] += count
+
+    def take(self) -> dict[str, int]:
+        """Return the counts of each status since the last call."""
+        told = {status.name.lower(): count for status, count in self._counts.items() if count}
+        self._counts = dict.fromkeys(CorrectionStatus, 0)
+        return told

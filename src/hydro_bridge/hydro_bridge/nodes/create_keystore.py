@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Creates an SROS2 keystore that grants each executable exactly the topics and services it uses.
+
+ros2 run hydro_bridge create_keystore KEYSTORE          # keys and policy, for the domain of ROS_DOMAIN_ID; network.md
+ros2 run hydro_bridge create_keystore --policy FILE     # the policy alone, which needs no sros2
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.ros.keys import (
+    ENABLE,
+    ENFORCE,
+    KEYSTORE,
+    RIGHTS,
+    STRATEGY,
+    domain,
+    enclave_of,
+    make_keystore,
+    policy_xml,
+)
+from hydro_bridge.ros.topics import CLAIM_SERVICE, CLOCK, END_SERVICE, GRAPH, OVERRIDE_SERVICE
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of the command line."""
+    result = argparse.ArgumentParser(
+        prog="create_keystore", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    result.add_argument("keystore", nargs="?", type=writable_folder, metavar="KEYSTORE", help="folder to make")
+    result.add_argument("--policy", type=writable, metavar="FILE", help="also write the policy, as SROS2 reads it")
+    add_json_argument(result)
+    return result
+
+
+def rights_table() -> Table:
+    """Return the rights of the executables on the graph's own topics and services."""
+    table = Table(
+        {
+            "name": "topic or service",
+            "from": "enclaves below /hydro that publish the topic, or answer the service",
+            "to": "enclaves that subscribe to the topic, or call the service",
+        }
+    )
+    for name in (*GRAPH, CLOCK):
+        table.add(**{"name": name, "from": _who("publishes", name), "to": _who("subscribes", name)})
+    for name in (CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE):
+        table.add(**{"name": name, "from": _who("answers", name), "to": _who("calls", name)})
+    return table
+
+
+def _who(does: str, name: str) -> str:
+    """Return the executables of which a node has that right."""
+    found = [who for who, nodes in RIGHTS.items() if any(name in getattr(rights, does) for rights in nodes.values())]
+    return " ".join(found)
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    asked = parser().parse_args()
+    if asked.keystore is None and asked.policy is None:
+        raise UserError("create_keystore needs KEYSTORE, a folder to make, or --policy FILE")
+    policy = policy_xml()
+    if asked.policy is not None:
+        write_whole(Path(asked.policy), policy)
+        print(f"{asked.policy}: the policy of {len(RIGHTS)} enclaves", file=sys.stderr)
+    if asked.keystore is not None:
+        make_keystore(asked.keystore, policy, map(enclave_of, RIGHTS))
+    rights_table().show(asked.json)
+    if asked.keystore is not None:
+        print(_next_steps(asked.keystore), file=sys.stderr)
+
+
+def _next_steps(keystore: Path) -> str:
+    return (
+        f"{keystore}: keys of {len(RIGHTS)} enclaves for ROS_DOMAIN_ID {domain()}, readable by you only. "
+        "In each shell that starts a node:\n"
+        f"  export {KEYSTORE}={keystore.resolve()} {ENABLE}=true {STRATEGY}={ENFORCE}"
+    )

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys for the graph: who may do what by the policy, the keystore that sros2 makes of it, how a node takes its keys."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.errors import UserError
+from hydro_bridge.nodes import create_keystore
+from hydro_bridge.ros.companion import Companion, executable_path
+from hydro_bridge.ros.keys import (
+    ENABLE,
+    KEYSTORE,
+    RIGHTS,
+    STRATEGY,
+    domain,
+    enclave_arguments,
+    enclave_of,
+    make_keystore,
+    policy_xml,
+    security_enabled,
+)
+from hydro_bridge.ros.topics import (
+    ARM_SERVICE,
+    AUTHORITY,
+    CLAIM_SERVICE,
+    CORRECTION,
+    END_SERVICE,
+    GAINS,
+    GRAPH,
+    LOG,
+    OVERRIDE_SERVICE,
+    REFERENCE,
+    STATE,
+)
+from hydro_bridge.settings import SettingsError
+
+ENCLAVES = [enclave_of(executable) for executable in RIGHTS]
+SERVICES = (ARM_SERVICE, CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE)
+needs_sros2 = pytest.mark.skipif(
+    find_spec("sros2") is None or shutil.which("openssl") is None, reason="sros2 or openssl is not here"
+)
+
+
+def allowed(kind: str, what: str, name: str) -> set[str]:
+    """The executables whose policy allows `what` (publish, subscribe, reply, request) with a topic or service."""
+    return {
+        enclave.attrib["path"].removeprefix("/hydro/")
+        for enclave in ElementTree.fromstring(policy_xml()).iter("enclave")
+        for group in enclave.iter(f"{kind}s")
+        if group.get(what) == "ALLOW" and name in [entry.text for entry in group]
+    }
+
+
+def test_only_who_has_to_may_command_the_plant() -> None:
+    drivers = {"trainer", "evaluate", "collect"}
+    assert allowed("topic", "publish", GAINS) == drivers
+    assert allowed("topic", "publish", REFERENCE) == drivers
+    assert allowed("topic", "publish", CORRECTION) == {"filter"}
+    assert allowed("topic", "publish", STATE) == {"bridge", "sim", "replayer"}
+    assert allowed("topic", "publish", AUTHORITY) == {"bridge", "sim"}
+    assert not allowed("service", "request", ARM_SERVICE), "who has a key disarms by name"
+    assert allowed("service", "request", CLAIM_SERVICE) == drivers | {"arm", "dashboard"}
+    assert allowed("service", "request", OVERRIDE_SERVICE) == {"override", "dashboard"}
+    assert allowed("service", "request", END_SERVICE) == {"dashboard"}
+
+
+def test_a_person_who_watches_reads_all_of_the_graph_and_commands_nothing() -> None:
+    assert all("watch" in allowed("topic", "subscribe", topic) for topic in GRAPH)
+    assert [topic for topic in GRAPH if "watch" in allowed("topic", "publish", topic)] == [LOG], "its own log"
+    assert not any("watch" in allowed("service", "request", name) for name in SERVICES)
+
+
+def test_nothing_is_allowed_by_a_pattern_but_the_name_of_a_persons_tool() -> None:
+    patterns = {entry.text for entry in ElementTree.fromstring(policy_xml()).iter() if "*" in (entry.text or "")}
+    assert all((pattern or "").startswith("/_ros2cli_*/") for pattern in patterns)
+
+
+@pytest.mark.skipif(find_spec("sros2") is not None, reason="sros2 is here")
+def test_without_sros2_one_sentence_says_the_way_on_and_the_policy_is_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["create_keystore", str(tmp_path / "keys"), "--policy", str(tmp_path / "policy.xml")]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        create_keystore.main()
+    assert ended.value.code == 2
+    assert "apt install ros-jazzy-sros2" in capsys.readouterr().err
+    assert (tmp_path / "policy.xml").read_bytes() == policy_xml()
+    assert not (tmp_path / "keys").exists()
+
+
+@needs_sros2
+def test_a_keystore_holds_signed_permissions_for_the_topics_of_the_table(tmp_path: Path) -> None:
+    keystore = tmp_path / "keys"
+    make_keystore(keystore, policy_xml(), ENCLAVES)
+    folders = {enclave: keystore / "enclaves" / enclave.lstrip("/") for enclave in ENCLAVES}
+    for enclave, folder in folders.items():
+        signed = subprocess.run(
+            ["openssl", "smime", "-verify", "-text", "-in", folder / "permissions.p7s", "-CAfile"]
+            + [folder / "permissions_ca.cert.pem"],
+            capture_output=True,
+            check=True,
+        ).stdout
+        grant = ElementTree.fromstring(signed).find("permissions/grant")
+        assert grant is not None
+        assert grant.findtext("subject_name") == f"CN={enclave}"
+        assert grant.findtext("default") == "DENY"
+        assert {entry.text for entry in grant.iter("id")} == {str(domain())}
+        published = {entry.text for entry in grant.findall("allow_rule/publish/topics/topic")}
+        expected = {f"rt{name}" for rights in RIGHTS[enclave[7:]].values() for name in rights.publishes}
+        assert {name for name in published if name and name.startswith("rt/")} == expected
+        checked = ["openssl", "verify", "-CAfile", folder / "identity_ca.cert.pem", folder / "cert.pem"]
+        subprocess.run(checked, capture_output=True, check=True)
+
+
+@needs_sros2
+def test_keys_are_for_their_owner_only_and_an_older_keystore_is_left_alone(tmp_path: Path) -> None:
+    make_keystore(tmp_path / "keys", policy_xml(), ENCLAVES)
+    entries = [path for path in (tmp_path / "keys", *(tmp_path / "keys").rglob("*")) if not path.is_symlink()]
+    assert all(path.stat().st_mode & 0o077 == 0 for path in entries)
+    with pytest.raises(UserError, match="is there already"):
+        make_keystore(tmp_path / "keys", policy_xml(), ENCLAVES)
+
+
+@needs_sros2
+def test_a_keystore_is_whole_or_not_there(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="sros2 refuses"):
+        make_keystore(tmp_path / "keys", policy_xml(), [*ENCLAVES, "/hydro/nobody"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_executables_of_the_graph_take_the_enclave_of_their_name_and_others_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["/opt/install/lib/hydro_bridge/bridge"])
+    assert enclave_arguments() == ["--ros-args", "--enclave", "/hydro/bridge"]
+    monkeypatch.setattr(sys, "argv", ["-c"])
+    assert enclave_arguments() == []
+
+
+@pytest.mark.parametrize(("variable", "value"), [(ENABLE, "1"), (ENABLE, "True"), (STRATEGY, "enforce")])
+def test_what_ros_would_take_for_off_is_refused(variable: str, value: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(ENABLE, "true")
+    monkeypatch.setenv(variable, value)
+    with pytest.raises(SettingsError, match=f"{variable}={value}"):
+        security_enabled()
+
+
+def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv(STRATEGY, "")  # set, so that it is put back
+    monkeypatch.delenv(STRATEGY)
+    monkeypatch.setenv(ENABLE, "false")
+    assert not security_enabled() and STRATEGY not in os.environ
+    monkeypatch.setenv(ENABLE, "true")
+    assert security_enabled() and os.environ[STRATEGY] == "Enforce"
+    monkeypatch.setenv(STRATEGY, "Permissive")
+    assert security_enabled() and os.environ[STRATEGY] == "Permissive"
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize("made", [False, True], ids=["no keystore", "a keystore without keys"])
+def test_a_node_that_cannot_use_its_keys_ends_with_a_sentence(made: bool, tmp_path: Path) -> None:
+    keystore = tmp_path / "keys"
+    if made:
+        (keystore / "enclaves" / "hydro" / "arm").mkdir(parents=True)
+    answer = subprocess.run(
+        [str(executable_path("hydro_bridge", "arm"))],
+        env=os.environ | {ENABLE: "true", KEYSTORE: str(keystore)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert answer.returncode == 2
+    assert f"error: ROS does not start with keys ({KEYSTORE}: {keystore})" in answer.stderr
+    assert "Traceback" not in answer.stderr
+
+
+def test_what_is_started_beside_a_node_does_not_inherit_the_enclave_that_its_user_chose(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/hydro/watch")
+    monkeypatch.setenv("HYDRO_INHERITED", "yes")
+    with Companion("hydro_bridge", "bridge", ["--port", "/nowhere/port"]) as companion:
+        environment = Path(f"/proc/{companion.process.pid}/environ").read_bytes()
+    assert b"HYDRO_INHERITED=yes" in environment
+    assert b"ENCLAVE_OVERRIDE" not in environment
