@@ -94,7 +94,7 @@ def test_it_tracks_far_better_than_fixed_gains_and_a_killed_estimator_leaves_neu
 @pytest.mark.timeout(400)
 def test_a_learner_killed_beside_the_law_changes_nothing_of_it(plant: ExitStack, probe: Probe, tmp_path: Path) -> None:
     heard: list[LawState] = []
-    probe.node.create_subscription(LawState, LAW_STATE, heard.append, LAW_STATE_QOS)
+    create_subscription(probe.node, LAW_STATE, heard.append)
     short = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
     words = ("--plant", "external", "--rearm", "auto", "--no-dashboard", "--from", "scratch", "--episodes", "1")
     process = plant.enter_context(trainer(*words, "--evaluate", "--runs", str(tmp_path), "--name", "a", *short))
