@@ -119,6 +119,27 @@ def test_what_does_not_count_holds() -> None:
     np.testing.assert_array_equal(compensator.coefficients, np.tile(NEUTRAL, (2, 1)))
 
 
+@pytest.mark.parametrize(
+    ("fault", "far"),
+    [("stuck", (1e-5, 1e-6, 1e-7, 1e-4)), ("jumping", 0.0), ("out of contact", (5e-3, 2e-4, 1e-4, 1.0))],
+)
+def test_a_load_cell_that_fails_teaches_nothing(fault: str, far: float | tuple[float, ...]) -> None:
+    """Without that, stuck and out of contact move a_0 by 0.2 and a_3 by 50 N."""
+    compensator = Compensator()
+    taught(compensator, 8.0)
+    before = compensator.coefficients.copy()
+    for k in range(100):
+        command, force = polynomial(8.0 + (10 * k + np.arange(10)) * 1e-3, amplitude=300.0)
+        if fault == "stuck":
+            force = np.full(10, polynomial(np.array([8.0]))[1][0])
+        elif fault == "jumping":
+            force[5:] += 100.0 * (-1.0) ** k
+        else:
+            force *= 0.01
+        compensator.step(command[np.newaxis], force[np.newaxis], ACTIVE)
+    assert np.all(np.abs(compensator.coefficients - before) <= far)
+
+
 def test_coefficients_stay_within_the_law() -> None:
     law, generator = BoxLaw(), np.random.default_rng(0)
     compensator = Compensator(count=20)

@@ -23,6 +23,8 @@ All channels run through one filter: a derivative half a sample beside the rest 
 
 Where the fit misses F_c by more than `surprise` the bench has changed: what was before is forgotten sooner.
 
+A step does not count whose force no bench shows: a load cell that is stuck or jumps, a load out of contact.
+
 What is forgotten follows what is learnt: without excitation nothing is forgotten, a_1, a_2 and b hold, and a_0 and a_3
 return to 1 and 0.
 
@@ -90,6 +92,10 @@ class CompensatorSettings:
     """r, the force rate over which the valve counts as turning."""
     least_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
     """Excitation below which nothing is learnt."""
+    jump: Annotated[float, quantity("-", 1e-3, 100.0)] = 0.2
+    """Change of the force within a sample over `force_scale` that only a load cell makes."""
+    no_load: Annotated[float, quantity("-", 0.0, 1.0)] = 0.02
+    """Force over `force_scale` that no load is taken to have, while f_c is ten times as large."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +169,8 @@ class Compensator:
         """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, the valve's terms in a_3, shape (n, 4)."""
         self.excitation: FloatArray = np.empty(count)
         """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
+        self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)
+        """Benches whose last step counted, shape (n,)."""
         self.frozen = np.zeros(count, bool)
         """Benches whose coefficients hold on request, shape (n,)."""
         self.reset()
@@ -200,10 +208,13 @@ class Compensator:
             missing: the coefficients hold, and the filter begins anew behind it.
         reference_rate
             f_r' [N/s], shape (n, 10); absent: the valve has no terms.
+
+        A load cell that is stuck or jumps, and a load out of contact, count as samples missing do.
         """
         rate = np.zeros_like(measured) if reference_rate is None else reference_rate
         signals = np.stack((commanded, measured, *self._valve_terms(rate)), axis=1)
-        active = active & np.isfinite(signals).all(axis=(1, 2))
+        active = active & np.isfinite(signals).all(axis=(1, 2)) & self._plausible(commanded, measured)
+        self.counted = active
         begins = active & (self._steps == 0)
         self._states[begins], self._last[begins] = 0.0, signals[begins, :, 0]
         self._states[begins, :, 0] = signals[begins, :, 0]
@@ -220,6 +231,15 @@ class Compensator:
         self.coefficients[:, 3] = np.where(np.isfinite(level), level, self.coefficients[:, 3])
         np.clip(self.coefficients, self._low, self._high, out=self.coefficients)
         return self.coefficients.copy()
+
+    def _plausible(self, commanded: FloatArray, measured: FloatArray) -> npt.NDArray[np.bool_]:
+        """Benches whose load cell shows what a bench can do, shape (n,)."""
+        scale, least = self.settings.force_scale, self.settings.no_load * self.settings.force_scale
+        before = np.where(self._steps > 0, self._last[:, 1], measured[:, 0])
+        jumps = np.abs(np.diff(measured, axis=1, prepend=before[:, np.newaxis])) > self.settings.jump * scale
+        stuck = np.all(measured == before[:, np.newaxis], axis=1) & (np.ptp(commanded, axis=1) > 1e-3 * scale)
+        loose = np.all((np.abs(measured) < least) & (np.abs(commanded) > 10.0 * least), axis=1)
+        return np.asarray(~(jumps.any(axis=1) | stuck | loose))
 
     def _valve_terms(self, rate: FloatArray) -> FloatArray:
         """tanh(f_r' / r) [-] and |f_r'| [N/s], shape (2, ...)."""

@@ -5,7 +5,7 @@
     /hydro/state      f, flags ──────────┴──────────────> complete, and all of them good ────────────> a_0 to a_3
 
 A policy step with a sample that is missing, or not good, holds the coefficients: disarmed, saturated, tripped, another
-law, or commands that came late (FILTER_STALE says so under this law).
+law, commands that came late (FILTER_STALE says so under this law), or a force that no bench shows.
 """
 
 from __future__ import annotations
@@ -136,6 +136,6 @@ class LiveCompensation:
         self._take(step, good=step.good)
 
     def _take(self, step: _Step, *, good: bool) -> None:
-        self.held += not good
         force, rate = step.measured[np.newaxis], step.reference_rate[np.newaxis]
         self._estimator.step(step.commanded[np.newaxis], force, np.array([good]), rate)
+        self.held += not self._estimator.counted[0]
