@@ -66,7 +66,7 @@ def text(full: Store, quick: Store) -> str:
         f"steps.\n{len(made)} pieces, {sum(one['cpu'] for one in made) / 60.0:.0f} min of CPU, the last of "
         f"{max((one['made'] for one in made), default='')}.\n"
     )
-    return "\n".join([*parts, *_tables(store)])
+    return "".join([*parts, *_tables(store)])
 
 
 def _tables(store: Store) -> Iterator[str]:
