@@ -28,7 +28,6 @@ STUDIES = frozenset(
         "paper",
         "real_recordings",
         "sac_peers",
-        "trained_controllers",
         "training_seeds",
         "view_recording",
     }

@@ -156,7 +156,7 @@ def _controller(start: InitialAgent, parameters: Any) -> PolicyController:
 
 
 def _rmse(controller: Controller, seed: int) -> Result:
-    """Force RMSE [N] at the paper's sines, each from rest, as `trained_controllers` measures; NaN: stopped."""
+    """Force RMSE [N] at the paper's sines, each from rest; NaN: stopped."""
     guard = GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0)
     plant, found = bench(), []
     for frequency in PRINTED["rmse"]["frequencies"]:
