@@ -146,6 +146,7 @@ def test_a_recording_is_told_of_while_it_grows(graph: Path) -> None:
     assert "was not finished" in said
 
 
+@pytest.mark.study
 def test_the_graph_of_a_training_is_launched_and_ends_in_order_on_an_interrupt(tmp_path: Path) -> None:
     run = tmp_path / "launched"
     environment = {**os.environ, "HYDRO_DASHBOARD": "off"}
