@@ -18,7 +18,6 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
 from hydro_diagnosis.closure.evidence import (
     THRESHOLD,
     barred_equations,
@@ -40,7 +39,7 @@ from hydro_diagnosis.closure.growth import (
     select_laws,
     with_newest_reversal_velocity,
 )
-from hydro_diagnosis.closure.screen import CHANCE, Prospect, Screen
+from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Candidates, Prospect, Screen, laws, tables
 from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
