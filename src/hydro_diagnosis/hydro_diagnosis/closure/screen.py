@@ -9,14 +9,12 @@ the best few are fitted.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.closure.evidence import Blocks, HeldOutBlocks
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
@@ -325,43 +323,3 @@ def _apart(terms: Sequence[Claim]) -> tuple[Claim, ...]:
     for one in terms:
         found.setdefault(one.values[names[0]], one)
     return tuple(found.values())
-
-
-class Candidates:
-    """Tables that may join a fit, and what each does to the residual there, to first order."""
-
-    def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
-        self.terms = list(terms)
-        ways = [Responses(problem, model, (*problem.baseline, *base.claims)) for model in problem.models]
-        self._blocks = Blocks(problem)
-        self._columns = [self._blocks.sorted(_columns(problem, base, ways, one)) for one in terms]
-        self._own = [self._blocks.products(one, one) for one in self._columns]
-
-    def without(self, label: str) -> Candidates:
-        """All but the terms of one law."""
-        kept, left = copy(self), [k for k, one in enumerate(self.terms) if one.effect.label != label]
-        kept.terms = [self.terms[k] for k in left]
-        kept._columns, kept._own = [self._columns[k] for k in left], [self._own[k] for k in left]
-        return kept
-
-    def gains(self, problem: Problem, base: Fit) -> tuple[FloatArray, float]:
-        """Held-out deviance that each term gains, and that which there is to gain."""
-        standing = self._blocks.sorted(np.column_stack([base.residual, base.jacobian]))
-        squares, after = self._blocks.products(standing, standing), []
-        for columns, own in zip(self._columns, self._own, strict=True):
-            beside = self._blocks.products(standing, columns)
-            products = [[squares, beside], [beside.swapaxes(-1, -2), own]]
-            after.append(HeldOutBlocks.of_products(problem, base, products).deviance((0,)))
-        before = HeldOutBlocks.of_products(problem, base, [[squares]]).deviance(())
-        there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
-        return before - np.array(after), there_is
-
-
-def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
-    """Responses of the residual to a claim's amplitudes at neutral, in spans; shape (n, amplitudes)."""
-    probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
-              if one.smallest > 0.0]  # fmt: skip
-    columns = np.zeros((len(problem.layout.channel), len(probes)))
-    for channel, responses in shown(problem, base.claims, base.residual, ways, probes).items():
-        columns[problem.layout.channel == channel] = responses.T
-    return columns
