@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hydro_diagnosis.closure.candidates import laws
+from hydro_diagnosis.closure.screen import laws
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import all_exclude_neutral, intervals
