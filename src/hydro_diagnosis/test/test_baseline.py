@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learned weights as the baseline: a model of the healthy bench, which then wears."""
+"""A learned bench as the baseline: a model of the healthy bench, which then wears."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hydro_diagnosis import InputError, Report, diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.stages.reading import baseline
-from hydro_sim.files.weights import shipped
+from hydro_sim.files.learned_bench import shipped
 from hydro_sim.model.bench import Bench
 
 DRIVES = (
@@ -30,24 +30,28 @@ HEALTHY_LEAK = 1e-13
 
 def test_learned_constants_become_the_bench_and_its_effects() -> None:
     believed = baseline(None, shipped())
-    assert believed.model == "learned default_weights.safetensors" and believed.notes == ()
+    assert believed.model == "learned learned_bench.yaml"
     assert believed.bench.moving_mass == pytest.approx(1.2, rel=5e-3)
     assert believed.bench.load_cell_bandwidth is None
     assert believed.bench.valve_gain == pytest.approx(Bench.nominal().valve_gain, rel=1e-3)
     claims = {claim.effect.id: dict(claim.values) for claim in claims_of(believed.bench)}
-    assert claims["valve_lag"]["bandwidth"] == pytest.approx(109.2, rel=1e-2)
+    assert claims["valve_lag"]["bandwidth"] == pytest.approx(110.0, rel=1e-2)
     assert claims["friction_coulomb"]["force"] == pytest.approx(HEALTHY_FRICTION, rel=1e-2)
     assert claims["sensor_lag"] == pytest.approx({"bandwidth": 25.0, "damping": 0.55}, rel=5e-3)
 
 
-def test_bench_and_weights_together_are_refused() -> None:
+def test_bench_and_learned_bench_together_are_refused() -> None:
     with pytest.raises(InputError, match="not both"):
         baseline(Bench.nominal(), shipped())
 
 
-def test_missing_weights_are_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such file"):
-        baseline(None, tmp_path / "none.safetensors")
+def test_a_missing_or_older_learned_bench_is_one_sentence(tmp_path: Path) -> None:
+    for name, reason in (
+        ("none.yaml", "No such file"),
+        ("old.safetensors", "weights of a learned bench, which are no"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            baseline(None, tmp_path / name)
 
 
 @pytest.mark.study
@@ -55,7 +59,7 @@ def test_healthy_bench_matches_the_model_that_was_learned_on_it(tmp_path: Path) 
     bags = recorded({}, tmp_path)
     report = diagnose(bags[:2], holdout=bags[2:], model=shipped()).report
     assert report.verdict == "no_mismatch"
-    assert report.baseline["model"] == "learned default_weights.safetensors"
+    assert report.baseline["model"] == "learned learned_bench.yaml"
 
 
 @pytest.mark.study

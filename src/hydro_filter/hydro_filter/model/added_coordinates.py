@@ -22,10 +22,10 @@ import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.model.bench_parts import NONE
-from hydro_filter.model.bench_terms import Name, state_number
-from hydro_filter.model.loop_model import Q_SPOOL
+from hydro_filter.model.coordinates import Q_SPOOL
+from hydro_filter.model.parts import NONE
 from hydro_filter.model.state import FORCE_SCALE
+from hydro_filter.model.terms import Name, state_number
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects import catalogue
