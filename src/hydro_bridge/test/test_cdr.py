@@ -42,17 +42,6 @@ def test_states_agree_with_an_independent_codec(typestore, make_states, frame_id
     assert np.array_equal(back, states)
 
 
-def test_big_endian_and_mixed_frames_are_read(typestore, make_states):
-    states = make_states(2)
-    messages = [typestore.deserialize_cdr(row.tobytes(), STATE_TYPE) for row in encode_states(states)]
-    big = bytes(typestore.serialize_cdr(messages[0], STATE_TYPE, little_endian=False))
-    little = bytes(typestore.serialize_cdr(messages[1], STATE_TYPE))
-    rows = np.frombuffer(big + little, np.uint8).reshape(2, -1)
-    back = layout_of(STATE_TYPE).decode(rows, np.zeros(2, np.int64))
-    assert np.array_equal(back["load_force"], states["load_force"])
-    assert np.array_equal(back["sequence"], states["sequence"])
-
-
 @pytest.mark.parametrize("damage", ["short", "xcdr2", "long frame_id"])
 def test_what_is_no_message_of_the_type_is_refused(make_states, damage):
     rows = encode_states(make_states(1)).copy()

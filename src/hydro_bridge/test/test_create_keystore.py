@@ -17,14 +17,13 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.nodes import create_keystore
-from hydro_bridge.ros.companion import Companion, executable_path
+from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.keys import (
     ENABLE,
     KEYSTORE,
     RIGHTS,
     STRATEGY,
     domain,
-    enclave_arguments,
     enclave_of,
     make_keystore,
     policy_xml,
@@ -81,11 +80,6 @@ def test_a_person_who_watches_reads_all_of_the_graph_and_commands_nothing() -> N
     assert not any("watch" in allowed("service", "request", name) for name in SERVICES)
 
 
-def test_nothing_is_allowed_by_a_pattern_but_the_name_of_a_persons_tool() -> None:
-    patterns = {entry.text for entry in ElementTree.fromstring(policy_xml()).iter() if "*" in (entry.text or "")}
-    assert all((pattern or "").startswith("/_ros2cli_*/") for pattern in patterns)
-
-
 @pytest.mark.skipif(find_spec("sros2") is not None, reason="sros2 is here")
 def test_without_sros2_one_sentence_says_the_way_on_and_the_policy_is_written_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -133,22 +127,6 @@ def test_keys_are_for_their_owner_only_and_an_older_keystore_is_left_alone(tmp_p
         make_keystore(tmp_path / "keys", policy_xml(), ENCLAVES)
 
 
-@needs_sros2
-def test_a_keystore_is_whole_or_not_there(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="sros2 refuses"):
-        make_keystore(tmp_path / "keys", policy_xml(), [*ENCLAVES, "/hydro/nobody"])
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_executables_of_the_graph_take_the_enclave_of_their_name_and_others_none(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["/opt/install/lib/hydro_bridge/bridge"])
-    assert enclave_arguments() == ["--ros-args", "--enclave", "/hydro/bridge"]
-    monkeypatch.setattr(sys, "argv", ["-c"])
-    assert enclave_arguments() == []
-
-
 @pytest.mark.parametrize(("variable", "value"), [(ENABLE, "1"), (ENABLE, "True"), (STRATEGY, "enforce")])
 def test_what_ros_would_take_for_off_is_refused(variable: str, value: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(ENABLE, "true")
@@ -187,14 +165,3 @@ def test_a_node_that_cannot_use_its_keys_ends_with_a_sentence(made: bool, tmp_pa
     assert answer.returncode == 2
     assert f"error: ROS does not start with keys ({KEYSTORE}: {keystore})" in answer.stderr
     assert "Traceback" not in answer.stderr
-
-
-def test_what_is_started_beside_a_node_does_not_inherit_the_enclave_that_its_user_chose(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/hydro/watch")
-    monkeypatch.setenv("HYDRO_INHERITED", "yes")
-    with Companion("hydro_bridge", "bridge", ["--port", "/nowhere/port"]) as companion:
-        environment = Path(f"/proc/{companion.process.pid}/environ").read_bytes()
-    assert b"HYDRO_INHERITED=yes" in environment
-    assert b"ENCLAVE_OVERRIDE" not in environment

@@ -34,17 +34,6 @@ def test_least_and_greatest_of_each_slot_however_samples_come_in(parts: list[int
     np.testing.assert_allclose(got[..., 1], blocks.max(axis=1), rtol=1e-6)
 
 
-def test_slots_without_samples_and_samples_that_are_not_finite_are_gaps() -> None:
-    times, values = samples(100)
-    values[10:20, 0] = np.inf
-    keep = (np.arange(100) < 30) | (np.arange(100) >= 50)
-    thinner = Thinner(2)
-    thinner.add(times[keep], values[keep])
-    gaps = np.isnan(thinner.take().values)
-    assert gaps[1, 0].all() and not gaps[1, 1].any()
-    assert gaps[3:5].all() and not gaps[5:].any()
-
-
 def test_a_clock_that_was_set_begins_the_series_anew_and_old_samples_are_left_out() -> None:
     thinner = Thinner(2)
     times, values = samples(100)

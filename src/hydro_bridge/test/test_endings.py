@@ -8,7 +8,6 @@ import pty
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -49,43 +48,6 @@ main()
     assert (ended.returncode, ended.stdout, ended.stderr) == (128 + getattr(signal, name), "put in order\n", "")
 
 
-def test_an_import_is_not_interrupted_but_followed_by_the_end(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text("""
-import os, signal, time
-os.kill(os.getpid(), signal.SIGTERM)
-time.sleep(0.2)
-print("imported")
-""")
-    ended = run(f"""
-sys.path.insert(0, {str(tmp_path)!r})
-
-@command()
-def main():
-    import slow
-    time.sleep(10)
-main()
-""")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "imported\n", "")
-
-
-def test_an_exception_that_compiled_code_drops_comes_again_but_not_into_the_clean_up() -> None:
-    ended = run("""
-@command()
-def main():
-    try:
-        try:
-            me(signal.SIGTERM)  # as PyObject_HasAttr and PyDict_GetItem do with an exception of Python code below them
-        except endings.Ended:
-            pass
-        time.sleep(10)
-    finally:
-        time.sleep(1.2)
-        print("put in order")
-main()
-""")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "put in order\n", "")
-
-
 def test_putting_in_order_is_not_disturbed() -> None:
     ended = run("""
 @command()
@@ -114,24 +76,6 @@ main()
         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
     )
     assert (ended.returncode, ended.stdout) == (0, "goes on\n")
-
-
-def test_a_process_that_was_forked_off_dies_of_the_signal_as_by_default() -> None:
-    ended = run("""
-@command()
-def main():
-    told, tell = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.write(tell, b"here")  # Python drops what comes between fork and its own beginning in the child
-        time.sleep(10)
-        os._exit(1)
-    os.read(told, 4)
-    os.kill(child, signal.SIGTERM)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-main()
-""")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "-15\n", "")
 
 
 def test_a_terminal_that_has_gone_is_no_error() -> None:

@@ -33,17 +33,6 @@ def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_behind_a_link_a_file_is_replaced_and_a_device_is_written_through(tmp_path: Path) -> None:
-    (tmp_path / "file").write_bytes(b"old")
-    (tmp_path / "link").symlink_to(tmp_path / "file")
-    (tmp_path / "nothing").symlink_to("/dev/null")
-    for name in ("link", "nothing"):
-        write_whole(tmp_path / name, b"new")
-        assert (tmp_path / name).is_symlink()
-    assert (tmp_path / "file").read_bytes() == b"new"
-    assert len(list(tmp_path.iterdir())) == 3
-
-
 def test_where_there_is_no_room_the_old_file_stays_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
     write_whole(tmp_path / "file", b"whole")
     with files_of_at_most(1000), pytest.raises(OSError, match="too large") as refused:

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from hydro_bridge.serial.frames import FEEDBACKS
 from hydro_bridge.serial.protocol import (
     HANDSHAKE,
-    MAX_ENCODED,
     VERSION,
     BoxDetails,
     BoxInfo,
@@ -90,15 +89,6 @@ def test_the_fourth_byte_of_a_hello_is_the_form_of_the_integral(number, form):
     assert body[14 + 3] == 1
     body[14 + 3] = number
     assert decode(sealed(bytes(body))).info.integral == form
-
-
-def test_every_frame_fits_between_two_delimiters():
-    info = BoxInfo(name="x" * 100)
-    state, newer = encode_state(1, 2, [1.5] * 14, 3, 4), encode_state(1, 2, [1.5] * 14, 3, 4, (5, 6))
-    newest = encode_state(1, 2, [1.5] * 14, 3, 4, (5, 6), LawState(Law.PAPER, 1.0, 2.0, (1.0,) * 4, 1.0, 1.0))
-    others = (encode_command(1, 2, Command(), 3), encode_hello(1, 2, info), encode_details(1, 2, BoxDetails()))
-    for wire in (state, newer, newest, encode_law(1, 2, BoxLaw()), *others):
-        assert len(inside(wire)) <= MAX_ENCODED
 
 
 def test_beyond_float32_becomes_infinity():

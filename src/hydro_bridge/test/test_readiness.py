@@ -77,12 +77,3 @@ def test_what_goes_away_is_waited_for_anew_and_what_flickers_hides_nothing_behin
         for second in range(200):
             flickering.there ^= {"the filter"}
             flickering.readiness.look(float(second))
-
-
-def test_what_can_never_come_ends_the_wait_at_once() -> None:
-    def ended() -> bool:
-        raise NotReadyError("the recorder ended")
-
-    never = Requirement(name="the recorder", ready=ended, hint="", within=60.0, missing="")
-    with pytest.raises(NotReadyError, match="the recorder ended"):
-        Readiness([never], print).look(0.0)

@@ -151,19 +151,6 @@ def test_mcap_reads_it_and_every_check_sum_holds(bag, states):
         assert sum(1 for _ in reader.iter_messages(topics=[STATE_TOPIC])) == len(states)
 
 
-def test_metadata_yaml_has_every_key_of_version_9(bag, states):
-    text = (bag / "metadata.yaml").read_text()
-    information = yaml.safe_load(text)["rosbag2_bagfile_information"]
-    assert set(information) == VERSION_9 and information["version"] == 9
-    assert information["message_count"] == len(states) + 500
-    assert information["duration"]["nanoseconds"] == pytest.approx(4.999e9, abs=1e3)
-    assert information["relative_file_paths"] == [file["path"] for file in information["files"]] == ["run_0.mcap"]
-    for topic in information["topics_with_message_count"]:
-        assert isinstance(topic["topic_metadata"]["offered_qos_profiles"], list)
-        assert topic["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
-    assert "&" not in text
-
-
 def test_streaming_gives_the_same_in_small_pieces(bag, states):
     pieces = list(stream_bag(bag))
     assert len(pieces) >= 5 and max(map(len, pieces)) <= 1000
@@ -240,12 +227,6 @@ def test_errors_are_one_clear_sentence(tmp_path, bag):
         read_bag(bag, ["/nothing"])
     with pytest.raises(RecordingError, match="no messages on /nothing"):
         list(stream_bag(bag, "/nothing"))
-
-
-def test_a_folder_without_metadata_is_read_with_a_note(bag, states):
-    (bag / "metadata.yaml").unlink()
-    recording = read_bag(bag)
-    assert same(recording.state, states) and "has no metadata.yaml" in recording.notes[0]
 
 
 def test_an_interrupted_sequence_is_reported(make_states):

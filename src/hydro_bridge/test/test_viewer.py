@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
-from hydro_bridge.bags.schema import definition
-from hydro_bridge.dashboard.series import LAW_TYPE, STATE_COLUMNS
+from hydro_bridge.dashboard.series import STATE_COLUMNS
 from hydro_bridge.dashboard.thinning import GrowingThinner
 from hydro_bridge.signals import Flag
-from hydro_bridge.viewer.marks import MARKS, Marks
-from hydro_bridge.viewer.recorded import SampleClock, read_recorded
+from hydro_bridge.viewer.recorded import read_recorded
 from hydro_bridge.viewer.view import main, rendered
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -97,24 +95,6 @@ def test_calls_are_marked_with_their_answer_and_of_the_log_only_warnings(tmp_pat
     assert [mark.time for mark in marks] == pytest.approx([2.0, 4.0], abs=1e-3)
 
 
-def test_the_compensated_law_is_shown_where_it_acted(tmp_path: Path, states) -> None:
-    types = get_typestore(Stores.EMPTY)
-    types.register(get_types_from_msg(definition(LAW_TYPE).text, LAW_TYPE))
-    message, header = types.types[LAW_TYPE], types.types["std_msgs/msg/Header"]
-    with BagWriter(tmp_path / "run") as writer:
-        writer.write_states(states)
-        writer.add_topic("/hydro/law_state", LAW_TYPE)
-        for k in range(2000, 3000):
-            stamp = round(float(states["time"][k]) * 1e9)
-            told = header(types.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)), "")
-            acting = message(told, int(states["sequence"][k]), 1, 250.0, 0.0, 1.0, 0.03, 4e-4, -2.0, 0.3, 1.0)
-            writer.write("/hydro/law_state", bytes(types.serialize_cdr(acting, LAW_TYPE)), stamp)
-    laws = read_recorded(tmp_path / "run").values[2]
-    assert np.isnan(laws[:199]).all() and len(laws) == 300
-    assert laws[250, :, 1] == pytest.approx([250.0, 100.0, 30.0, 40.0, -2.0])
-    assert rendered(read_recorded(tmp_path / "run")).count('id="laws"') == 1
-
-
 def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:
     """What matters here of a report.json: `hydro_diagnosis.findings.Location`."""
     location = [{"equation": "motion", "sentence": "friction", "windows": windows}]
@@ -130,20 +110,6 @@ def test_windows_of_a_diagnosis_are_marked_where_its_report_lies_beside(
     assert [(mark.time, mark.text) for mark in marks] == [(pytest.approx(2.5), "motion, for 0.50 s: friction")]
     assert run(monkeypatch, str(bag)) == 0
     assert "motion, for 0.50 s: friction" in (bag.parent / "run.html").read_text()
-
-
-def test_a_clock_off_real_time_moves_what_the_wall_clock_has_stamped() -> None:
-    clock = SampleClock()
-    clock.see(np.array([1000, 1001], np.int64) * 10**9, np.array([0.0, 10.0]))
-    assert clock.at([1002.0, 25.0], [1002.0, 1002.0]) == pytest.approx([20.0, 25.0])
-
-
-def test_marks_are_bounded(make_states) -> None:
-    marks, flicker = Marks(), make_states(MARKS + 100)
-    flicker["flags"] = np.arange(len(flicker)) % 2 * ARMED
-    marks.states(flicker)
-    assert len(marks.sorted()) == MARKS
-    assert marks.dropped == 99
 
 
 def test_the_page_loads_nothing_and_escapes_what_the_recording_says(bag: Path) -> None:

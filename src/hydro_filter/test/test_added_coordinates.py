@@ -64,8 +64,7 @@ def having(*effects: Entry) -> Bench:
 
 
 def of(case: str) -> Loop:
-    loop = loop_of(having(*CASES[case]), Bench.nominal())
-    return loop
+    return loop_of(having(*CASES[case]), Bench.nominal())
 
 
 def whole_loop(bench: Bench, gain: float) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import NEUTRAL, Flag, Law
+from hydro_bridge.signals import Flag, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated, FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
@@ -70,32 +70,6 @@ def test_the_law_changes_once_and_only_while_the_plant_is_disarmed() -> None:
     assert [score.controller for score in session.scores] == 2 * ["fixed (90, 15)"] + 2 * ["compensated"]
 
 
-def test_each_run_begins_with_neutral_coefficients() -> None:
-    graph, _ = evaluated()
-    neutral = [index for index, (_, a) in enumerate(graph.commanded) if a == NEUTRAL]
-    returns = [b for a, b in pairwise(neutral) if b > a + 1]
-    assert len(returns) == 1, "from the first run's coefficients to the second's, once"
-
-
-class Late(Heard):
-    """Its law is not commanded in time, once it is armed."""
-
-    def sample(self):
-        output = super().sample()
-        if self.time > 0.6 and output["flags"] & Flag.ARMED:
-            output["flags"] |= Flag.FILTER_STALE
-        return output
-
-
-def test_a_law_that_is_commanded_late_is_not_blamed_on_corrections() -> None:
-    graph, live = Late(), LiveCompensation(LAW)
-    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
-    session = EvaluationSession(settings, [Compensated(live)], graph, compensation=live, retries=0)
-    graph.run(session, 20.0, compensation=live)
-    assert session.finished and len(session.warnings) == 1
-    assert "commands of the law came late" in session.warnings[0]
-
-
 def pairs(live: LiveCompensation, steps: range, *, lost: int = -1, flags: int = int(Flag.ARMED)) -> None:
     """Samples of a bench that lags 20 ms behind, both messages of each but of one that is lost."""
     for sequence in range(10 * steps.start + 1, 10 * steps.stop + 1):
@@ -119,28 +93,6 @@ def test_coefficients_hold_under_what_spoils_a_sample_and_while_disarmed(flag: F
     pairs(live, range(200, 250), flags=int(Flag.ARMED | flag))
     pairs(live, range(250, 300), flags=0)
     assert live.command == before != LiveCompensation(LAW).command
-
-
-def test_frozen_coefficients_hold_until_released() -> None:
-    live = LiveCompensation(LAW)
-    pairs(live, range(100))
-    live.frozen, before = True, live.command
-    pairs(live, range(100, 200))
-    assert live.command == before and live.health["frozen"] != "no"
-    live.frozen = False
-    pairs(live, range(200, 300))
-    assert live.command != before
-
-
-def test_a_frozen_estimator_keeps_its_coefficients_into_the_next_run() -> None:
-    live = LiveCompensation(LAW)
-    pairs(live, range(200))
-    live.frozen, before = True, live.command
-    live.reset()
-    assert live.command == before
-    live.frozen = False
-    live.reset()
-    assert live.command.coefficients == NEUTRAL
 
 
 class Held(Heard):

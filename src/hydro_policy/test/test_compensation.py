@@ -1,18 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import NEUTRAL, FloatArray
 from hydro_policy.compensation.estimator import STEP, Compensator, CompensatorSettings, LoadCell
-from hydro_sim.model.bench import Bench
 
 TRUE = (1.02, 0.031, 4e-4, -7.0)
 ACTIVE = np.array([True])
@@ -58,18 +52,6 @@ def test_with_a_cell_the_fit_is_on_the_force_in_front_of_it() -> None:
             one.step(specimen[np.newaxis], shown[np.newaxis], ACTIVE)
     np.testing.assert_allclose(compensator.coefficients[0], NEUTRAL, atol=2e-3)
     assert plain.coefficients[0, 1] == pytest.approx(2.0 * cell.damping / (2.0 * np.pi * cell.bandwidth), rel=0.05)
-
-
-def test_another_bench_is_learnt_sooner_than_the_usual_memory_forgets() -> None:
-    left = []
-    for haste in (1.0, CompensatorSettings().haste):
-        compensator = Compensator(settings=CompensatorSettings(haste=haste))
-        taught(compensator, 8.0)
-        for k in range(200):
-            command, force = polynomial(8.0 + (10 * k + np.arange(10)) * 1e-3, amplitude=500.0)
-            compensator.step(command[np.newaxis], 0.85 * force[np.newaxis], ACTIVE)
-        left.append(abs(compensator.coefficients[0, 0] - TRUE[0] / 0.85))
-    assert left[1] < 0.5 * left[0]
 
 
 def test_what_the_valve_wants_where_the_force_turns_is_found_and_goes_out_ahead_of_it() -> None:
@@ -149,15 +131,3 @@ def test_coefficients_stay_within_the_law() -> None:
         assert np.all(compensator.coefficients >= law.coefficient_min)
         assert np.all(compensator.coefficients <= law.coefficient_max)
     assert compensator.at_bound.dtype == bool
-
-
-def test_a_load_cell_is_read_from_a_bench_file_and_from_a_corrected_one(tmp_path: Path) -> None:
-    bench, path = Bench.nominal(), tmp_path / "bench.yaml"
-    lag = {"id": "sensor_lag", "sensor": "load_force", "parameters": {"bandwidth": 20.0, "damping": 0.8}}
-    path.write_text(yaml.safe_dump(bench.to_mapping()))
-    assert LoadCell.load(path) == LoadCell(bandwidth=25.0)
-    path.write_text(yaml.safe_dump(replace(bench, effects=(lag,)).to_mapping()))
-    assert LoadCell.load(path) == LoadCell(bandwidth=20.0, damping=0.8)
-    path.write_text(yaml.safe_dump(replace(bench, load_cell_bandwidth=None).to_mapping()))
-    with pytest.raises(SettingsError, match="has no load cell with an amplifier"):
-        LoadCell.load(path)

@@ -6,14 +6,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import Flag, ReferenceSignal
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings, coarse_grid
+from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import CALM
@@ -75,12 +73,3 @@ def test_calm_that_the_last_pair_asked_for_is_kept_in_the_evaluation_that_follow
     graph.run(session, 3.0)
     assert graph.references[heard:] == [ReferenceSignal(), evaluation.cases[0].signal] and session.finished
     assert graph.time - ended >= CALM + evaluation.length(evaluation.cases[0]) - 0.01
-
-
-@pytest.mark.parametrize(("name", "end"), [("paper", (90.0, 15.0)), ("wide", (300.0, 30.0))])
-def test_beside_a_trained_policy_five_pairs_reach_the_end_of_its_authority(name: str, end: tuple[float, float]) -> None:
-    base = (10.0, 4.0)
-    search = GridSearch(coarse_grid(configuration(name, base=base).task.gains, base))
-    while (pair := search.next()) is not None:
-        search.tell(pair, [1.0 / pair[0]])
-    assert len(search.tried) == 5 and search.best == end

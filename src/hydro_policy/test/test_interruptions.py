@@ -91,13 +91,3 @@ def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy()
             graph.run(session, 0.1, learner)
     assert len(session.run.record.of("exam")) == 1, "the examination began anew and came to its end"
     assert not session.run.record.of("stop")
-
-
-def test_calm_follows_a_trip_under_gains_that_a_person_holds_in_an_evaluation_too() -> None:
-    session = EvaluationSession(EvaluationSettings(), [FixedGains(90.0, 15.0)], Still())
-    session.on_sample(1, np.zeros(14), int(Flag.ARMED), 0.0)
-    session.override.hold(60.0, 10.0, 0.0, 0.0)
-    session.on_sample(2, np.zeros(14), int(Flag.ARMED), 0.001)
-    assert not session.watch.calming
-    session.on_sample(3, np.zeros(14), int(Flag.TRIPPED | Flag.FORCE_LIMIT), 0.002)
-    assert session.watch.calming and session.scores == []

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_policy.learner_process.learner import SharedBlob, compile_updates
+from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint
 from hydro_policy.sac.algorithm import Sac
@@ -94,26 +92,6 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
     assert load_checkpoint(run.latest).trainer == {"episode": 6}
 
 
-FIRST = """
-import signal, sys
-from pathlib import Path
-from hydro_policy.learner_process.supervisor import LearnerSupervisor
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
-if __name__ == "__main__":
-    learner = LearnerSupervisor(TrainingSettings(), RunDirectory(Path(sys.argv[1])).create())
-    blocked = Path(f"/proc/{learner.pid}/status").read_text().split("SigBlk:")[1].split()[0]
-    print(int(blocked, 16) >> (signal.SIGINT - 1) & 1)
-"""
-
-
-def test_ctrl_c_does_not_reach_the_first_child_of_a_program(tmp_path: Path) -> None:
-    """With that one the standard library starts its resource tracker, which lets SIGINT through."""
-    program = tmp_path / "first.py"
-    program.write_text(FIRST)
-    done = subprocess.run([sys.executable, program, tmp_path / "run"], capture_output=True, text=True, check=False)
-    assert done.stdout == "1\n", done.stderr
-
-
 def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:
     cut_short = dump(Sac(OBSERVATIONS, ACTIONS, SETTINGS.sac))[:-100]
     learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create(), start=cut_short)
@@ -161,19 +139,3 @@ def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
                 learner.restart_if_dead()
     finally:
         learner.stop({})
-
-
-def test_a_torn_blob_is_no_news_and_the_last_whole_one_stays() -> None:
-    memory = bytearray(SharedBlob.nbytes(100))
-    writer, reader = SharedBlob(memory), SharedBlob(memory)
-    assert reader.read() is None and reader.latest() is None
-    writer.publish(b"first")
-    assert reader.read() == b"first" and reader.read() is None
-    writer.publish(b"second")
-    memory[64 + 16] ^= 0xFF  # a writer killed while it wrote into the slot of the second (version 2: slot 0)
-    assert reader.read() is None
-    assert reader.latest() == b"first"
-    writer.publish(b"third")
-    assert reader.read() == b"third"
-    with pytest.raises(ValueError, match="do not fit"):
-        writer.publish(bytes(200))

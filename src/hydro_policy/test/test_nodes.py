@@ -9,14 +9,12 @@ import re
 import subprocess
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("rclpy")
 
@@ -28,13 +26,10 @@ from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded
-from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.startup.box_expectation import box_mismatch
-from hydro_policy.nodes.startup.companions import PlantOptions, commands
-from hydro_policy.runs.initial_agent import shipped_agent
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import BASE, GainRange
@@ -219,49 +214,6 @@ def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
     node.run_session(session, each_tick)  # type: ignore[arg-type]
     assert before and session.samples <= before[0] + 3, "those that came before the second was found"
     assert capfd.readouterr().err.count("nodes publish /hydro/state") == 1
-
-
-def test_companions_of_each_plant() -> None:
-    started = {
-        plant: [executable for _, executable, _ in commands(PlantOptions(plant=plant), GainRange(), Path("run"))]
-        for plant in ("sim", "emulator", "bench", "external")
-    }
-    assert started == {
-        "sim": ["filter", "sim"],
-        "emulator": ["filter", "emulator", "bridge"],
-        "bench": ["filter", "bridge"],
-        "external": [],
-    }
-    wide = commands(PlantOptions(plant="sim"), GainRange(delta_kp_max=285.0), Path("run"))
-    assert "guard.delta_kp_max:=285.0" in wide[-1][2]
-    assert wide[-1][2][-1] == f"guard.relies_on:=--metric {DEFAULT}", "nothing opens the guard in silence"
-    named = PlantOptions(plant="sim", filter=("--contraction-rate", "2"))
-    started = commands(named, GainRange(delta_kp_max=285.0), Path("run"))
-    assert started[0][2][-2:] == ["--contraction-rate", "2"]
-    assert started[-1][2][-1] == "guard.relies_on:=--metric learned --contraction-rate 2"
-
-
-@pytest.fixture
-def foreign(tmp_path: Path) -> Iterator[str]:
-    """A simulation whose box believes another bench and has other base gains; gives its digest."""
-    own = replace(Bench.nominal(), spring_stiffness=2.5e4)
-    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
-    words = [str(executable_path("hydro_sim", "sim")), "--bench", str(tmp_path / "own.yaml")]
-    free = ["--ros-args", "-p", "guard.require_filter:=false", "-p", "box.base_kp:=30.0", "-p", "box.base_ki:=8.0"]
-    with subprocess.Popen([*words, *free], env=os.environ | ENVIRONMENT, stderr=subprocess.DEVNULL) as simulation:
-        yield own.digest
-        simulation.terminate()
-
-
-def test_on_a_plant_that_runs_policies_of_another_box_are_refused(foreign: str, tmp_path: Path) -> None:
-    shipped = str(shipped_agent("paper").source)  # type: ignore[union-attr]
-    refused = run("trainer", "--runs", str(tmp_path / "runs"))
-    assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
-    assert not (tmp_path / "runs").exists()
-    here = ("--runs", str(tmp_path / "runs"))
-    refused = run("evaluate", *here, "--policy", shipped)
-    assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
-    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize(

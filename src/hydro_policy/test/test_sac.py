@@ -7,20 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from hydro_policy.sac.algorithm import Losses, Sac, SquashedGaussian
+from hydro_policy.sac.algorithm import Sac, SquashedGaussian
 from hydro_policy.sac.mlp import StackedMlp
 from hydro_policy.sac.replay import Batch, ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
-
-
-def random_batch(rows: int, dtype: torch.dtype = torch.float64) -> Batch:
-    generator = torch.Generator().manual_seed(5)
-
-    def draw(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, generator=generator, dtype=dtype)
-
-    terminated = (draw(rows) > 0.5).to(dtype)
-    return Batch(draw(rows, 4), draw(rows, 2).tanh(), draw(rows), draw(rows, 4), terminated)
 
 
 def test_log_probability_equals_torch_distributions() -> None:
@@ -61,45 +51,6 @@ def test_actor_gradient_equals_autograd() -> None:
         )[0]
     actor.backward(actor.sample(observation, noise), action_gradient, 0.3)
     torch.testing.assert_close(network.gradient, torch.cat([g.reshape(-1) for g in expected]), rtol=1e-8, atol=1e-10)
-
-
-def test_target_value_follows_the_equation() -> None:
-    sac = Sac(4, 2, SacSettings(seed=7), torch.float64)
-    batch = random_batch(16)
-    state = sac.generator.get_state()
-    target = sac.target_value(batch, 0.2)
-    sac.generator.set_state(state)
-    drawn = sac.actor.sample(batch.next_observation, torch.randn(16, 2, generator=sac.generator, dtype=torch.float64))
-    inputs = torch.cat((batch.next_observation, drawn.action), 1)
-    values = sac.target_critics.forward(inputs.expand(2, -1, -1))[:, :, 0]
-    following = torch.minimum(values[0], values[1]) - 0.2 * drawn.log_probability
-    scale = sac.settings.reward_scale
-    torch.testing.assert_close(target, scale * batch.reward + 0.99 * (1 - batch.terminated) * following)
-    ended = batch.terminated == 1
-    assert ended.any()
-    torch.testing.assert_close(target[ended], scale * batch.reward[ended])
-
-
-def test_losses_are_those_whose_gradients_are_descended() -> None:
-    """A small step up a gradient raises its loss, of the same batch, by that step times the gradient's square."""
-    sac, batch, step = Sac(4, 2, SacSettings(seed=7), torch.float64), random_batch(16), 1e-7
-    noise = torch.randn(2, 16, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    for optimizer in (sac.critic_optimizer, sac.actor_optimizer, sac.entropy_optimizer):
-        optimizer.learning_rate = 0.0
-
-    def losses() -> Losses:
-        draws = iter(noise.clone())
-        sac._noise = lambda rows: next(draws)  # type: ignore[method-assign]
-        sac.update(batch)
-        return sac.losses
-
-    for loss, network in enumerate((sac.critics, sac.actor_network)):
-        before, slope = losses()[loss], network.gradient.clone()
-        network.parameters.add_(step * slope)
-        assert losses()[loss] - before == pytest.approx(step * float(slope @ slope), rel=1e-3)
-        network.parameters.sub_(step * slope)
-    sac.log_entropy_coefficient.zero_()
-    assert losses().temperature == 0.0, "-log(alpha) of it"
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])

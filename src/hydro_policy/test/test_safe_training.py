@@ -14,9 +14,7 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
-from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.policy_examination import LEAD
-from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
@@ -27,7 +25,7 @@ from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH
-from hydro_policy.task.cases import EvaluationSettings, ExamSettings
+from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import GainRange, TaskSettings
 from hydro_policy.task.step_aggregator import Step
 from hydro_sim.model.bench import Bench
@@ -174,35 +172,6 @@ def test_an_override_out_of_reach_is_refused_and_changes_nothing(kp: float, ki: 
     with pytest.raises(ValueError, match=r"cannot be held|lasts"):
         override.hold(kp, ki, seconds, 1.0)
     assert override.gains(2.0) == (45.0, 5.0)
-
-
-class Deaf(OfflineGraph):
-    """A filter that is silent now and then."""
-
-    silent = (0.0, 0.0)
-
-    def sample(self) -> np.void:
-        if not self.silent[0] <= self.time < self.silent[1]:
-            return super().sample()
-        self.box.receive(self.guard.command(self.time), self.time)
-        output = self.box.tick(self._measurement, self.time)
-        self._measurement = self.plant.step(float(output["valve_current"]))
-        self.time += 1e-3
-        return output
-
-
-@pytest.mark.parametrize("retries, held", [(0, True), (1, False)])
-def test_a_run_under_base_gains_is_repeated_where_a_verdict_depends_on_it(retries: int, held: bool) -> None:
-    graph = Deaf(AnalyticPlant(BENCH), BENCH)
-    graph.silent = (1.2, 1.4)
-    session = EvaluationSession(
-        EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=1.0),
-        [FixedGains(60.0, 15.0)],
-        graph,
-        retries=retries,
-    )
-    graph.run(session, 8.0)
-    assert session.finished and (session.scores[0].held > 0) == held and bool(session.warnings) == held
 
 
 class Doubting:

@@ -101,15 +101,6 @@ def test_disarmed_under_way_the_session_pauses_and_resumes_the_episode() -> None
     assert session.finished and session.progress.episode == 2
 
 
-def test_without_leave_to_rearm_the_session_waits_for_the_user() -> None:
-    graph, learner, session = start(short(), rearm=False)
-    graph.run(session, 3.0, learner)
-    assert session.phase is Phase.WAITING and "press Enter" in graph.sentences[0]
-    session.watch.arm_now(graph.time)
-    graph.run(session, 1.0, learner)
-    assert session.phase is Phase.TRAINING
-
-
 def test_lost_plant_pauses_within_150_ms_and_asks_to_disarm() -> None:
     graph, learner, session = start(short())
     graph.run(session, 1.0, learner)
@@ -155,13 +146,3 @@ def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
         assert score.rmse == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.03)
         assert score.lost == score.held == 0 and not score.tripped
     assert len(session.traces[0].states) == 1000
-
-
-def test_evaluation_scores_a_trip_and_goes_on_with_the_next_run() -> None:
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=BoxConfig(load_force_limit=150.0))
-    settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=0.5)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], graph)
-    graph.run(session, 8.0)
-    assert session.finished
-    assert [score.tripped for score in session.scores] == [True, True]
-    assert all(math.isnan(score.rmse) for score in session.scores)

@@ -18,15 +18,12 @@ from hydro_filter.model.sample import Sample
 from hydro_policy.envs.environment import Environment
 from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.envs.vector_filter import fleet_filter
-from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.task.mdp import GainRange, TaskSettings, observe
 from hydro_policy.task.step_aggregator import StepClock
 from hydro_sim.box.box import Box, BoxConfig, Integral
-from hydro_sim.emulator.truth.config import profile
-from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
@@ -61,23 +58,6 @@ def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str, 
     for name in (*STATE_FIELDS, "time", "sequence"):
         np.testing.assert_array_equal(samples[name], want[name], err_msg=name)
     np.testing.assert_array_equal(samples["flags"], want["flags"])
-
-
-def test_gains_act_when_a_graph_could_have_delivered_them() -> None:
-    """The gains that are chosen upon a step's sample are in force at the very next sample, as in `OfflineGraph`."""
-    fleet = VectorBench([BENCH], [AnalyticPlant(BENCH)])
-    fleet.begin(0, SINE, 1)
-    shown = fleet.step(np.array([[40.0, 3.0]]))[0]["proportional_gain"]
-    np.testing.assert_array_equal(shown, 55.0)
-    fleet.links["gain_delay"] = 4
-    shown = fleet.step(np.array([[10.0, 3.0]]))[0]["proportional_gain"]
-    np.testing.assert_array_equal(shown, [55.0] * 3 + [25.0] * 7)
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    graph.sample()
-    graph.arm(True)
-    graph.sample()
-    graph.gains(40.0, 3.0, 0)
-    assert graph.sample()["proportional_gain"] == 55.0
 
 
 def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
@@ -170,9 +150,3 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
         measurement = plant.step(float(want["valve_current"]))
     corrected = np.abs(got["valve_current"] - got["nominal_valve_current"]).max()
     assert corrected > 1e-4 or kind == "constant", "the learned metric corrects K_p = 135"
-
-
-def test_a_fleet_refuses_plants_of_several_kinds() -> None:
-    plants: list[Plant] = [AnalyticPlant(BENCH), TruthPlant(profile("default"))]
-    with pytest.raises(ValueError, match="one kind"):
-        VectorBench([BENCH] * 2, plants)

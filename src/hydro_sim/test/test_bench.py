@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import re
-from math import nan, sqrt
+from math import nan
 from pathlib import Path
 
 import pytest
@@ -15,18 +15,6 @@ def write(path: Path, **changes: object) -> Path:
     content = {**Bench.nominal().to_mapping(), **changes}
     path.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not ...}))
     return path
-
-
-def test_shipped_bench_has_the_values_of_the_contract(bench: Bench) -> None:
-    assert bench.to_mapping() == {
-        "bulk_modulus": 1.34e9, "piston_area": 2e-4, "area_ratio": 0.609, "stroke": 0.08,
-        "supply_pressure": 16e6, "tank_pressure": 0.0,
-        "valve_nominal_flow": 1.67e-4, "valve_nominal_current": 0.05, "valve_nominal_pressure_drop": 7e6,
-        "valve_current_max": 0.05, "dead_volume_a": 2e-4, "dead_volume_b": 2e-4, "moving_mass": 1.2,
-        "viscous_friction": 60.0, "spring_stiffness": 20000.0, "spring_rest_position": 0.04,
-        "load_cell_bandwidth": 25.0,
-    }  # fmt: skip
-    assert bench.valve_gain == pytest.approx(1.67e-4 / (0.05 * sqrt(3.5e6)), rel=1e-15)
 
 
 def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:

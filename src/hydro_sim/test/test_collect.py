@@ -158,19 +158,6 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
 
 
 @pytest.mark.graph
-def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: Probe, tmp_path: Path) -> None:
-    plant("-p", "box.load_force_limit:=100.0")
-    words = _collect(tmp_path, [{**HOLD, "seconds": 20.0}])
-    ended = subprocess.run(
-        [str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False, capture_output=True, text=True
-    )
-    assert ended.returncode == 3
-    assert "error: the plant tripped 3 times in a row: it is left disarmed" in ended.stderr.splitlines()[-1]
-    listener.wait(lambda: listener.heard[STATE])
-    assert not fresh(listener) & (Flag.ARMED | Flag.TRIPPED)
-
-
-@pytest.mark.graph
 @pytest.mark.parametrize(
     ("claims", "sentence"),
     [(True, "error: probe commands this plant: end it"), (False, f"error: 2 nodes publish {GAINS} (")],

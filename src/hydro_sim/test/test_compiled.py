@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hydro_sim.compiled import remove_stale_caches
-
 INNER = "from numba import njit\n@njit(cache=True)\ndef inner(): return {value}\n"
 OUTER = "from numba import njit\nfrom toy.inner import inner\n@njit(cache=True)\ndef outer(): return inner()\n"
 INIT = """from pathlib import Path
@@ -34,14 +32,3 @@ def test_an_edit_in_a_called_module_reaches_its_callers(tmp_path: Path) -> None:
         command = [sys.executable, "-c", "from toy.outer import outer; print(outer())"]
         printed.append(int(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout))
     assert printed == [1, 22]
-
-
-def test_sources_of_another_package_count(tmp_path: Path) -> None:
-    below = made(tmp_path / "below", __init__="", constants="A = 1")
-    above = made(tmp_path / "above", __init__="", kernel="from numba import njit\nfrom below.constants import A\n")
-    remove_stale_caches(above, below)
-    cache = above / "__pycache__" / "kernel.f-1.py311.nbi"
-    cache.touch()
-    made(below, constants="A = 22")
-    assert remove_stale_caches(above, below) and not cache.exists()
-    assert not remove_stale_caches(above, below)

@@ -125,12 +125,6 @@ def mean_spool(current: FloatArray, *effects: dict[str, Any]) -> FloatArray:
     return np.array(found)
 
 
-def test_a_dead_time_of_a_fraction_moves_the_edge_within_a_sample() -> None:
-    spool = mean_spool(np.array([0.0, 1.0, 1.0, 0.0]), effect("transport_delay", time=4.2e-4))
-    np.testing.assert_allclose(spool[20:29], [0, 0, 0, 0, 0, 0, 0, 0, 0.6], atol=1e-12)
-    np.testing.assert_allclose(spool[29:60], 1.0)
-
-
 @pytest.mark.parametrize("name", ["valve_lag", "valve_lag form=first_order"])
 def test_the_spool_follows_a_step_as_its_closed_form_says(name: str) -> None:
     numbers = {"bandwidth": 90.0} | ({"damping": 0.7} if "form" not in name else {})
@@ -148,63 +142,6 @@ def test_nothing_flows_within_the_overlap(form: str, bench: Bench) -> None:
     overlapped = with_effects(bench, effect("valve_deadband" + form, half_width=1e-3, **sides))
     still = response(overlapped, np.zeros(200))[1]
     np.testing.assert_allclose(response(overlapped, wave(200) / 2)[1], still, rtol=1e-5, atol=1e-5)
-
-
-def test_a_leak_evens_the_chambers_out_exponentially(bench: Bench) -> None:
-    """At a fixed piston p_a - p_b fades with c beta (1/V_a + 1/V_b)."""
-    heavy = replace(bench, moving_mass=1e4, spring_stiffness=1e8, viscous_friction=1e6)
-    leaking = with_effects(heavy, effect("leakage_internal", coefficient=1e-12))
-    states = response(leaking, np.zeros(300))[1]
-    volume_a, volume_b = equations.volumes(bench, 0.04)
-    rest = hydraulics.rest_state(bench.constants()[0])
-    rate = 1e-12 * bench.bulk_modulus * (1.0 / volume_a + 1.0 / volume_b)
-    expected = (rest[0] - rest[1]) * np.exp(-rate * SAMPLE_PERIOD * np.arange(1, 301))
-    np.testing.assert_allclose(states[:, 0] - states[:, 1], expected, atol=1e4)
-
-
-def test_dry_friction_holds_up_to_its_level_and_not_beyond(bench: Bench) -> None:
-    rough = effect("friction_coulomb", force=50.0)
-    held = response(with_effects(bench, rough, effect("force_offset", force=49.0)), np.zeros(50))[1]
-    gone = response(with_effects(bench, rough, effect("force_offset", force=51.0)), np.zeros(50))[1]
-    assert (held[:, 3] == 0.0).all() and (held[:, 2] == 0.04).all()
-    assert gone[0, 3] > 0.0
-
-
-def test_bristles_are_a_spring_before_they_slide(bench: Bench) -> None:
-    """Of a force too small to slide, the bristles take sigma / (sigma + k_s) where the hydraulics hold no pressure."""
-    soft = replace(bench, bulk_modulus=1e7, dead_volume_a=0.1, dead_volume_b=0.1, viscous_friction=500.0)
-    stuck = with_effects(soft, effect("friction_coulomb", force=50.0), effect("friction_presliding", stiffness=3e5),
-                         effect("force_offset", force=1.0))  # fmt: skip
-    states = response(stuck, np.zeros(400))[1]
-    assert states[-1, 2] - 0.04 == pytest.approx(1.0 / (3e5 + 2e4), rel=0.03)
-
-
-def test_play_loses_its_width_at_each_reversal_and_the_gap_at_rest(bench: Bench) -> None:
-    width = 2e-3
-    current = 3e-3 * np.sin(2 * np.pi * 2 * SAMPLE_PERIOD * np.arange(450))
-    ideal = replace(bench, load_cell_bandwidth=None)
-    x, force = response(with_effects(ideal, effect("backlash", width=width)), current)[1][:, [2, 4]].T
-    lost = np.clip(x - 0.04, -width / 2, width / 2)
-    assert np.ptp(lost) == pytest.approx(width / 2) and np.max(x) > 0.04 + width
-    np.testing.assert_allclose(force, 2e4 * (x - 0.04 - lost), atol=1e-6)
-    x, force = response(with_effects(ideal, effect("backlash form=play", width=width)), current)[1][:, [2, 4]].T
-    top = int(np.argmax(x))
-    assert force[top] == pytest.approx(2e4 * (x[top] - 0.04 - width / 2), rel=1e-3)
-    returning = np.flatnonzero((np.arange(450) > top) & (x < x[top] - width))
-    assert len(returning) > 50
-    np.testing.assert_allclose(force[returning], 2e4 * (x[returning] - 0.04 + width / 2), atol=1e-6)
-
-
-def test_a_drooping_supply_stalls_lower(bench: Bench) -> None:
-    """In a blocked cylinder with an outer leak the supply falls by resistance times the flow that it feeds."""
-    leak, resistance = 1e-12, 2e11
-    blocked = replace(bench, moving_mass=1e4, spring_stiffness=1e8, viscous_friction=1e6)
-    drooping = with_effects(blocked, effect("leakage_external chamber=a", coefficient=leak),
-                            effect("supply_droop", resistance=resistance, time_constant=0.01))  # fmt: skip
-    states = response(drooping, np.full(3000, 0.05))[1]
-    pressure = states[-1, 0]
-    through = (leak * pressure / (bench.valve_gain * 0.05)) ** 2
-    assert bench.supply_pressure - pressure == pytest.approx(resistance * leak * pressure + through, rel=1e-3)
 
 
 def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.emulator.truth import dynamics, oil, valve
+from hydro_sim.emulator.truth import oil, valve
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS, TruthPlant
 from hydro_sim.model.bench import Bench
@@ -86,13 +86,6 @@ def test_internal_leak_equalises_at_the_closed_form_rate() -> None:
     rate = leak * BETA * (1 / VOLUME_A + 1 / VOLUME_B)
     times = np.arange(len(drop)) * 1e-3
     assert drop == pytest.approx(drop[0] * np.exp(-rate * times), rel=1e-3)
-
-
-def test_orifice_leak_meets_the_laminar_one_at_5_mpa() -> None:
-    laminar = truth(leakage_internal={"coefficient": 1e-12}).parameters[0]
-    orifice = truth(leakage_internal={"coefficient": 1e-12, "form": "orifice"}).parameters[0]
-    assert valve.leak_a_to_b(orifice, 5e6) == pytest.approx(valve.leak_a_to_b(laminar, 5e6), rel=1e-6)
-    assert valve.leak_a_to_b(orifice, 1.25e6) == pytest.approx(2 * valve.leak_a_to_b(laminar, 1.25e6), rel=1e-5)
 
 
 @pytest.mark.parametrize(("chamber", "volume"), [("a", VOLUME_A), ("b", VOLUME_B)])
@@ -204,26 +197,3 @@ def test_pressure_never_falls_below_the_vapor_pressure() -> None:
     for effects in ({}, {"entrained_air": {"volume_fraction": 0.02}}):
         p = truth(**effects).parameters[0]
         assert oil.pressure_of(p, 0.5e-4, 1e-4, 1e6) == pytest.approx(-96e3, abs=3e3)
-
-
-def test_wrong_values_of_the_bench_file_reach_the_plant() -> None:
-    plant = truth(
-        supply_pressure={"ratio": 0.9},
-        tank_pressure={"pressure": 3e5},
-        piston_area={"ratio": 1.1},
-        area_ratio={"ratio": 0.9},
-        dead_volume=[{"ratio": 2.0, "chamber": "a"}, {"ratio": 0.5, "chamber": "b"}],
-    )
-    p = plant.parameters[0]
-    assert p["source_pressure"] == pytest.approx(0.9 * SUPPLY)
-    assert p["tank_pressure"] == 3e5
-    assert p["area_a"] == pytest.approx(1.1 * AREA)
-    assert p["area_b"] == pytest.approx(1.1 * AREA * 0.9 * RATIO)
-    assert (p["dead_volume_a"], p["dead_volume_b"]) == pytest.approx((4e-4, 1e-4))
-    log = held(plant, 0.0, 0.1)
-    assert np.ptp(column(log, "pressure_a")) < 1e-3
-
-
-def test_no_physics_of_the_simulated_plant_is_shared() -> None:
-    for module in (dynamics, oil, valve):
-        assert "hydraulics" not in {getattr(value, "__name__", "") for value in vars(module).values()}

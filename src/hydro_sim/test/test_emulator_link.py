@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from hydro_bridge.serial.protocol import Hello, State
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import SettingsError
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
-from hydro_sim.emulator.control import ControlPipe, execute
+from hydro_sim.emulator.control import execute
 from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal
@@ -50,13 +49,6 @@ def test_reordering_swaps_neighbours_and_loses_nothing() -> None:
     assert sorted(joined) == sorted(b"".join(FRAMES[: len(joined) // 22]))
     first = next(k for k, after in enumerate(out) if not after)
     assert out[first + 1] == FRAMES[first + 1] + FRAMES[first]
-
-
-def test_stall_holds_everything_back_and_then_lets_it_go_in_order() -> None:
-    line = FaultyLine(LinkFaults(), np.random.default_rng(0))
-    line.stall(0.5)
-    assert [line.carry(frame, 0.1 * k) for k, frame in enumerate(FRAMES[:5])] == [b""] * 5
-    assert line.carry(FRAMES[5], 0.5) == b"".join(FRAMES[:6])
 
 
 @pytest.fixture
@@ -139,16 +131,3 @@ def test_orders_are_obeyed_or_refused_in_one_sentence(link: BoxLink, machine: Ma
     for order in ("", "melt", "corrupt", "corrupt 2", "corrupt x", "clear 1", "unplug -1"):
         with pytest.raises(SettingsError, match="order"):
             execute(order, machine, link, 0.0)
-
-
-def test_orders_come_through_the_pipe_line_by_line(tmp_path: Path) -> None:
-    pipe = ControlPipe(tmp_path / "control")
-    writer = os.open(tmp_path / "control", os.O_WRONLY)
-    os.write(writer, b"stall 0.1\nunpl")
-    assert list(pipe.lines()) == ["stall 0.1"]
-    os.write(writer, b"ug 2\n")
-    assert list(pipe.lines()) == ["unplug 2"]
-    assert list(pipe.lines()) == []
-    os.close(writer)
-    pipe.close()
-    assert not (tmp_path / "control").exists()

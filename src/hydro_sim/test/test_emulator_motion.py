@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.emulator.truth import friction, load
+from hydro_sim.emulator.truth import load
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS, TruthPlant
 
@@ -52,13 +52,6 @@ def test_mass_swings_on_oil_at_the_closed_form_frequency(added: float) -> None:
     assert frequency == pytest.approx(np.sqrt((OIL + STIFFNESS) / (MASS + added)) / (2 * np.pi), rel=2e-3)
 
 
-def test_without_friction_a_swing_neither_gains_nor_loses_energy() -> None:
-    plant = truth({"viscous_friction": 0.0})
-    displaced(plant, 1e-5)
-    energy = swing_energy(held(plant, 0.0, 2.0))
-    assert energy[-200:].mean() == pytest.approx(energy[:200].mean(), rel=2e-3)
-
-
 def test_viscous_friction_damps_a_swing_at_the_closed_form_rate() -> None:
     plant = truth(friction_viscous={"coefficient": -40.0})
     displaced(plant, 1e-5)
@@ -75,13 +68,6 @@ def test_sliding_friction_is_coulomb_in_each_direction(form: str, sign: float, f
     dry = column(log, "friction_force") - 60.0 * column(log, "piston_velocity")
     assert np.abs(column(log, "piston_velocity")[-30:]).min() > 0.02
     assert dry[-30:] == pytest.approx(np.full(30, sign * force), rel=2e-3)
-
-
-def test_stribeck_adds_its_breakaway_force_near_standstill_only() -> None:
-    stribeck = {"breakaway_force": 5.0, "velocity": 0.01}
-    p = truth(friction_coulomb={"force": 12.0}, friction_stribeck=stribeck).parameters[0]
-    levels = [friction.friction_level(p, velocity, 0.0, 0.0) for velocity in (0.0, 0.01, -0.01, 0.1)]
-    assert levels == pytest.approx([17.0, 12.0 + 5.0 / np.e, 12.0 + 5.0 / np.e, 12.0])
 
 
 @pytest.mark.parametrize(("push", "breaks_away"), [(13.0, False), (17.0, True), (-7.0, False), (-11.0, True)])

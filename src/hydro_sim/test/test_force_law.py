@@ -112,12 +112,3 @@ def test_integral_stands_still_only_while_it_would_saturate_further(form: int, k
     assert after(-push, 0.07, 0.05) == pytest.approx(1.0 - math.copysign(grown, grown * push))
     assert after(-push, -0.07, -0.05) == 1.0
     assert after(push, 0.02, 0.02) == pytest.approx(1.0 + math.copysign(grown, grown * push))
-
-
-def test_a_new_integral_gain_leaves_the_bumpless_current_and_changes_its_slope() -> None:
-    carried, error, period = 40.0, 8.0, 1e-3
-    actions = {k_i: force_law.integral_action(force_law.BUMPLESS, carried, k_i) for k_i in (-25.0, 0.0, 5.0, 100.0)}
-    assert set(actions.values()) == {carried}
-    for k_i in actions:
-        after = force_law.integrate(force_law.BUMPLESS, carried, error, k_i, 0.0, 0.0, period)
-        assert after - carried == pytest.approx(k_i * error * period, abs=1e-12)

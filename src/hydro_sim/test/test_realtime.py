@@ -112,13 +112,6 @@ def silent(_graph: Graph, _fields: tuple[Any, ...]) -> None:
     """Nobody is there."""
 
 
-def taken(running: Graph, count: int) -> float:
-    """s for so many samples."""
-    begin, before = time.monotonic(), len(running.samples)
-    running.wait(lambda: len(running.samples) > before + count)
-    return time.monotonic() - begin
-
-
 def dither(sequence: int) -> float:
     return 1e-4 * (sequence % 7 - 3)
 
@@ -197,42 +190,6 @@ def test_real_time_stamps_are_a_millisecond_apart_and_commands_age_by_the_host(g
     steps = [later - earlier for earlier, later in zip(running.stamps, running.stamps[1:300], strict=False)]
     assert min(steps) == 1_000_000 and sorted(steps)[-3] == 1_000_000
     assert abs(1e-9 * running.stamps[-1] - time.time()) < 1.0
-
-
-def test_a_multiple_of_real_time_counts_its_own_time(graph: Callable[..., Graph]) -> None:
-    begun = time.monotonic()
-    running = graph(silent, speed=5.0)
-    running.wait(lambda: len(running.samples) > 1000)
-    assert time.monotonic() - begun > 0.19, "never ahead of its time"
-    assert min(taken(running, 500) for _ in range(4)) < 0.5, "nor only as fast as the clock, unless the machine is busy"
-    before, clock, after = len(running.samples), running.simulation.clock(), len(running.samples)
-    assert 1e-3 * before - 0.1 <= clock <= 1e-3 * after + 0.1
-
-
-def test_a_tripped_box_says_how_to_go_on(graph: Callable[..., Graph]) -> None:
-    running = graph(silent)
-    running.wait(lambda: len(running.samples) > 0)
-    assert running.simulation.arm(True) == ""
-    running.guard.set_reference(ReferenceSignal(offset=790.0))
-    running.wait(lambda: running.simulation.flags & Flag.TRIPPED)
-    refusal = running.simulation.arm(True)
-    assert refusal.startswith("the box has tripped (") and refusal.endswith("disarm it, then arm it")
-    running.wait(lambda: any("FORCE_LIMIT" in sentence for sentence in running.said))  # said after it is to be seen
-    assert running.simulation.arm(False) == ""
-
-
-def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(graph: Callable[..., Graph]) -> None:
-    running, shift = graph(silent), [0]
-    running.simulation.pacer.host_clock._wall = lambda: time.time_ns() + shift[0]
-    running.wait(lambda: len(running.stamps) > 20)
-    for step in (10_000_000_000, -10_000_000_000):
-        told, before = len(running.said), running.stamps[-1]
-        shift[0] += step
-        running.wait(lambda told=told: len(running.said) > told)
-        count = len(running.stamps)
-        running.wait(lambda count=count: len(running.stamps) > count)
-        assert abs(running.stamps[-1] - before - step) < 5_000_000_000
-        assert f"was set by {1e-9 * step:+.3f} s" in running.said[-1]
 
 
 def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:

@@ -78,13 +78,3 @@ def test_changes_at_any_time_leave_value_and_rate_continuous(changes: tuple[int,
     slopes = np.diff(values[:, 0]) / step
     np.testing.assert_allclose(slopes, 0.5 * (values[1:, 1] + values[:-1, 1]), atol=5.0)
     assert np.max(np.abs(np.diff(values[:, 1]))) < 200.0
-
-
-def test_only_the_last_change_within_a_fade_counts() -> None:
-    state = generator(ReferenceSignal(offset=0.0))
-    reference.begin(state[0], 0.0, 0.0)
-    changes = {k: ReferenceSignal(offset=offset) for k, offset in ((400, 100.0), (450, -300.0), (600, 50.0))}
-    values = trace(state, 1e-3 * np.arange(1200), changes)
-    assert values[:, 0].min() == 0.0
-    assert values[700:, 0].max() == 100.0
-    assert values[-1, 0] == 50.0

@@ -3,42 +3,22 @@
 
 from __future__ import annotations
 
-import subprocess
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
 
 import pytest
-import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
 from rclpy.experimental import EventsExecutor  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 
-from hydro_bridge.ros.companion import Companion, executable_path  # noqa: E402
+from hydro_bridge.ros.companion import Companion  # noqa: E402
 from hydro_bridge.ros.messages import seconds  # noqa: E402
 from hydro_bridge.ros.topics import AUTHORITY, CORRECTION, GRAPH, STATE  # noqa: E402
 from hydro_msgs.msg import Authority, BenchState, Correction  # noqa: E402
-from hydro_sim.model.bench import Bench  # noqa: E402
 
 pytestmark = pytest.mark.graph
-
-
-def test_effects_of_a_corrected_bench_are_simulated_and_named(tmp_path: Path) -> None:
-    lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.9}}
-    corrected = replace(Bench.nominal(), effects=(lag,))
-    (tmp_path / "corrected.yaml").write_text(yaml.safe_dump(corrected.to_mapping()))
-    sim = [str(executable_path("hydro_sim", "sim")), "--bench", "corrected.yaml", "--speed", "0"]
-    with subprocess.Popen(sim, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as started:
-        assert started.stderr is not None
-        watchdog = threading.Timer(60.0, started.kill)
-        watchdog.start()
-        named = any("simulates the bench file's effects: valve_lag" in line for line in started.stderr)
-        watchdog.cancel()
-        started.terminate()
-    assert named
 
 
 @pytest.fixture
