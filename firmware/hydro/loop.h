@@ -43,23 +43,23 @@ enum {
 };
 
 /* A generated model: y' and a sample of 1 ms at a current [A], or that sample's derivatives by y and the current. */
-typedef void hydro_rates(
+typedef void hydro_model_rates(
     const hydro_real *k, const hydro_real *y, hydro_real u, hydro_real share, hydro_real *restrict out);
-typedef void hydro_sample_of(const hydro_real *k, hydro_real *y, hydro_real u, hydro_real *z);
-typedef void hydro_jacobian(
+typedef void hydro_model_sample(const hydro_real *k, hydro_real *y, hydro_real u, hydro_real *z);
+typedef void hydro_model_jacobian(
     const hydro_real *k, hydro_real *y, hydro_real u, hydro_real *z, hydro_real *dy, hydro_real *dz);
 
 typedef struct {
-    hydro_rates *rates;
+    hydro_model_rates *rates;
     const hydro_real *k;                           /* its coefficients */
     int states, spool, spool_rate, cell, cell_rate; /* number of states, and the places of some */
 } hydro_model;
 
 typedef struct {
     hydro_model whole, linear;
-    hydro_sample_of *sample;    /* of the whole model */
-    hydro_jacobian *jacobian;   /* of the loop's model */
-    const int *from_whole;      /* place in the whole model of each state of the loop's */
+    hydro_model_sample *sample;     /* of the whole model */
+    hydro_model_jacobian *jacobian; /* of the loop's model */
+    const int *from_whole;          /* place in the whole model of each state of the loop's */
     const hydro_real *rest;     /* the whole model's still bench */
     const hydro_real *forces;   /* N, load at `points` positions [m] from `first` on, rising */
     int points;
@@ -93,6 +93,14 @@ typedef struct {
 typedef struct {
     hydro_real gain, stiffness, still, soft_a, soft_b;
 } hydro_sensitivity;
+
+/* The size of x with the sign of y. */
+static inline hydro_real hydro_copysign(hydro_real x, hydro_real y)
+{
+    hydro_pattern bits = (hydro_pattern_of(x) & ~HYDRO_SIGN) | (hydro_pattern_of(y) & HYDRO_SIGN);
+    hydro_copy(&x, &bits, sizeof x);
+    return x;
+}
 
 /* States of the whole model: measured where there is a sensor, f_l and its rate only for `cell`. */
 static inline void hydro_lift(

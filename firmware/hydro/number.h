@@ -82,14 +82,6 @@ static inline hydro_real hydro_abs(hydro_real x)
     return x < HYDRO_R(0) ? -x : x;
 }
 
-/* The size of x with the sign of y. */
-static inline hydro_real hydro_copysign(hydro_real x, hydro_real y)
-{
-    hydro_pattern bits = (hydro_pattern_of(x) & ~HYDRO_SIGN) | (hydro_pattern_of(y) & HYDRO_SIGN);
-    hydro_copy(&x, &bits, sizeof x);
-    return x;
-}
-
 /* Whether a number is finite, and its magnitude no more than `most`. */
 static inline bool hydro_within(hydro_real value, hydro_real most)
 {
