@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coordinates that a bench file's loop has beside the eight of `loop_model`: readings that lag, commands on their way.
+"""Coordinates that a bench file's loop has beside the eight of `coordinates`: readings that lag, commands on their way.
 
 ::
 
@@ -65,7 +65,7 @@ def added_coordinates(bench: Bench, whole: Mapping[Name, int], loop: Mapping[Nam
     whole, loop
         Numbers of hidden states of the whole and of the loop's model.
     drive
-        `loop_model.loop_scale`.
+        `coordinates.loop_scale`.
     """
     lagging, kept, scale, ages = [], [], [], []
     pressure = FORCE_SCALE / bench.piston_area
