@@ -16,6 +16,7 @@ from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.metric.design import rest_loop
 from hydro_filter.model.loop import effects_to_compile, loop_of, rest_measurement
 from hydro_sim.compilations import VARIABLE, read_compilations
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.grammar import LAWS
@@ -83,13 +84,14 @@ def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
     assert effects_to_compile(of(*other)) == ""
     loop_of(of(*other), replace(bench, spring_stiffness=3e4))
     assert "compiling" not in capfd.readouterr().err
+    loop_of(load_model(), bench)
+    assert FilterChoice(bench=bench).uncompiled == ""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert effects_to_compile(of(LAG, LEAK)) == "valve_lag, leakage_internal"
     file = tmp_path / "bench.yaml"
     file.write_text(yaml.safe_dump(of(LAG, LEAK).to_mapping()), encoding="utf-8")
     choice = FilterChoice(bench=bench, model=file)
     assert choice.uncompiled == "the model of a bench with valve_lag, leakage_internal"
-    assert FilterChoice(bench=bench).uncompiled == "", "the shipped model is compiled by set-up"
 
 
 @pytest.mark.slow
