@@ -13,7 +13,6 @@ No filter; the emulator's plant without a clock. Interquartile mean (worst) of t
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -181,33 +180,34 @@ def endurance(asked: argparse.Namespace) -> Table:
     compensator = Compensator(count, law=law)
     for index in range(count):
         fleet.begin(index, SETTINGS.cases[0].signal, asked.seed + index, law=Law.COMPENSATED)
+    waves = {"sines": Waveform.SINE, "multisines": Waveform.MULTISINE, "steps": Waveform.SMOOTH_STEP}
     scales = {"a_0": 1.0, "a_1 [ms]": 1e3, "a_2 [1e-3 s^2]": 1e3, "a_3 [N]": 1.0}
-    table = Table({"to": "h", "rmse": "N", **dict.fromkeys(scales, ""), "trips": ""}, title=f"Benches: {count}")
+    table = Table({"to": "h", **dict.fromkeys(waves, "N"), **dict.fromkeys(scales, ""), "trips": ""})
     for end in np.minimum(np.arange(1.0, asked.hours + 1.0), asked.hours):
-        squares, trips, seen = 0.0, 0, []
+        squares, steps, trips, seen = np.zeros(len(waves)), np.zeros(len(waves)), 0, []
         for number in range(round((end - len(table.rows)) * 3600.0 / STEP)):
             since = number % round(REFERENCE_TIME / STEP)
             if since == 0:
-                for wanted in fleet.commands["reference"]:
-                    waves = [Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP]
-                    wanted["waveform"], wanted["frequency"] = generator.choice(waves), generator.uniform(0.3, 2.0)
-                    wanted["amplitude"], wanted["offset"] = (
-                        generator.uniform(50.0, 250.0),
-                        generator.uniform(-50.0, 50.0),
-                    )
+                kinds = generator.integers(len(waves), size=count)
+                for wanted, kind in zip(fleet.commands["reference"], kinds, strict=True):
+                    wanted["waveform"], wanted["frequency"] = list(waves.values())[kind], generator.uniform(0.3, 2.0)
+                    wanted["amplitude"], wanted["offset"] = generator.uniform((50.0, -50.0), (250.0, 50.0))
             samples = fleet.step(np.zeros((count, 2)), compensator.coefficients)
             active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
             compensator.step(fleet.compensated, samples["load_force"], active, samples["reference_force_rate"])
             trips += np.count_nonzero(samples["flags"] & Flag.TRIPPED)
             if since * STEP >= SETTINGS.settle:
-                squares += np.mean((samples["reference_force"] - samples["load_force"]) ** 2)
+                error = samples["reference_force"] - samples["load_force"]
+                np.add.at(squares, kinds, np.mean(error * error, axis=1))
+                np.add.at(steps, kinds, 1)
                 seen.append(compensator.coefficients.copy())
         all_seen = np.array(seen)
+        rmse = {name: f"{value:.2f}" for name, value in zip(waves, np.sqrt(squares / steps), strict=True)}
         ranges = {
             name: f"{all_seen[..., k].min() * scale:.3g} to {all_seen[..., k].max() * scale:.3g}"
             for k, (name, scale) in enumerate(scales.items())
         }
-        table.add(to=f"{end:g}", rmse=f"{math.sqrt(squares / len(seen)):.2f}", **ranges, trips=str(trips))
+        table.add(to=f"{end:g}", **rmse, **ranges, trips=str(trips))
         print(table.rows[-1], file=sys.stderr, flush=True)
     return table
 

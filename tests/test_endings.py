@@ -65,11 +65,8 @@ def test_ended_while_it_imports_an_executable_says_so_in_a_sentence_and_leaves_n
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("package", "executable"),
-    [pytest.param(*one, marks=[] if one[1] in ("bridge", "trainer") else [pytest.mark.study]) for one in EXECUTABLES],
-)
+@pytest.mark.study
+@pytest.mark.parametrize(("package", "executable"), EXECUTABLES)
 def test_ended_at_any_instant_of_its_start_an_executable_leaves_no_traceback(
     package: str, executable: str, tmp_path: Path
 ) -> None:

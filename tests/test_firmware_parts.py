@@ -23,7 +23,6 @@ from hydro_policy.sac import header as policy_header
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, observe
 from hydro_sim.model.bench import Bench
-from hydro_sim.neural import mlp
 from tests.firmware_filter import hostile
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -156,34 +155,6 @@ def drawn_states(count: int) -> FloatArray:
     rows = center + rng.normal(0.0, 1.0, (count, 14)) * spread
     rows[count // 2, 4] = math.nan  # there the last action stays
     return np.asarray(rows)
-
-
-def kernel_actions(policy: Policy, rows: FloatArray, monkeypatch: pytest.MonkeyPatch) -> FloatArray:
-    """The actions by `hydro_sim.neural.mlp.forward`, its sums in the order in which they are written."""
-    monkeypatch.setattr(mlp, "_affine", mlp._affine.py_func)
-    pairs = zip(policy.weights, policy.biases, strict=True)
-    network = mlp.Layers(*(array for pair in pairs for array in pair))
-    units, found = policy.sizes[1], []
-    action: FloatArray = np.zeros(ACTIONS)
-    for row in rows:
-        observation = observe(row, action)
-        if np.isfinite(observation).all():
-            first, second, output = np.zeros(units), np.zeros(units), np.zeros(2 * ACTIONS)
-            mlp.forward.py_func(network, observation, first, second, output)
-            action = np.array([math.tanh(value) for value in output[:ACTIONS]])
-        found.append(action)
-    return np.array(found)
-
-
-def test_the_policy_in_c_acts_as_the_kernel_to_the_bit(
-    trained: tuple[Policy, GainRange, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    policy, gains, folder = trained
-    rows = drawn_states(100)
-    expected, found = kernel_actions(policy, rows, monkeypatch), many(folder, "double", POLICY, rows, 4)
-    np.testing.assert_array_equal(found[:, :2], expected)
-    np.testing.assert_array_equal(found[:, 2:], gains.changes(expected))
-    assert np.ptp(expected, axis=0).min() > 0.1, "the actions differ"
 
 
 @pytest.mark.parametrize(("precision", "allowed"), [("double", 1e-13), ("single", 2e-5)])

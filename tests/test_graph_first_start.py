@@ -59,12 +59,6 @@ def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> 
     "words",
     [
         "hydro_sim learn {bag} --out {out}/learnt.yaml --windows 4",
-        "hydro_sim validate {bag}",
-        pytest.param(
-            "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --filters none learned solved projected",
-            marks=pytest.mark.study,
-        ),
-        pytest.param("hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20", marks=pytest.mark.study),
         "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20 --model analytic --filter learned",
         "hydro_diagnosis diagnose {bag} --out {out}/diagnosis",
     ],

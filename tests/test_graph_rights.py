@@ -35,7 +35,7 @@ QUERIES = {
     "answers": Node.get_service_names_and_types_by_node,
     "calls": Node.get_client_names_and_types_by_node,
 }
-SETTLED = 2.0  # s that nothing may be added in, once all is there that is expected
+SETTLED = 1.0  # s that nothing may be added in, once all is there that is expected
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "exam.every:=0")
 
 

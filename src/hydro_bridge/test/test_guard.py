@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, isfinite, nan
 
 import pytest
@@ -341,6 +342,14 @@ def test_whatever_law_command_comes_in_what_goes_down_is_finite_and_within_the_l
         assert low <= a <= high
     for name in ("velocity_compensation", "valve_gain_scale", "delta_kp", "delta_ki"):
         assert getattr(OFFERED, f"{name}_min") <= getattr(command, name) <= getattr(OFFERED, f"{name}_max")
+
+
+def test_a_coefficient_out_of_range_is_clamped_and_told_once():
+    guard = compensated()
+    for _ in range(3):
+        guard.set_law(replace(SHAPED, coefficients=(2.0, 0.03, 1e-4, -5.0)), 0.1)
+    assert guard.command(0.1).coefficients == (OFFERED.coefficient_max[0], 0.03, 1e-4, -5.0)
+    assert guard.take_events() == ["a_0 is outside [0.8, 1.25]: clamped"]
 
 
 @pytest.mark.parametrize("first", list(Law))

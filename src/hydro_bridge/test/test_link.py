@@ -14,7 +14,7 @@ import pytest
 from hydro_bridge.link.link import MISSED, NO_LAW, SLOW_LINE, Link, LinkState, incomplete
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortSettings
-from hydro_bridge.serial.protocol import BoxDetails, BoxLaw, LawState, encode_details
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details
 from hydro_bridge.signals import Command, CorrectionStatus, Flag, Law
 
 
@@ -246,3 +246,8 @@ def test_another_epoch_means_that_the_box_was_restarted(bench):
     it.box._write(encode_details(1, 0, replace(DETAILS, epoch=6)))
     wait_until(lambda: any("restarted" in sentence for sentence in it.log))
     assert not it.link.guard.armed
+
+
+def test_the_box_narrows_the_guard_at_connection(bench):
+    it = bench(info=BoxInfo(name="weak", delta_kp_max=10.0, delta_u_max=0.015625)).connected()
+    assert (it.link.guard.settings.delta_kp_max, it.link.guard.settings.delta_u_max) == (10.0, 0.015625)

@@ -192,19 +192,6 @@ def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, star
     assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_line
 
 
-def test_bridge_says_once_that_the_box_tripped_and_why(cable, small_box, probe, start):
-    box, output = small_box(), io.StringIO()
-    start("bridge", "--port", cable.path, output=output)
-    probe.wait(lambda: len(probe.states) > 20)
-    assert "tripped" not in output.getvalue()
-    box.obeys, box.flags = False, Flag.TRIPPED | Flag.FORCE_LIMIT
-    probe.wait(lambda: "the box tripped (TRIPPED" in output.getvalue())
-    heard = len(probe.states)
-    probe.wait(lambda: len(probe.states) > heard + 300)
-    said = [line for line in output.getvalue().splitlines() if "the box tripped" in line]
-    assert len(said) == 1 and "WARN" in said[0] and "FORCE_LIMIT" in said[0]
-
-
 def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start):
     box = small_box()
     bridge = start("bridge", "--port", cable.path)

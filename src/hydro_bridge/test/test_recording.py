@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +13,6 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hydro_bridge.bags import writer as bag_writer
 from hydro_bridge.bags.cdr import STATE_TYPE, encode_states
 from hydro_bridge.bags.recording import (
     STATE_TOPIC,
@@ -90,18 +87,6 @@ def test_what_was_written_is_read(bag, states, single):
     assert recording.qos[STATE_TOPIC] == TopicQos(reliability="best_effort", depth=50)
     assert recording.notes == ()
     assert continuity(recording.state).whole
-
-
-def test_a_recording_from_before_there_was_an_epoch_is_read(tmp_path, states, monkeypatch):
-    old = replace(definition(GAINS_TYPE), text=re.sub(r"uint64 epoch.*\n", "", definition(GAINS_TYPE).text))
-    monkeypatch.setattr(bag_writer, "definition", lambda name: old if name == GAINS_TYPE else definition(name))
-    with BagWriter(tmp_path / "run") as writer:
-        writer.add_topic(GAINS, GAINS_TYPE)
-        for time_ns, data in gains_without_epoch(50, 1_700_000_000 * 10**9):
-            writer.write(GAINS, data, time_ns)
-    table = read_bag(tmp_path / "run")[GAINS]
-    assert table.dtype.names == ("time", "delta_kp", "delta_ki", "step")
-    assert (table["delta_kp"] == np.arange(50)).all() and (table["step"] == np.arange(50)).all()
 
 
 @pytest.mark.parametrize("single", [False, True], ids=["folder", "file"])

@@ -23,13 +23,6 @@ def parser() -> argparse.ArgumentParser:
 BEGUN = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidden": [32, 32]}
 
 
-def test_a_file_is_the_same_by_any_path(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    refuse_changes(parser(), ["--bench", "b.yaml"], "runs/a", {"bench": str(tmp_path / "b.yaml")})
-    with pytest.raises(UserError, match=r"--bench c\.yaml"):
-        refuse_changes(parser(), ["--bench", "c.yaml"], "runs/a", {"bench": str(tmp_path / "b.yaml")})
-
-
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -67,34 +67,6 @@ def test_what_the_flags_tell_is_marked_at_its_sample(bag: Path, states) -> None:
     assert any("episodes" in note for note in found.notes), "it says what it lacks"
 
 
-def test_a_part_of_it_counts_from_the_begin_of_the_part(bag: Path) -> None:
-    found = read_recorded(bag, (2.0, 3.5))
-    assert found.seconds == pytest.approx(1.5, abs=2e-3)
-    assert [mark.kind for mark in found.marks] == ["armed", "trip"]
-    assert found.marks[0].text == "armed already when the recording begins"
-    assert found.marks[1].time == pytest.approx(1.0, abs=2e-3)
-    with pytest.raises(RecordingError, match="no samples from 60"):
-        read_recorded(bag, (60.0, 70.0))
-
-
-def test_calls_are_marked_with_their_answer_and_of_the_log_only_warnings(tmp_path: Path, states) -> None:
-    begin = float(states["time"][0])
-    said = [(20, "bridge.calls", "somebody: armed"), (20, "bridge", "guard"), (30, "filter", "it does not fit")]
-    with BagWriter(tmp_path / "run") as writer:
-        writer.write_states(states)
-        writer.add_topic("/rosout", LOG_TYPE)
-        for n, (level, name, sentence) in enumerate(said):
-            sec, nanosec = divmod(round((begin + 2.0 + n) * 1e9), 10**9)
-            message = LOG(STAMP(sec, nanosec), level, name, sentence, "", "", 0)
-            writer.write("/rosout", bytes(STORE.serialize_cdr(message, LOG_TYPE)), sec * 10**9 + nanosec)
-    marks = [mark for mark in read_recorded(tmp_path / "run").marks if mark.kind in ("call", "log")]
-    assert [(mark.kind, mark.text) for mark in marks] == [
-        ("call", "bridge was asked: somebody: armed"),
-        ("log", "filter: it does not fit"),
-    ]
-    assert [mark.time for mark in marks] == pytest.approx([2.0, 4.0], abs=1e-3)
-
-
 def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:
     """What matters here of a report.json: `hydro_diagnosis.findings.Location`."""
     location = [{"equation": "motion", "sentence": "friction", "windows": windows}]

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
-from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.evidence import has_identified_shapes
-from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.closure.screen import Screen, laws
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian, score

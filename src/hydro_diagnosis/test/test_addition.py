@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydro_diagnosis.closure.candidates import laws, tables
+from hydro_diagnosis.closure.screen import laws, tables
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.equation_residuals import split_cached

@@ -40,7 +40,7 @@ def test_learned_constants_become_the_bench_and_its_effects() -> None:
     assert claims["sensor_lag"] == pytest.approx({"bandwidth": 25.0, "damping": 0.55}, rel=5e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_leak_and_friction_are_named_as_changes_and_corrected_as_wholes(tmp_path: Path) -> None:
     """The command's corrected.yaml is a baseline by itself: of the worn bench."""
     wear = {"leakage_internal": {"coefficient": 1e-12}, "friction_coulomb": {"force": 18.0, "form": "lugre"}}

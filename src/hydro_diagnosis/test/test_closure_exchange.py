@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.growth import ForwardSelection, _exchanged
-from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.closure.screen import Screen, laws
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import fit, noticeable, score

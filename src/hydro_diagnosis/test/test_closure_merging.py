@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.growth import ClosureFit
-from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.closure.screen import Screen, laws
 from hydro_diagnosis.closure.selection import merged
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure, closure

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.closure.screen import Screen, laws
 from hydro_diagnosis.closure.selection import closures, starting_points
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.estimation.fit import fit, noticeable

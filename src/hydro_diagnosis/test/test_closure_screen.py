@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
-from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.evidence import HeldOutBlocks
-from hydro_diagnosis.closure.screen import Screen, threshold
+from hydro_diagnosis.closure.screen import Screen, laws, threshold
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem

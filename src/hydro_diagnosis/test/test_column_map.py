@@ -119,15 +119,6 @@ def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Pat
     same(read_table(path, columns), {"time": [0, 1, 2], "load_force": [-1, -2, -3], "pressure_b": [7, 8, 9]})
 
 
-def test_damaged_matlab_file_is_one_sentence(tmp_path: Path) -> None:
-    whole = file(tmp_path).read_bytes()
-    for length in (0, 60, 130, 300):
-        (tmp_path / "cut.mat").write_bytes(whole[:length])
-        with pytest.raises(InputError, match=r"cut.mat: .") as raised:
-            read_table(tmp_path / "cut.mat")
-        assert "\n" not in str(raised.value)
-
-
 def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     pd.DataFrame({"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}).to_csv(path)

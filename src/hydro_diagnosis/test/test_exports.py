@@ -19,18 +19,6 @@ from hydro_sim.model.bench import Bench
 
 Array = npt.NDArray[np.float64]
 FIELDS = ("piston_position", "pressure_a", "pressure_b", "load_force", "valve_current", "reference_force")
-PER_UNIT = {
-    "m": 1.0,
-    "mm": 1e-3,
-    "Pa": 1.0,
-    "bar": 1e5,
-    "N": 1.0,
-    "kN": 1e3,
-    "A": 1.0,
-    "mA": 1e-3,
-    "s": 1.0,
-    "ms": 1e-3,
-}
 
 
 def columns(states: StateArray, units: Sequence[str], fields: Sequence[str] = FIELDS) -> list[Array]:
@@ -79,23 +67,6 @@ def german(states: StateArray) -> bytes:
     return "\r\n".join(["Prüfstand 3", "", head, *rows(columns(states, units), ";", ",")]).encode("cp1252")
 
 
-def suffixes(states: StateArray) -> bytes:
-    units = ["ms", "mm", "bar", "bar", "N", "mA", "N"]
-    names = ["t_ms", "x_mm", "p1_bar", "p2_bar", "F_N", "i_mA", "F_ref_N"]
-    return "\n".join([",".join(names), *rows(columns(states, units), ",")]).encode()
-
-
-def words(states: StateArray) -> bytes:
-    units = ["s", "mm", "bar", "bar", "kN", "mA", "kN"]
-    names = [
-        "Elapsed time", "Cylinder stroke", "Bore side pressure", "Rod side pressure", "Load cell",
-        "Servo valve command", "Force setpoint",
-    ]  # fmt: skip
-    head = "\t".join(f"{name} ({unit})" for name, unit in zip(names, units, strict=True))
-    above = ["LabVIEW Measurement", "Operator\tx", "***End_of_Header***"]
-    return "\n".join([*above, head, *rows(columns(states, units), "\t")]).encode()
-
-
 def letters(states: StateArray) -> bytes:
     units = ["s", "m", "Pa", "Pa", "N", "A", "N"]
     return "\n".join(["t,y,pA,pB,F,u,Fset", *rows(columns(states, units), ",")]).encode()
@@ -109,24 +80,7 @@ def numbered(states: StateArray) -> bytes:
     return "\n".join([*head, *rows(columns(states, units, fields), "\t")]).encode()
 
 
-def transducers(states: StateArray) -> bytes:
-    units = ["s", "mm", "bar", "bar", "N", "mA", "N"]
-    names = ["Messzeit", "Wegaufnehmer", "Druckaufnehmer 1", "Druckaufnehmer 2", "Kraftaufnehmer", "Servoventil"]
-    names += ["Kraft Sollwert"]
-    head = ["HBM Catman", "\t".join(names), "\t".join(units)]
-    return "\n".join([*head, *rows(columns(states, units), "\t", ",")]).encode("utf-8-sig")
-
-
-def scope(states: StateArray) -> bytes:
-    """A scope that writes a column of times before each signal."""
-    units = ["ms", "mm", "bar", "bar", "N", "mA", "N"]
-    time, *values = columns(states, units)
-    names = ["Axis.Position", "Press_A", "Press_B", "LoadCell", "ValveCmd", "ForceRef"]
-    head = [";".join(f"Time [ms];{name} [{unit}]" for name, unit in zip(names, units[1:], strict=True))]
-    return "\n".join([*head, *rows([one for pair in values for one in (time, pair)], ";", ",")]).encode()
-
-
-EXPORTS = {f.__name__: f for f in (control_desk, german, suffixes, words, letters, numbered, transducers, scope)}
+EXPORTS = {f.__name__: f for f in (control_desk, german, letters, numbered)}
 
 
 @pytest.mark.parametrize("name", EXPORTS)

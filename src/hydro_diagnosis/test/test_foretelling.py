@@ -18,7 +18,7 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.effect_summary import distrusted, made_worse, made_worse_in_all, not_predicted
+from hydro_diagnosis.selection.effect_summary import not_predicted
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -55,23 +55,6 @@ def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_for
     note = not_predicted(unseen, found.claims)
     assert (note == "") == predicted
     assert predicted or "(motion)" in note
-
-
-def test_a_held_out_channel_that_is_made_worse_is_said() -> None:
-    def error(before: float, after: float) -> dict[str, float]:
-        return {"rmse_before": before, "rmse_after": after, "noise_floor": 1e-6}
-
-    fine = {"piston_position": error(6e-6, 1e-6), "pressure_a": error(1e-6, 1.2e-6)}
-    assert not made_worse({"holdout": fine})
-    assert not made_worse({"holdout": {}})
-    note = distrusted(made_worse({"holdout": fine | {"load_force": error(6e-6, 1.38e-5)}}))
-    assert not distrusted("")
-    assert "load_force at 13.8 noise floors instead of 6" in note
-    assert "piston_position" not in note
-    assert "load_force" in made_worse_in_all(
-        {"holdout": {"load_force": error(2e-6, 4e-6), "pressure_a": error(5e-6, 4e-6)}}
-    )
-    assert not made_worse_in_all({"holdout": {"load_force": error(2e-6, 4e-6), "pressure_a": error(6e-6, 4e-6)}})
 
 
 @pytest.mark.slow

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hydro_diagnosis.closure.candidates import laws
-from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.closure.screen import laws
+from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import all_exclude_neutral, intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -32,12 +32,3 @@ def test_an_interval_holds_no_value_that_the_recordings_rule_out(problem_of: Cal
         for name, value in PULLS[claim.effect.options["form"]].items():
             assert bounds[k].low < value < bounds[k].high, name
             k += 1
-
-
-def test_an_interval_asks_no_value_beyond_the_bounds(problem_of: Callable[..., Problem]) -> None:
-    """A lag that is hardly one: by its curvature the interval reaches to negative bandwidths, which no run has."""
-    problem = problem_of()
-    lag = next(effect for effect in LIBRARY if effect.label == "sensor_lag:pressure_a").adapted(problem.bench)
-    found = fit(problem, [Claim(lag, {one.name: one.high for one in lag.parameters})], iterations=0)
-    (bound, *_) = intervals(problem, found)
-    assert lag.parameters[0].low <= bound.low <= bound.value == bound.high == lag.parameters[0].high

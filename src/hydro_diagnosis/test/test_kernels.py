@@ -8,7 +8,6 @@ import pytest
 
 from hydro_diagnosis.effects import kernels
 from hydro_diagnosis.effects.kernels import held_lag, opened
-from hydro_diagnosis.model.chambers import fading_sums
 from hydro_diagnosis.preprocessing.smoothing import finish, finish_at, smooth, smooth_at
 
 
@@ -17,16 +16,6 @@ def test_smoothing_at_some_samples_is_that_of_all(spacing: int) -> None:
     signal, rows = np.random.default_rng(1).standard_normal(400), np.array([0, 3, 50, 399])
     np.testing.assert_allclose(smooth_at(signal, rows, spacing), smooth(signal, spacing)[rows], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(finish_at(signal, rows, spacing), finish(signal, spacing)[rows], rtol=0.0, atol=1e-12)
-
-
-def test_sums_that_fade_are_those_whose_slow_part_is_taken_off() -> None:
-    """As an observer takes it off: the slow part follows the sum by 0.008 of the difference per sample."""
-    built = np.random.default_rng(2).standard_normal((2, 300))
-    slow, left = np.zeros(2), []
-    for total in np.cumsum(built, axis=1).T - built.T:
-        left.append(total - slow)
-        slow = slow + 0.008 * (total - slow)
-    np.testing.assert_allclose(fading_sums(built, 0.992), np.stack(left, axis=1), rtol=0.0, atol=1e-11)
 
 
 def test_a_held_lag_runs_as_its_differential_equation() -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import InputError
@@ -19,7 +18,6 @@ from hydro_diagnosis.bench_numbers import (
     applies,
     completed,
     knows,
-    left_out,
     needed,
     numbers,
     read_bench,
@@ -92,16 +90,6 @@ def test_all_that_is_missing_is_asked_for_at_once() -> None:
     assert "piston_area" not in sentence and "bulk_modulus" not in sentence
 
 
-def test_pressures_without_force_cell_need_no_mass() -> None:
-    known = {name: getattr(BENCH, name) for name in numbers() if name not in ("moving_mass", *NONE)}
-    bench = completed(known)
-    refuse_missing(RIGS["valve"], bench)
-    assert left_out(RIGS["valve"], bench) == [
-        "the motion equation was left out: the bench file does not hold moving_mass"
-    ]
-    assert "moving_mass" in needed(RIGS["valve"], completed({**known, "moving_mass": 1.2}))
-
-
 def test_bench_holds_and_writes_only_what_is_known(tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text("moving_mass: 95.109\n")
@@ -112,12 +100,6 @@ def test_bench_holds_and_writes_only_what_is_known(tmp_path: Path) -> None:
     assert replace(bench, viscous_friction=3.0).to_mapping() == {"moving_mass": 95.109, "viscous_friction": 3.0}
     with pytest.raises(ValueError, match=r"'bulk_modulus', 'piston_area'.*are missing"):
         Bench.load(path)
-
-
-def test_whole_file_is_the_bench_that_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "bench.yaml"
-    path.write_text(yaml.safe_dump(BENCH.to_mapping()))
-    assert read_bench(path) == BENCH and type(read_bench(path)) is Bench
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray, Waveform
@@ -54,14 +53,3 @@ def test_true_model_is_at_the_noise_where_it_can_predict(held: SegmentModel) -> 
 def test_error_of_a_wrong_model_stays(held: SegmentModel, claims: list[Claim]) -> None:
     found = against_nothing(held, claims)
     assert worst(found, "rmse_after") > 0.8 * worst(found, "rmse_after_all") > 5.0
-
-
-def test_nothing_is_left_out_where_nothing_sticks(nominal: StateArray) -> None:
-    columns = {name: nominal[name].copy() for name in nominal.dtype.names}
-    model = SegmentModel(checked(RawTable("run", nominal["time"].copy(), None, columns), BENCH).segments[0], BENCH)
-    soft = Claim(next(one for one in LIBRARY if one.id == "friction_viscous").adapted(BENCH), {"coefficient": 60.0})
-    found = against_nothing(model, [soft])
-    assert not found.left_out
-    for error in found.channels.values():
-        np.testing.assert_equal((error.rmse_before, error.rmse_after), (error.rmse_before_all, error.rmse_after_all))
-    assert worst(found, "rmse_after") > 2.0

@@ -99,12 +99,6 @@ def test_frozen_encoder_is_cut_out_and_listed(
     assert any("piston_position is frozen in 3001 samples" in note for note in recording.quality)
 
 
-def test_encoder_that_never_comes_back_is_cut_off(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
-    recording = read(frozen(frame(nominal), 9000, len(nominal)), tmp_path)
-    assert len(recording.segments) == 1
-    assert 8990 < len(recording.segments[0]) <= 9000
-
-
 @pytest.mark.parametrize("quantum", [1e-6, 5e-6, 5e-5])
 @pytest.mark.parametrize(
     "waveform, amplitude", [(Waveform.HOLD, 0.0), (Waveform.SINE, 30.0), (Waveform.SMOOTH_STEP, 250.0)]

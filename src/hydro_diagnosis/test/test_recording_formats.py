@@ -82,10 +82,8 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, states
         np.testing.assert_allclose(values, short[field], rtol=1e-12, atol=1e-15, err_msg=field)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["MDF 4", *(pytest.param(one, marks=pytest.mark.study) for one in FORMATS if one != "MDF 4")]
-)
+@pytest.mark.study
+@pytest.mark.parametrize("name", FORMATS)
 def test_every_format_is_diagnosed_as_the_bag(
     name: str, tmp_path: Path, of_the_bag: Report, states: StateArray
 ) -> None:

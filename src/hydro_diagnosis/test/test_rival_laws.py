@@ -72,9 +72,3 @@ def test_the_proposed_recording_tells_the_two_best_laws_apart_better_than_most()
     apart = told_apart(best, found, rival)
     assert apart > 10.0
     assert apart > np.median([told_apart(one, found, rival) for one in others])
-
-
-def test_once_the_proposed_recording_is_made_no_other_law_comes_near() -> None:
-    steps = ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=260.0, frequency=0.8)
-    wide = problem_of(driven(sine(260.0), 3), driven(steps, 4))
-    assert next_for_law(wide, fit(wide, [law("quadratic drag", DRAG)])) is None

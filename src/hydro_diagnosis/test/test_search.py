@@ -29,13 +29,6 @@ def test_residuals_of_a_matching_bench_are_noise(problem: Problem) -> None:
     assert all(0.75 < square < 1.25 for square in squares.values()), squares
 
 
-def test_noise_floor_is_the_sensors_noise(problem: Problem) -> None:
-    assert problem.sensor_noise["load_force"] == pytest.approx(0.6, rel=0.05)
-    assert problem.sensor_noise["hydraulic_force"] == pytest.approx(0.6, rel=0.1)
-    assert problem.sensor_noise["pressure_a"] == pytest.approx(6e3, rel=0.05)
-    assert problem.sensor_noise["piston_position"] == pytest.approx(1e-6 / np.sqrt(12.0), rel=0.1)
-
-
 def test_nothing_is_claimed_where_nothing_is_missing(problem: Problem) -> None:
     assert search(problem).fit.claims == ()
 

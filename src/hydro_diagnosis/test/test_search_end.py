@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.estimation.fit import fit, noticeable
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.estimation.fit import noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.search import Search, removes_little
+from hydro_diagnosis.selection.search import Search
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
@@ -38,10 +38,3 @@ def test_a_search_that_ends_early_says_why(worn: Problem, settings: dict[str, in
     outcome = Search(worn, ADAPTED, SearchSettings(restarts=1, **settings)).run()
     assert why in outcome.cut_short
     assert noticeable(worn, outcome.fit.residual)
-
-
-@pytest.mark.parametrize("ratio, little", [(0.925, False), (0.9999, True)])
-def test_a_claim_nibbles_that_removes_little_where_it_acts(worn: Problem, ratio: float, little: bool) -> None:
-    effect = next(one for one in ADAPTED if one.id == "spring_stiffness")
-    found = fit(worn, (Claim(effect, {"ratio": ratio}),), iterations=0)
-    assert removes_little(worn, fit(worn, ()), found) is little

@@ -1,20 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import pytest
 
-from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FitParameter
-from hydro_diagnosis.estimation.fit import fit, noticeable
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.search import form_error, is_significant
+from hydro_diagnosis.selection.search import is_significant
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -69,25 +60,3 @@ def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none(effect: Effect) 
     assert not is_significant(claim(effect, **absent))
     assert not is_significant(claim(effect, **{**absent, first.name: 0.97 * first.neutral}))
     assert is_significant(claim(effect, **{**absent, first.name: 0.5 * first.neutral}))
-
-
-COULOMB = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
-STRIBECK = {"id": "friction_stribeck", "parameters": {"breakaway_force": 6.0, "velocity": 0.012}}
-
-
-@pytest.mark.parametrize("truth, newest, mends", [
-    ((COULOMB, STRIBECK), "friction_stribeck", False),  # explains little of Coulomb's signature, but all that is left
-    ((COULOMB, STRIBECK), "force_offset", True),        # explains as little, and leaves the rest
-    ((COULOMB,), "friction_stribeck", True),            # nothing is left to explain
-])  # fmt: skip
-def test_newcomer_that_leaves_nothing_is_no_error_in_the_form_of_its_kin(
-    record: Callable[..., StateArray], truth: tuple[dict[str, object], ...], newest: str, mends: bool
-) -> None:
-    states = record(replace(BENCH, effects=truth), 5)
-    table = RawTable("run", states["time"].copy(), None, {name: states[name].copy() for name in states.dtype.names})
-    problem = Problem(checked(table, BENCH).segments, BENCH)
-    problem = problem.weighed([claim(library("friction_coulomb"), force=8.0)])
-    base = fit(problem, [claim(library("friction_coulomb"), force=8.0)])
-    assert noticeable(problem, base.residual) == (STRIBECK in truth)
-    found = fit(problem, [*base.claims, claim(library(newest))])
-    assert form_error(problem, base, found, SearchSettings().form_error) == mends

@@ -16,7 +16,6 @@ import yaml
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.estimation.unknown_numbers import estimable
 from hydro_sim.model.bench import Bench
 
 MASS, DRY, VISCOUS, REST = 37.0, 9.0, 40.0, 0.08
@@ -111,16 +110,6 @@ def test_number_that_no_equation_here_reads_is_left_open(tmp_path: Path) -> None
 def test_number_without_an_effect_is_refused_with_those_that_have_one(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"'{name}'.*moving_mass.*spring_rest_position"):
         diagnose([tmp_path / "none.csv"], estimate=[name])
-
-
-def test_each_number_of_an_effect_can_be_estimated() -> None:
-    assert {name: effect.id for name, effect in estimable().items()} == {
-        "bulk_modulus": "bulk_modulus", "piston_area": "piston_area", "area_ratio": "area_ratio",
-        "supply_pressure": "supply_pressure", "tank_pressure": "tank_pressure", "valve_nominal_flow": "valve_gain",
-        "dead_volume_a": "dead_volume", "dead_volume_b": "dead_volume", "moving_mass": "moving_mass",
-        "viscous_friction": "friction_viscous", "spring_stiffness": "spring_stiffness",
-        "spring_rest_position": "spring_rest",
-    }  # fmt: skip
 
 
 Record = Callable[..., StateArray]

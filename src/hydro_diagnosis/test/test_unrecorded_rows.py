@@ -3,27 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.effects import CANDIDATES, Claim
 from hydro_diagnosis.estimation.fit import fit, mean_squares
-from hydro_diagnosis.estimation.intervals import intervals, shifts, without_insignificant
+from hydro_diagnosis.estimation.intervals import without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.findings import EffectReport, ParameterEstimate
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked, counted, uneven
 from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.selection.search import all_significant
-from hydro_diagnosis.stages.reporting import current_is_early
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 MASS = next(effect for effect in CANDIDATES if effect.id == "moving_mass")
-FRICTION = next(effect for effect in CANDIDATES if effect.id == "friction_coulomb" and not effect.options)
 
 
 def logged(states: StateArray, rows: object = slice(None), time: np.ndarray | None = None) -> Recording:
@@ -57,16 +52,6 @@ def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) 
     problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
     found = fit(problem, [Claim(MASS, {"mass": 0.1})])
     assert not all_significant(problem, found) or not without_insignificant(problem, found)[0].claims
-
-
-def test_half_of_the_rows_tell_how_far_a_parameter_may_be_off(nominal: StateArray) -> None:
-    slow, whole = (Problem(logged(nominal, slice(None, None, n)).segments, BENCH) for n in (5, 1))
-    found = fit(slow, [Claim(FRICTION, {"force": 1.0})])
-    (shift,) = shifts(slow, found)
-    assert shift[0] > 0.0
-    (bound,) = intervals(slow, found)
-    assert bound.high - bound.low >= shift[0]
-    assert np.array_equal(np.concatenate(shifts(whole, fit(whole, [Claim(FRICTION, {"force": 1.0})]))), [0.0])
 
 
 def test_lost_rows_and_their_neighbours_are_not_judged(nominal: StateArray) -> None:
@@ -113,21 +98,3 @@ def test_samples_taken_unevenly_are_placed_by_their_stamps(nominal: StateArray) 
     assert "valve_current" not in channels
     off = channels["piston_position"][50:-50] - nominal["piston_position"][53:-53]
     assert np.std(off) < 0.2 * np.std(columns["piston_position"][50:-50] - nominal["piston_position"][53:-53])
-
-
-def test_claim_whose_interval_holds_nothing_is_none(problem: Problem) -> None:
-    found = fit(problem, [Claim(FRICTION, {"force": 1e-4})], iterations=0)
-    assert intervals(problem, found)[0].low == 0.0
-    assert without_insignificant(problem, found)[0].claims == ()
-
-
-@pytest.mark.parametrize("time, said", [(1e-3, True), (1.7e-3, False)])
-def test_dead_time_of_one_row_is_said_to_look_like_an_early_current(problem: Problem, time: float, said: bool) -> None:
-    parameters: Mapping[str, ParameterEstimate] = {
-        "time": ParameterEstimate(value=time, ci95=[time - 1e-6, time + 1e-6], unit="s")
-    }
-    effect = EffectReport(
-        id="transport_delay", equation="actuation", options={}, sentence="", parameters=dict(parameters), evidence={},
-        rivals=[], look_alikes=[],
-    )  # fmt: skip
-    assert (current_is_early(problem, [effect]) is not None) == said

@@ -22,7 +22,7 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable
 from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
-from hydro_diagnosis.wiring import doubts, reversed_sign
+from hydro_diagnosis.wiring import doubts
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.schedules import Segment
@@ -169,14 +169,6 @@ def test_as_wired_tries_no_repair_and_a_map_that_repairs_is_enough(runs: list[Ch
     metres = [written(scaled("piston_position", by=1e3)(one), tmp_path / f"mm{k}.csv") for k, one in enumerate(runs)]
     with pytest.raises(InputError, match="end stop"):
         read(metres, as_wired=True)
-
-
-def test_repair_keeps_the_rest_of_a_map() -> None:
-    columns = ColumnMap.load("time=t[ms],piston_position=pos[mm]-40,valve_current=i[mA]")
-    assert columns is not None
-    assert str(reversed_sign("valve_current").edit(columns)) == (
-        "time=t[ms],piston_position=pos[mm]-40,valve_current=i[mA]*-1"
-    )
 
 
 def test_right_recordings_raise_no_suspicion(problem: Problem, nominal: StateArray) -> None:

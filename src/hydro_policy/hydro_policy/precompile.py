@@ -10,7 +10,8 @@ from itertools import product
 import numpy as np
 import torch
 
-from hydro_bridge.signals import ReferenceSignal
+from hydro_bridge.signals import SAMPLES_PER_STEP, ReferenceSignal
+from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import FILTERS
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
@@ -35,6 +36,11 @@ def _fleet(plant: Callable[[], Plant], filter_kind: str) -> None:
     fleet.step(np.zeros((1, ACTIONS)))
 
 
+def _estimator() -> None:
+    samples = np.zeros((1, SAMPLES_PER_STEP))
+    Compensator().step(samples, samples, np.ones(1, bool), samples)
+
+
 def _analytic() -> Plant:
     return AnalyticPlant(Bench.nominal())
 
@@ -43,6 +49,7 @@ _PLANTS: dict[str, Callable[[], Plant]] = {"analytic": _analytic, "learned": mak
 
 STEPS: dict[str, Callable[[], None]] = {
     "learner": _learner,
+    "estimator": _estimator,
     **{
         f"{name} benches, filter {kind}": partial(_fleet, make, kind)
         for (name, make), kind in product(_PLANTS.items(), FILTERS)

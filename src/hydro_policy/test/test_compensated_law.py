@@ -95,6 +95,17 @@ def test_coefficients_hold_under_what_spoils_a_sample_and_while_disarmed(flag: F
     assert live.command == before != LiveCompensation(LAW).command
 
 
+def test_frozen_coefficients_hold_until_released() -> None:
+    live = LiveCompensation(LAW)
+    pairs(live, range(100))
+    live.frozen, before = True, live.command
+    pairs(live, range(100, 200))
+    assert live.command == before and live.health["frozen"] != "no"
+    live.frozen = False
+    pairs(live, range(200, 300))
+    assert live.command != before
+
+
 class Held(Heard):
     """A person holds (90, 15) from before the law changes until 2 s after."""
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better, verdict
+from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.snapshot import actor_parameters, dump
@@ -48,15 +48,6 @@ class Learner:
 
     def save_policy(self, good: bytes) -> None:
         pass
-
-
-def test_a_verdict_has_the_mean_of_the_repeats_and_its_standard_error() -> None:
-    found = verdict(scores(FIXED * np.array([[0.9], [1.1]])), FIXED)
-    np.testing.assert_allclose(found.rmse, FIXED)
-    assert found.score == pytest.approx(1.0)
-    # Each sine: standard deviation 0.1 sqrt(2), of a mean of two 0.1; of the mean of four independent sines half that.
-    assert found.score_error == pytest.approx(0.05)
-    assert verdict(scores(FIXED[np.newaxis]), FIXED).score_error == 0.0
 
 
 @pytest.mark.parametrize(

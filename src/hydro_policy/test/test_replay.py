@@ -15,12 +15,6 @@ def rows(first: int, count: int) -> np.ndarray:
     return (np.arange(first, first + count)[:, None] + 0.1 * np.arange(7)).astype(np.float32)
 
 
-def test_more_rows_than_capacity_keep_the_last() -> None:
-    memory = ReplayBuffer(2, 1, 100)
-    memory.extend(rows(0, 250))
-    np.testing.assert_array_equal(memory.stored()[0], rows(150, 100))
-
-
 def test_batch_holds_whole_transitions() -> None:
     memory = ReplayBuffer(2, 1, 100)
     memory.extend(rows(0, 20))
@@ -41,10 +35,3 @@ def test_rows_that_are_not_finite_are_refused() -> None:
     with pytest.raises(ValueError, match="not finite"):
         memory.extend(bad)
     assert len(memory) == 0
-
-
-def test_a_full_buffer_does_not_draw_the_rows_about_to_be_overwritten() -> None:
-    memory = ReplayBuffer(2, 1, 100)
-    memory.extend(rows(0, 250))
-    drawn = memory.sample(2000, torch.Generator().manual_seed(0)).observation[:, 0].numpy()
-    assert drawn.min() == 214 and drawn.max() == 249  # 36 newest of 100; 64 are the margin

@@ -81,6 +81,7 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
     assert replace(found, learned=None).digest == found.digest
 
 
+@pytest.mark.study
 def test_the_usual_effects_are_learnt_where_a_file_names_none() -> None:
     """The default truth from the bare bench file, in a minute: predictions are at the noise, numbers are its own."""
     states = record_offline(truth_from_mapping({"profile": "default"}), draw(60.0, 11), seed=11).states

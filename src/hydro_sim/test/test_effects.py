@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from casadi import Function
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
 from hydro_sim.model.plant import AnalyticPlant
@@ -38,15 +36,6 @@ def effect(name: str, **parameters: float) -> dict[str, Any]:
 
 def with_effects(bench: Bench, *effects: dict[str, Any]) -> Bench:
     return replace(bench, effects=effects)
-
-
-def response(bench: Bench, current: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Measurements without noise and physical states under a current, shapes (n, 8) and (n, 6)."""
-    plant = AnalyticPlant(bench, noise=0.0)
-    shown, states = np.empty((len(current), 8)), np.empty((len(current), 6))
-    for k, held in enumerate(current):
-        shown[k], states[k] = plant.step(float(held)), plant.physical_state()
-    return shown, states
 
 
 def wave(samples: int = 600) -> FloatArray:
@@ -102,46 +91,6 @@ def test_wrong_numbers_are_put_right(
     assert corrected.tobytes() == replace(bench, **{field: pytest.approx(value).expected}).constants().tobytes() or (
         corrected[field][0] == pytest.approx(value)
     )
-
-
-def test_a_dead_time_of_whole_samples_is_a_shift(bench: Bench) -> None:
-    late = response(with_effects(bench, effect("transport_delay", time=7e-3)), wave())[1]
-    np.testing.assert_allclose(late[7:], response(bench, wave())[1][:-7], rtol=1e-9, atol=1e-9)
-
-
-def mean_spool(current: FloatArray, *effects: dict[str, Any]) -> FloatArray:
-    """Mean of the spool over each integration step [A], shape (samples * 20,)."""
-    model = BenchModel(with_effects(Bench.nominal(), *effects))
-    symbols = model.symbols()
-    inputs = [symbols.k, symbols.y, symbols.current, symbols.share]
-    enter, step = Function("enter", inputs[1:3], [symbols.enter]), Function("step", inputs, [symbols.step])
-    spool, (k, y, _) = Function("spool", inputs, [symbols.spool]), model.begin(model.values)
-    found = []
-    for held in current:
-        y = np.asarray(enter(y, held)).ravel()
-        for i in range(20):
-            found.append(float(spool(k, y, held, i / 20)))
-            y = np.asarray(step(k, y, held, i / 20)).ravel()
-    return np.array(found)
-
-
-@pytest.mark.parametrize("name", ["valve_lag", "valve_lag form=first_order"])
-def test_the_spool_follows_a_step_as_its_closed_form_says(name: str) -> None:
-    numbers = {"bandwidth": 90.0} | ({"damping": 0.7} if "form" not in name else {})
-    spool = mean_spool(np.ones(10), effect(name, **numbers))
-    omega, middle = 2.0 * np.pi * 90.0, (np.arange(200) + 0.5) * SAMPLE_PERIOD / 20
-    fast = omega * np.sqrt(1.0 - 0.49)
-    second = 1.0 - np.exp(-0.7 * omega * middle) * (np.cos(fast * middle) + 0.7 * omega / fast * np.sin(fast * middle))
-    expected = second if "damping" in numbers else 1.0 - np.exp(-omega * middle)
-    np.testing.assert_allclose(spool, expected, atol=2e-4)
-
-
-@pytest.mark.parametrize("form", ["", " form=lopsided", " form=soft"])
-def test_nothing_flows_within_the_overlap(form: str, bench: Bench) -> None:
-    sides = {"half_width_negative": 1e-3} if "lopsided" in form else {"softness": 2e-5} if "soft" in form else {}
-    overlapped = with_effects(bench, effect("valve_deadband" + form, half_width=1e-3, **sides))
-    still = response(overlapped, np.zeros(200))[1]
-    np.testing.assert_allclose(response(overlapped, wave(200) / 2)[1], still, rtol=1e-5, atol=1e-5)
 
 
 def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from hydro_bridge.settings import SettingsError
 from hydro_sim.emulator.schedules import fit_to
@@ -23,21 +22,6 @@ def test_nominal_profile_is_the_shipped_bench() -> None:
     assert truth["bench"] == Bench.nominal().to_mapping()
     assert truth["effects"] == {}
     assert truth["outside"] == {}
-
-
-@pytest.mark.parametrize("name", ["nominal", "default"])
-def test_truth_survives_the_way_through_yaml(name: str) -> None:
-    text = yaml.safe_dump(truth_to_mapping(profile(name)))
-    assert truth_from_mapping(yaml.safe_load(text)) == profile(name)
-
-
-def test_null_turns_an_effect_of_the_profile_off_and_a_mapping_replaces_it() -> None:
-    truth = truth_from_mapping(
-        {"effects": {"leakage_internal": None, "friction_coulomb": {"force": 20.0, "form": "lugre"}}}
-    )
-    assert truth.effects.leakage_internal is None
-    assert truth.effects.friction_coulomb is not None and truth.effects.friction_coulomb.force == 20.0
-    assert truth.effects.valve_lag == profile("default").effects.valve_lag
 
 
 @pytest.mark.parametrize(

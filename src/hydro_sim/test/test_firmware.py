@@ -15,9 +15,7 @@ import pytest
 
 from hydro_bridge.serial.protocol import (
     VERSION,
-    Details,
     Hello,
-    LawFrame,
     State,
     encode_command,
     encode_hello,
@@ -249,16 +247,3 @@ def test_a_box_that_is_powered_on_anew_is_the_same_in_both(memory: Any, cut: int
     for _ in range(3):
         (state,) = Decoder().feed(both(b""))
         assert isinstance(state, State) and state.last_command == 0 and not state.flags & Flag.ARMED
-
-
-def test_what_the_box_says_of_itself_is_what_python_says(memory: Any) -> None:
-    _, _, firmware = pair(memory)
-    firmware.take(encode_hello(0, 0))
-    firmware.tick(np.array([0, 0, 0, 0, 3e6, 3e6, 0.04, 0.0]), 0.0)
-    hello, details, law, state = Decoder().feed(firmware.frames())
-    assert isinstance(hello, Hello) and isinstance(details, Details) and isinstance(state, State)
-    assert isinstance(law, LawFrame) and law.record.base_kp == BoxConfig().compensated.base_kp
-    wanted = Decoder().feed(encode_hello(1, 0, box_info(Bench.nominal(), BoxConfig(), NAME)))[0]
-    assert isinstance(wanted, Hello) and hello.info == wanted.info
-    assert details.details.bench_digest == Bench.nominal().digest and details.details.epoch == 7
-    assert state.refused == state.refused_references == 0

@@ -91,13 +91,6 @@ def test_tracking_error_is_what_the_age_of_the_velocity_predicts(ideal: Bench, f
     assert np.sqrt(np.mean(error**2)) == pytest.approx(300.0 / np.sqrt(2.0) * abs(response), rel=0.05)
 
 
-def test_a_vanishing_gain_is_not_believed(bench: Bench) -> None:
-    record = bench.constants()[0]
-    x = np.array([0.0, 0.0, 0.0, 0.0, 16e6, 0.0, 0.04, 0.0])
-    assert hydraulics.input_gain(record, 0.04, 16e6, 0.0, 1.0) == 0.0
-    assert force_law.nominal_current(record, x, 100.0, 0.0, 0.0, 90.0, 1e6) == pytest.approx(9e-3)
-
-
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("k_i", [15.0, -15.0])
 def test_integral_stands_still_only_while_it_would_saturate_further(form: int, k_i: float) -> None:

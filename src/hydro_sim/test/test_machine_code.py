@@ -38,19 +38,6 @@ def test_a_damaged_library_is_compiled_anew(apart: Path) -> None:
     assert first.stdout == again.stdout == "42\n"
 
 
-def test_a_compiler_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CC", "no-such-compiler -O2")
-    with pytest.raises(ValueError, match="no C compiler found"):
-        machine_code.cached_library("none", lambda: SOURCE)
-
-
-def test_a_place_that_cannot_be_written_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setattr(machine_code, "cache_folder", lambda: tmp_path / "file" / "models")
-    with pytest.raises(ValueError, match="set NUMBA_CACHE_DIR to a folder"):
-        machine_code.cached_library("nowhere", lambda: SOURCE)
-
-
 def test_arrays_that_are_not_the_models_are_refused() -> None:
     model = BenchModel(replace(Bench.nominal(), effects=()))
     k, y, _ = model.begin(model.values)

@@ -28,12 +28,6 @@ def test_a_poor_mean_is_unfit_and_noise_alone_is_not() -> None:
     assert Quality.of([1.0] * 5).told().endswith("1.00 times of hydraulic_force")
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_a_prediction_that_is_not_finite_is_unfit(bad: float) -> None:
-    quality = Quality.of([1.0, 1.0, bad, 1.0, 1.0])
-    assert quality.worst_reading == "pressure_a" and quality.unfit
-
-
 def test_the_filter_refuses_a_file_by_its_worst_reading(tmp_path: Path) -> None:
     bench = Bench.nominal()
     learned = {"bench": bench.digest, **Quality.of([1.0, 1.0, 1.0, 1.0, 240.0]).to_mapping()}

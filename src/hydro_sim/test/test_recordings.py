@@ -33,14 +33,3 @@ def test_validation_begins_a_second_after_training_ends(samples: int) -> None:
 def test_a_recording_too_short_to_share_is_refused_in_a_sentence() -> None:
     with pytest.raises(DataError, match=r"3999 samples, too few to hold some back .* one with 4000 samples in a row"):
         recordings.split({"one": recording(3999)})
-
-
-def test_a_short_recording_beside_a_long_one_is_trained_on_whole() -> None:
-    data = recordings.split({"short": recording(3000), "long": recording(20_000)})
-    assert [len(run) for run in data.training] == [3000, 17_000]
-    assert [run.name for run in data.validation] == ["long"]
-
-
-def test_of_three_recordings_the_last_one_validates_however_short() -> None:
-    data = recordings.split({name: recording(2500) for name in ("one", "two", "three")})
-    assert [run.name for run in data.validation] == ["three"] and len(data.training) == 2

@@ -8,7 +8,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.model import sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
+from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors
 
 
 def differentiated(position: FloatArray, settings: Sensors) -> FloatArray:
@@ -41,12 +41,3 @@ def test_readings_have_the_stated_noise_and_steps(bench: Bench) -> None:
     assert spread[[4, 5]] == pytest.approx(6e3, rel=0.05)
     steps = samples[:, 6] / 1e-6
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
-
-
-def test_noise_is_the_same_however_many_rows_are_taken() -> None:
-    singly = Noise(7)
-    rows = np.array([singly.row() for _ in range(2500)])
-    together = Noise(7)
-    pieces = [together.row()[None], together.rows(10), together.rows(1500), together.row()[None], together.rows(988)]
-    np.testing.assert_array_equal(np.concatenate(pieces), rows)
-    assert not np.array_equal(Noise(8).rows(3), rows[:3])

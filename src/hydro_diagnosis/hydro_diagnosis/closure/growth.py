@@ -8,7 +8,7 @@ velocity over which one reverses becomes a parameter where that pays.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,19 +83,16 @@ class ForwardSelection:
 
     def __init__(self, screen: Screen) -> None:
         self.screen = screen
-        self._known: dict[tuple[Any, ...], tuple[Any, list[Fit], set[str]]] = {}
+        self._known: dict[tuple[Any, ...], tuple[Any, tuple[list[Fit], frozenset[str]]]] = {}
 
-    def fits(self, problem: Problem, current: Fit, tried: set[str]) -> list[Fit]:
-        """Return fits with one more significant law, of the best that are not in `tried`; adds them to `tried`."""
+    def fits(self, problem: Problem, current: Fit, tried: Collection[str] = ()) -> tuple[list[Fit], frozenset[str]]:
+        """Return fits with one more significant law, of the best not in `tried`, and all that are tried now."""
         key = id(problem.weights), values_key(current.claims), frozenset(tried)
         if key not in self._known:
-            now = set(tried)
-            self._known[key] = problem.weights, self._fitted(problem, current, now), now
-        _weights, fits, now = self._known[key]
-        tried |= now
-        return list(fits)
+            self._known[key] = problem.weights, self._fitted(problem, current, set(tried))
+        return self._known[key][1]
 
-    def _fitted(self, problem: Problem, current: Fit, tried: set[str]) -> list[Fit]:
+    def _fitted(self, problem: Problem, current: Fit, tried: set[str]) -> tuple[list[Fit], frozenset[str]]:
         prospects, there_is = self.screen.prospects(current, FITTED, tried)
         toll = threshold(len(self.screen))
         fits: list[Fit] = []
@@ -117,7 +114,7 @@ class ForwardSelection:
             elif held_out_gain(problem, current, better) >= toll:
                 fits.append(better)
                 clean = clean or not noticeable(problem, better.residual)
-        return fits
+        return fits, frozenset(tried)
 
 
 def from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
@@ -162,13 +159,16 @@ def select_laws(problem: Problem, base: Fit, forward: ForwardSelection, names: S
     In each step the law with most evidence is taken, or a simpler one that has nearly as much.
     """
     weighed = problem
-    current, tried = base, set[str]()
+    current, tried = base, frozenset[str]()
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     for _ in range(room + (NAMES if names else 0)):
         if not noticeable(weighed, current.residual):
             break
-        fits = forward.fits(weighed, current, tried) if count_terms(current) - count_terms(base) < room else []
-        fits += _names_fitted(weighed, current, names) if count_terms(current) > count_terms(base) else []
+        fits: list[Fit] = []
+        if count_terms(current) - count_terms(base) < room:
+            fits, tried = forward.fits(weighed, current, tried)
+        if count_terms(current) > count_terms(base):
+            fits = [*fits, *_names_fitted(weighed, current, names)]
         if not fits:
             break
         taken = _simplest(weighed, fits)
@@ -198,7 +198,7 @@ def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: S
             rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)
             others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their numbers
             tried = {plain(one.effect.label) for one in found.claims}
-            instead = forward.fits(problem, others, tried) if law else _names_fitted(problem, others, names)
+            instead = forward.fits(problem, others, tried)[0] if law else _names_fitted(problem, others, names)
             found = _simplest(problem, [found, *instead], claim) if law else _fewest(problem, [found, *instead])
     return with_reversal_velocity(problem, found)
 

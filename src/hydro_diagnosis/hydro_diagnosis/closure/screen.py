@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Screen of all laws: what each gains on held-out blocks beside a fit, to first order, at once.
+"""Laws and tables over what was recorded, and what each gains on held-out blocks beside a fit, to first order.
 
 The responses of all laws, at every start value of their further parameters, are computed once. Beside any fit, products
 with its residual and its columns give four-fold cross-validation (`evidence`) of each law alone in closed form. Only
@@ -17,8 +17,104 @@ import numpy.typing as npt
 
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.effects.kernels import held_lag
 from hydro_diagnosis.estimation.fit import SHORTEST, Fit, residual_variances
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Layout, Problem
+from hydro_sim.model import grammar
+from hydro_sim.model.law_signals import SIGN_VELOCITY
+from hydro_sim.model.laws import Law
+from hydro_sim.model.tables import SETTLING, Table
+
+INSIDE = 0.1
+"""Percentiles of its variable that a table leaves out at either end."""
+QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
+"""Quantiles of a threshold's signal at which thresholds are tried."""
+EDGE = 0.02
+"""Share of a threshold's signal that is left on either side of it."""
+SLOWEST = 3.0 * SIGN_VELOCITY
+"""Least threshold of a speed [m/s]: drag up to less is dry friction, drag above less is viscous friction."""
+PROMISING = 4
+"""Laws that a joint search with names tries, beside names alone and beside the laws that were found first."""
+
+
+def laws(problem: Problem) -> list[Claim]:
+    """Laws that these recordings can show, their thresholds within what was recorded."""
+    found = [placed for law in (*grammar.LAWS, *grammar.COMPOSITIONS) if (placed := _placed(law, problem)) is not None]
+    return [one for effect in found for one in _nothing(effect)]
+
+
+def _placed(law: Law, problem: Problem) -> Closure | None:
+    effect = closure(law, problem.bench)
+    if law.gate and _visible(effect, problem):
+        signal, side = law.gate
+        share = float(np.mean(side * _recorded(problem, signal) > 0.0))
+        return effect if EDGE < share < 1.0 - EDGE else None  # else it is the law without the gate, or nothing
+    over = next((number.over for number in law.numbers if number.over), "")
+    if not over or not _visible(effect, problem):
+        return effect if not over and _visible(effect, problem) else None
+    low, *probes, high = np.quantile(_recorded(problem, over), (EDGE, *QUANTILES, 1.0 - EDGE)).tolist()
+    if over == "speed":
+        low, probes = max(low, SLOWEST), [one for one in probes if one > SLOWEST]
+    return closure(law, problem.bench, (low, high), tuple(probes)) if high > low and probes else None
+
+
+def tables(problem: Problem) -> list[Claim]:
+    """Tables that these recordings can show, over what was recorded."""
+    found = []
+    for table in grammar.TABLES:
+        if _visible(closure(table, problem.bench), problem):
+            low, high = np.percentile(_over(problem, table), [INSIDE, 100.0 - INSIDE])
+            if high > low:
+                found += _nothing(closure(table, problem.bench, (float(low), float(high))))
+    return found
+
+
+_SIZES = {"speed": "velocity", "opening": "current"}
+
+
+def _recorded(problem: Problem, name: str) -> FloatArray:
+    """Recorded values of a signal that laws and tables run over."""
+    values = np.concatenate([model.variable(_SIZES.get(name, name))[model.settle :] for model in problem.models])
+    return np.abs(values) if name in _SIZES else values
+
+
+def _over(problem: Problem, table: Table) -> FloatArray:
+    """Recorded values of a table's variable."""
+    if table.element is None:
+        return _recorded(problem, table.where if table.variable == "force" else table.variable)
+    driver = table.element.signal
+    passed = []
+    for model in problem.models:
+        ones = np.ones_like(model.time)
+        signal = ones if driver == "time" else np.abs(model.variable(_SIZES[driver]))
+        passed.append(held_lag(signal, model.step, SETTLING, 0.0)[1][model.settle :])
+    return np.concatenate(passed)
+
+
+_CHANNELS = {
+    "current": "valve_current",
+    "position": "piston_position",
+    "velocity": "piston_position",
+    "acceleration": "piston_position",
+}
+"""Channels that signals are recorded in, if they are none themselves."""
+
+
+def _visible(effect: Closure, problem: Problem) -> bool:
+    have = set.intersection(*(set(model.channels) for model in problem.models))
+    law, elsewhere = effect.law, {"", "edges", "across"}
+    if (effect.places or effect.uses_acceleration) and len(effect.blocks & set(problem.blocks)) < 2:
+        return False  # in one equation alone it cannot be told from a force
+    if isinstance(law, Table) or law.uses:
+        needed = {_CHANNELS.get(one, one) for one in law.uses} - {"time"}
+        return bool(effect.blocks & set(problem.blocks)) and needed | ({law.where} - elsewhere) <= have
+    pressures = {"pressure_a", "pressure_b"} if "p_" in law.text and law.where != "load_force" else set()
+    return bool(effect.blocks & set(problem.blocks)) and pressures | ({law.where} - elsewhere) <= have
+
+
+def _nothing(effect: Closure) -> list[Claim]:
+    return [Claim(effect, values) for values in effect.nothing()]
 
 
 def column_gains(own: FloatArray, cross: FloatArray, square: FloatArray, weight: FloatArray, count: FloatArray,

@@ -13,14 +13,16 @@ be another term in disguise. `starting_points`: the names that explain most need
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 from itertools import chain, combinations
 
 import numpy as np
 
-from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
 from hydro_diagnosis.closure.evidence import (
     THRESHOLD,
+    Blocks,
+    HeldOutBlocks,
     barred_equations,
     equals_ruled_out,
     equivalent_causes,
@@ -40,8 +42,9 @@ from hydro_diagnosis.closure.growth import (
     select_laws,
     with_newest_reversal_velocity,
 )
-from hydro_diagnosis.closure.screen import CHANCE, Prospect, Screen
-from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect
+from hydro_diagnosis.closure.responses import Responses, shown
+from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Prospect, Screen, laws, tables
+from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
@@ -54,6 +57,46 @@ from hydro_sim.model.tables import Table
 
 SETTINGS = SearchSettings(restarts=1, effort=1500)
 """Settings of the joint search: less effort than for names alone, since a missing law is found first."""
+
+
+class Candidates:
+    """Tables that may join a fit, and what each does to the residual there, to first order."""
+
+    def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
+        self.terms = list(terms)
+        ways = [Responses(problem, model, (*problem.baseline, *base.claims)) for model in problem.models]
+        self._blocks = Blocks(problem)
+        self._columns = [self._blocks.sorted(_columns(problem, base, ways, one)) for one in terms]
+        self._own = [self._blocks.products(one, one) for one in self._columns]
+
+    def without(self, label: str) -> Candidates:
+        """All but the terms of one law."""
+        kept, left = copy(self), [k for k, one in enumerate(self.terms) if one.effect.label != label]
+        kept.terms = [self.terms[k] for k in left]
+        kept._columns, kept._own = [self._columns[k] for k in left], [self._own[k] for k in left]
+        return kept
+
+    def gains(self, problem: Problem, base: Fit) -> tuple[FloatArray, float]:
+        """Held-out deviance that each term gains, and that which there is to gain."""
+        standing = self._blocks.sorted(np.column_stack([base.residual, base.jacobian]))
+        squares, after = self._blocks.products(standing, standing), []
+        for columns, own in zip(self._columns, self._own, strict=True):
+            beside = self._blocks.products(standing, columns)
+            products = [[squares, beside], [beside.swapaxes(-1, -2), own]]
+            after.append(HeldOutBlocks.of_products(problem, base, products).deviance((0,)))
+        before = HeldOutBlocks.of_products(problem, base, [[squares]]).deviance(())
+        there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
+        return before - np.array(after), there_is
+
+
+def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
+    """Responses of the residual to a claim's amplitudes at neutral, in spans; shape (n, amplitudes)."""
+    probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
+              if one.smallest > 0.0]  # fmt: skip
+    columns = np.zeros((len(problem.layout.channel), len(probes)))
+    for channel, responses in shown(problem, base.claims, base.residual, ways, probes).items():
+        columns[problem.layout.channel == channel] = responses.T
+    return columns
 
 
 def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
@@ -119,12 +162,12 @@ def _upon_others(
     problem: Problem, base: Fit, screen: Screen, forward: ForwardSelection, names: Sequence[Effect]
 ) -> ClosureFit | None:
     """Return a law beside other names than the present ones, if it leaves no remainder and no law beside these does."""
-    first = [base, *forward.fits(problem, base, set())]
+    first = [base, *forward.fits(problem, base)[0]]
     if not all(noticeable(problem, one.residual) for one in first):
         return None
     left = min(screen.gains(one)[1] for one in first)
     for weighed, opening in starting_points(problem, base, screen, names, left):
-        if all(noticeable(weighed, one.residual) for one in forward.fits(weighed, opening, set())):
+        if all(noticeable(weighed, one.residual) for one in forward.fits(weighed, opening)[0]):
             continue
         grown = select_laws(weighed, opening, forward, names)
         if grown.gain > 0.0 and not noticeable(grown.problem, grown.fit.residual) and _sound(grown):

@@ -29,13 +29,16 @@ def down_to_nothing(of_bench: float, otherwise: float) -> float:
     return -otherwise if isnan(of_bench) else -of_bench
 
 
-class FrictionCoulomb(Effect):
-    """Level F_c of dry friction; F = F_c sign(x_p')."""
-
-    id = "friction_coulomb"
+class _Motion(Effect):
     family = "friction"
     equations = ("motion",)
     blocks = frozenset({MOTION})
+
+
+class FrictionCoulomb(_Motion):
+    """Level F_c of dry friction; F = F_c sign(x_p')."""
+
+    id = "friction_coulomb"
     parameters = (_force("force"),)
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -45,13 +48,10 @@ class FrictionCoulomb(Effect):
         return f"Dry friction of {values['force']:.3g} N works against the motion at every speed."
 
 
-class FrictionCoulombDirectional(Effect):
+class FrictionCoulombDirectional(_Motion):
     """Level F_c+ while extending, F_c- while retracting."""
 
     id = "friction_coulomb"
-    family = "friction"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
     parameters = (_force("force_positive"), _force("force_negative", probes=(6.0,)))
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -64,13 +64,10 @@ class FrictionCoulombDirectional(Effect):
         )
 
 
-class FrictionViscous(Effect):
+class FrictionViscous(_Motion):
     """b + db instead of b."""
 
     id = "friction_viscous"
-    family = "friction"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -92,13 +89,10 @@ class FrictionViscous(Effect):
         return f"The viscous friction is {abs(values['coefficient']):.3g} N s/m {more} than the bench file says."
 
 
-class FrictionStribeck(Effect):
+class FrictionStribeck(_Motion):
     """Level F_s exp(-(v/v_s)^2) on top of other dry friction (Armstrong-Helouvry et al. 1994, eq. 5)."""
 
     id = "friction_stribeck"
-    family = "friction"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
     parameters = (
         _force("breakaway_force", smallest=0.5),
         FitParameter(name="velocity", unit="m/s", low=2e-3, high=0.06, neutral=0.01, probes=(0.006, 0.02)),
@@ -114,13 +108,10 @@ class FrictionStribeck(Effect):
         )
 
 
-class FrictionPresliding(Effect):
+class FrictionPresliding(_Motion):
     """Bristles of stiffness sigma: dF/dx = sigma (1 - F sign(v)/level), Dahl's model."""
 
     id = "friction_presliding"
-    family = "friction"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
     needs = ("friction_coulomb",)
     bristles = True
     parameters = (FitParameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
@@ -133,13 +124,10 @@ class FrictionPresliding(Effect):
         return f"Before it slides the piston deflects elastically with {values['stiffness']:.3g} N/m."
 
 
-class ForceOffset(Effect):
+class ForceOffset(_Motion):
     """m x_p'' = ... + F_0."""
 
     id = "force_offset"
-    family = "friction"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
     parameters = (_force("force", low=-500.0, smallest=0.5),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
@@ -152,13 +140,11 @@ class ForceOffset(Effect):
         )
 
 
-class EndCushion(Effect):
+class EndCushion(_Motion):
     """F = k max(x_p - x_c, 0) (form "end") or k min(x_p - x_c, 0) (form "start"); quadratic forms reach k at 5 mm."""
 
     id = "end_cushion"
     family = "spring"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -190,13 +176,10 @@ class EndCushion(Effect):
         )
 
 
-class MovingMass(Effect):
+class MovingMass(_Motion):
     """m + dm instead of m."""
 
     id = "moving_mass"
-    family = "friction"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -219,13 +202,10 @@ _COEFFICIENT = FitParameter(
 )
 
 
-class FrictionViscousDirectional(Effect):
+class FrictionViscousDirectional(_Motion):
     """b + db_+ while extending, b + db_- while retracting."""
 
     id = "friction_viscous"
-    family = "friction"
-    equations = ("motion",)
-    blocks = frozenset({MOTION})
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]

@@ -14,7 +14,7 @@ from hydro_diagnosis.effects.base import Effect, FitParameter, Values
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
-from hydro_sim.model.effects.named_law import NamedLaw
+from hydro_sim.model.effects.closure import NamedLaw
 
 SMALLEST = 0.01
 """Smallest coefficient worth claiming, as a share of what was seen."""

@@ -70,7 +70,15 @@ class LoadCellGain(_Sensor):
         return f"A reading of {self.words} is {values['ratio']:.4g} times the force."
 
 
-class LoadCellBias(_Sensor):
+class _Bias(_Sensor):
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        return signal + values[self.parameters[0].name] if channel == self.channel else signal
+
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        return reading - values[self.parameters[0].name] if channel == self.channel else reading
+
+
+class LoadCellBias(_Bias):
     """Reading = force + bias."""
 
     id = "load_cell_bias"
@@ -78,29 +86,17 @@ class LoadCellBias(_Sensor):
         FitParameter(name="force", unit="N", low=-500.0, high=500.0, neutral=0.0, probes=(5.0,), smallest=0.3),
     )
 
-    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        return signal + values["force"] if channel == self.channel else signal
-
-    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        return reading - values["force"] if channel == self.channel else reading
-
     def sentence(self, values: Values) -> str:
         return f"A reading of {self.words} is off by {values['force']:.3g} N."
 
 
-class PressureSensorBias(_Sensor):
+class PressureSensorBias(_Bias):
     """Reading = pressure + bias."""
 
     id = "pressure_sensor_bias"
     parameters = (
         FitParameter(name="pressure", unit="Pa", low=-3e6, high=3e6, neutral=0.0, probes=(5e4,), smallest=2.5e3),
     )
-
-    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        return signal + values["pressure"] if channel == self.channel else signal
-
-    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        return reading - values["pressure"] if channel == self.channel else reading
 
     def sentence(self, values: Values) -> str:
         return f"A reading of {self.words} is off by {values['pressure'] * 1e-3:.4g} kPa."

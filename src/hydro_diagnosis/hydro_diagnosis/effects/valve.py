@@ -99,11 +99,14 @@ class ValveOffset(_Valve):
         return f"The valve's null is shifted: it acts as if {values['current'] * 1e3:.3g} mA were added to the current."
 
 
+_RATIO = FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004)
+
+
 class ValveGain(_Valve):
     """K_v times a ratio."""
 
     id = "valve_gain"
-    parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
+    parameters = (_RATIO,)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         return _scaled(edges, values["ratio"], values["ratio"])
@@ -119,7 +122,7 @@ class ValveGainAsymmetry(_Valve):
     """K_v times a ratio on the negative side alone."""
 
     id = "valve_gain_asymmetry"
-    parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
+    parameters = (_RATIO,)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         return _scaled(edges, 1.0, values["ratio"])
@@ -149,19 +152,11 @@ class ValveNullLeakage(_Valve):
 
     id = "valve_null_leakage"
     parameters = (
-        FitParameter(
-            name="coefficient",
-            unit="m3/s/sqrt(Pa)",
-            low=0.0,
-            high=1e-7,
-            neutral=0.0,
-            probes=(3e-10,),
-            smallest=2e-12,
-        ),
-        FitParameter(
-            name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3), reported=False
-        ),
-    )
+        FitParameter(name="coefficient", unit="m3/s/sqrt(Pa)", low=0.0, high=1e-7, neutral=0.0, probes=(3e-10,),
+                     smallest=2e-12),
+        FitParameter(name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3),
+                     reported=False),
+    )  # fmt: skip
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         ratio = np.abs(spool) / values["width"]
@@ -184,14 +179,11 @@ _PROFILES = {
 }
 
 
-class TransportDelay(Effect):
+class TransportDelay(_Valve):
     """Pure dead time: u(t - T), exact for a current that is held between samples."""
 
     id = "transport_delay"
     stage = 0
-    equations = ("actuation",)
-    family = "valve"
-    blocks = frozenset({PRESSURE})
     parameters = (
         FitParameter(name="time", unit="s", low=0.0, high=0.03, neutral=0.0, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),
     )
@@ -212,13 +204,11 @@ class TransportDelay(Effect):
         return f"The valve answers the current {values['time'] * 1e3:.3g} ms late, a pure dead time."
 
 
-class ValveLag(Effect):
+class ValveLag(_Valve):
     """Spool: s'' + 2 D w s' + w^2 s = w^2 u, sampled exactly for a held current."""
 
     id = "valve_lag"
-    equations = ("actuation",)
-    family = "valve"
-    blocks = frozenset({PRESSURE})
+    stage = 1
     parameters = (
         FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
         FitParameter(name="damping", unit="-", low=0.2, high=3.0, neutral=0.8, probes=(0.8,)),
@@ -238,14 +228,11 @@ class ValveLag(Effect):
         )
 
 
-class ValveLagFirstOrder(Effect):
+class ValveLagFirstOrder(_Valve):
     """Spool: s' = w (u - s)."""
 
     id = "valve_lag"
-    equations = ("actuation",)
-    family = "valve"
-    blocks = frozenset({PRESSURE})
-
+    stage = 1
     parameters = (
         FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
     )

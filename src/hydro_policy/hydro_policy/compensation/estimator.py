@@ -35,9 +35,9 @@ it instead, F_s = F + 2 d F' / w + F'' / w^2: then the force that the specimen f
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,7 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -61,6 +62,7 @@ LEAD = 0.01
 """Time [s] from the last sample to that whose f_r' the valve's terms take."""
 
 _NEUTRAL = np.array((*NEUTRAL, 0.0, 0.0))
+_TERMS = len(_NEUTRAL)
 
 ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
 """Flags of which ARMED alone must be set for samples to count."""
@@ -134,6 +136,44 @@ class LoadCell:
         return cls(bandwidth=bench.load_cell_bandwidth)
 
 
+class _Constants(NamedTuple):
+    """What the kernels are given beside the settings."""
+
+    transition: FloatArray
+    inputs: FloatArray
+    """Of the state-variable filter; see `_filter`."""
+    regressors: FloatArray
+    """From the filtered force and its derivatives to regressors, shape (3, `ORDER`)."""
+    scale: FloatArray
+    """Of each regressor, shape (6,)."""
+    weights: FloatArray
+    """Of neutral coefficients, shape (6,)."""
+    least: FloatArray
+    most: FloatArray
+    """Bounds of the fit, shape (6,)."""
+
+
+class _Memory(NamedTuple):
+    """What is known of n benches."""
+
+    found: FloatArray
+    """a_0 to a_3, b_0 [N], b_1 [s], shape (n, 6)."""
+    states: FloatArray
+    """f_c, f and the valve's terms, filtered, with their derivatives, shape (n, 4, `ORDER`)."""
+    last: FloatArray
+    """The same four of the last sample, shape (n, 4)."""
+    matrix: FloatArray
+    vector: FloatArray
+    """Of the fit, shapes (n, 6, 6) and (n, 6)."""
+    steps: npt.NDArray[np.int64]
+    """Since the last gap, shape (n,)."""
+    excitation: FloatArray
+    """Shape (n,)."""
+
+
+_SETTINGS = np.dtype([(each.name, np.float64) for each in fields(CompensatorSettings)])
+
+
 class Compensator:
     """Estimator for n benches at once; arrays have one row per bench.
 
@@ -158,17 +198,19 @@ class Compensator:
     ) -> None:
         self.settings, limits = settings or CompensatorSettings(), law or BoxLaw()
         self._low, self._high = np.array(limits.coefficient_min), np.array(limits.coefficient_max)
-        least = np.array((*limits.coefficient_min, limits.coefficient_min[3], limits.coefficient_min[1]))
-        self._bounds = least, np.array((*limits.coefficient_max, limits.coefficient_max[3], -limits.coefficient_min[1]))
         omega, level = 2.0 * math.pi, 1.0 / self.settings.force_scale  # 1 Hz
-        self._scale = np.array((1.0, omega, omega * omega, level, level, omega))
-        self._weights = np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * 2)
-        self._transition, self._input = _filter(self.settings.bandwidth)
-        self._regressors = _regressors(cell) / self._scale[:3, np.newaxis] / self.settings.force_scale
+        scale = np.array((1.0, omega, omega * omega, level, level, omega))
+        self._constants = _Constants(
+            *_filter(self.settings.bandwidth),
+            regressors=_regressors(cell) / scale[:3, np.newaxis] / self.settings.force_scale,
+            scale=scale,
+            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * 2),
+            least=np.array((*limits.coefficient_min, limits.coefficient_min[3], limits.coefficient_min[1])),
+            most=np.array((*limits.coefficient_max, limits.coefficient_max[3], -limits.coefficient_min[1])),
+        )
+        self._numbers = np.array([astuple(self.settings)], _SETTINGS)
         self.coefficients: FloatArray = np.empty((count, 4))
         """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, the valve's terms in a_3, shape (n, 4)."""
-        self.excitation: FloatArray = np.empty(count)
-        """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
         self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)
         """Benches whose last step counted, shape (n,)."""
         self.frozen = np.zeros(count, bool)
@@ -177,13 +219,22 @@ class Compensator:
 
     def reset(self) -> None:
         """Begin anew, at neutral coefficients."""
-        count, terms = len(self.coefficients), len(_NEUTRAL)
-        self.coefficients[:], self.excitation[:] = NEUTRAL, 0.0
-        self._found = np.tile(_NEUTRAL, (count, 1))  # a_0 to a_3, b_0 [N], b_1 [s]
-        self._states = np.zeros((count, 4, ORDER))  # f_c, f and the valve's terms, filtered, with their derivatives
-        self._last = np.zeros((count, 4))
-        self._matrix, self._vector = np.zeros((count, terms, terms)), np.zeros((count, terms))
-        self._steps: npt.NDArray[np.int64] = np.zeros(count, np.int64)  # since the last gap
+        count = len(self.coefficients)
+        self.coefficients[:] = NEUTRAL
+        self._memory = _Memory(
+            found=np.tile(_NEUTRAL, (count, 1)),
+            states=np.zeros((count, 4, ORDER)),
+            last=np.zeros((count, 4)),
+            matrix=np.zeros((count, _TERMS, _TERMS)),
+            vector=np.zeros((count, _TERMS)),
+            steps=np.zeros(count, np.int64),
+            excitation=np.zeros(count),
+        )
+
+    @property
+    def excitation(self) -> FloatArray:
+        """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
+        return self._memory.excitation
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
@@ -212,63 +263,80 @@ class Compensator:
         A load cell that is stuck or jumps, and a load out of contact, count as samples missing do.
         """
         rate = np.zeros_like(measured) if reference_rate is None else reference_rate
-        signals = np.stack((commanded, measured, *self._valve_terms(rate)), axis=1)
-        active = active & np.isfinite(signals).all(axis=(1, 2)) & self._plausible(commanded, measured)
-        self.counted = active
-        begins = active & (self._steps == 0)
-        self._states[begins], self._last[begins] = 0.0, signals[begins, :, 0]
-        self._states[begins, :, 0] = signals[begins, :, 0]
-        self._steps = np.where(active, self._steps + 1, 0)
-        samples = np.concatenate((self._last[active, :, np.newaxis], signals[active]), axis=2)
-        self._states[active] = self._states[active] @ self._transition.T + samples @ self._input.T
-        self._last[active] = signals[active, :, -1]
-        learning = (self._steps * STEP > SETTLED) & ~self.frozen
-        if learning.any():
-            self._learn(np.flatnonzero(learning))
-        ahead = rate[:, -1] + (rate[:, -1] - rate[:, 0]) * LEAD / (STEP - SAMPLE_PERIOD)
-        level = self._found[:, 3] + np.sum(self._found[:, 4:].T * self._valve_terms(ahead), axis=0)
-        self.coefficients[:, :3] = self._found[:, :3]
+        signals = np.empty((len(self.coefficients), 4, SAMPLES_PER_STEP))
+        signals[:, 0], signals[:, 1] = commanded, measured
+        signals[:, 2], signals[:, 3] = np.tanh(rate / self.settings.reversal), np.abs(rate)
+        self.counted = np.empty(len(signals), np.bool_)
+        _take(self._numbers, self._constants, self._memory, signals, active, self.frozen, self.counted)
+        found, ahead = self._memory.found, rate[:, -1] + (rate[:, -1] - rate[:, 0]) * LEAD / (STEP - SAMPLE_PERIOD)
+        level = found[:, 3] + found[:, 4] * np.tanh(ahead / self.settings.reversal) + found[:, 5] * np.abs(ahead)
+        self.coefficients[:, :3] = found[:, :3]
         self.coefficients[:, 3] = np.where(np.isfinite(level), level, self.coefficients[:, 3])
         np.clip(self.coefficients, self._low, self._high, out=self.coefficients)
         return self.coefficients.copy()
 
-    def _plausible(self, commanded: FloatArray, measured: FloatArray) -> npt.NDArray[np.bool_]:
-        """Benches whose load cell shows what a bench can do, shape (n,)."""
-        scale, least = self.settings.force_scale, self.settings.no_load * self.settings.force_scale
-        before = np.where(self._steps > 0, self._last[:, 1], measured[:, 0])
-        jumps = np.abs(np.diff(measured, axis=1, prepend=before[:, np.newaxis])) > self.settings.jump * scale
-        stuck = np.all(measured == before[:, np.newaxis], axis=1) & (np.ptp(commanded, axis=1) > 1e-3 * scale)
-        loose = np.all((np.abs(measured) < least) & (np.abs(commanded) > 10.0 * least), axis=1)
-        return np.asarray(~(jumps.any(axis=1) | stuck | loose))
 
-    def _valve_terms(self, rate: FloatArray) -> FloatArray:
-        """tanh(f_r' / r) [-] and |f_r'| [N/s], shape (2, ...)."""
-        return np.stack((np.tanh(rate / self.settings.reversal), np.abs(rate)))
+@njit
+def _take(settings, constants, memory, signals, active, frozen, counted):
+    """Take the four signals of a policy step, shape (n, 4, 10); learn on the benches that count."""
+    for i in range(len(signals)):
+        counted[i] = active[i] and np.isfinite(signals[i]).all() and _plausible(settings[0], memory, signals, i)
+        if not counted[i]:
+            memory.steps[i] = 0
+            continue
+        for channel in range(4):
+            state, now = memory.states[i, channel], signals[i, channel]
+            if memory.steps[i] == 0:
+                state[:], memory.last[i, channel] = 0.0, now[0]
+                state[0] = now[0]
+            state[:] = constants.transition @ state + constants.inputs[0] * memory.last[i, channel]
+            for k in range(SAMPLES_PER_STEP):
+                state += constants.inputs[k + 1] * now[k]
+            memory.last[i, channel] = now[-1]
+        memory.steps[i] += 1
+        if memory.steps[i] * STEP > SETTLED and not frozen[i]:
+            _learn(settings[0], constants, memory, i)
 
-    def _learn(self, rows: npt.NDArray[np.int64]) -> None:
-        """Update fit and coefficients of these benches."""
-        settings, share = self.settings, STEP / self.settings.memory
-        force, valve = self._states[rows, 1] @ self._regressors.T, self._states[rows, 2:, 0]
-        valve = valve / self._scale[4:] / settings.force_scale
-        phi = np.concatenate((force, np.ones((len(rows), 1)), valve), axis=1)
-        target = self._states[rows, 0, :1] / settings.force_scale
-        self.excitation[rows] += share * (2.0 * phi[:, 1] ** 2 - self.excitation[rows])
-        excitation = self.excitation[rows, np.newaxis]
-        missed = target - np.sum(phi * self._found[rows] * self._scale, axis=1, keepdims=True)
-        haste = np.minimum(1.0 + (missed / settings.surprise) ** 2, settings.haste)
-        kept = 1.0 - share * haste * np.minimum(excitation / settings.good_excitation, 1.0)
-        self._matrix[rows] = (
-            kept[..., np.newaxis] * self._matrix[rows] + STEP * phi[:, :, np.newaxis] * phi[:, np.newaxis]
-        )
-        self._vector[rows] = kept * self._vector[rows] + STEP * phi * target
-        right = self._vector[rows] + self._weights * _NEUTRAL
-        matrix = self._matrix[rows] + np.diag(self._weights)
-        fit = np.clip(np.linalg.solve(matrix, right[..., np.newaxis])[..., 0] / self._scale, *self._bounds)
-        present = self._found[rows]
-        resting = present.copy()
-        resting[:, [0, 3]] = 1.0, 0.0
-        fit = np.where(excitation >= settings.least_excitation, fit, resting)
-        self._found[rows] = present + (fit - present) * STEP / settings.settling
+
+@njit
+def _plausible(settings, memory, signals, i):
+    """Whether the load cell shows what a bench can do."""
+    commanded, measured = signals[i, 0], signals[i, 1]
+    before = memory.last[i, 1] if memory.steps[i] > 0 else measured[0]
+    scale, least = settings.force_scale, settings.no_load * settings.force_scale
+    stuck, loose, last = np.ptp(commanded) > 1e-3 * scale, True, before
+    for k in range(SAMPLES_PER_STEP):
+        if abs(measured[k] - last) > settings.jump * scale:
+            return False
+        last = measured[k]
+        stuck = stuck and last == before
+        loose = loose and abs(last) < least and abs(commanded[k]) > 10.0 * least
+    return not (stuck or loose)
+
+
+@njit
+def _learn(settings, constants, memory, i):
+    """Update fit and coefficients."""
+    share, states, found = STEP / settings.memory, memory.states[i], memory.found[i]
+    phi = np.ones(_TERMS)
+    phi[:3] = constants.regressors @ states[1]
+    phi[4:] = states[2:, 0] / constants.scale[4:] / settings.force_scale
+    target = states[0, 0] / settings.force_scale
+    memory.excitation[i] += share * (2.0 * phi[1] ** 2 - memory.excitation[i])
+    excitation = memory.excitation[i]
+    missed = target - np.sum(phi * found * constants.scale)
+    haste = min(1.0 + (missed / settings.surprise) ** 2, settings.haste)
+    kept = 1.0 - share * haste * min(excitation / settings.good_excitation, 1.0)
+    memory.matrix[i] = kept * memory.matrix[i] + STEP * np.outer(phi, phi)
+    memory.vector[i] = kept * memory.vector[i] + STEP * phi * target
+    if excitation >= settings.least_excitation:
+        matrix = memory.matrix[i] + np.diag(constants.weights)
+        fit = np.linalg.solve(matrix, memory.vector[i] + constants.weights * _NEUTRAL) / constants.scale
+        fit = np.minimum(np.maximum(fit, constants.least), constants.most)
+    else:
+        fit = found.copy()
+        fit[0], fit[3] = 1.0, 0.0
+    found += (fit - found) * STEP / settings.settling
 
 
 def _regressors(cell: LoadCell | None) -> FloatArray:
@@ -286,8 +354,8 @@ def _regressors(cell: LoadCell | None) -> FloatArray:
 def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:
     """State-variable filter w^n / (s + w)^n, n = `ORDER`, over one policy step, by the trapezoidal rule at 1 kHz.
 
-    Returns the transition of (F, F', ...), shape (n, n), and the input matrix for the sample before the step and the
-    ten of the step, shape (n, 11).
+    Returns the transition of (F, F', ...), shape (n, n), and what the sample before the step and the ten of the step
+    add to it, shape (11, n).
     """
     w = 2.0 * math.pi * bandwidth
     a = np.eye(ORDER, k=1)
@@ -303,4 +371,4 @@ def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:
         transition, inputs = one @ transition, one @ inputs
         inputs[:, k] += gain
         inputs[:, k + 1] += gain
-    return transition, inputs
+    return transition, np.ascontiguousarray(inputs.T)

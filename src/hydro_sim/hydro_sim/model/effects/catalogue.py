@@ -14,9 +14,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_sim.model.effects import closure, grown, motion, named_law, numbers, oil, sensing, valve
+from hydro_sim.model.effects import closure, grown, motion, numbers, oil, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
-from hydro_sim.model.effects.closure_terms import Closure
+from hydro_sim.model.effects.closure import Closure
 
 CAPACITY = 24
 """Largest number of effects of a bench."""
@@ -63,7 +63,7 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
 
 
 _TABLE: tuple[type[Effect], ...] = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
-_NAMED: tuple[type[Effect], ...] = (*_TABLE, *(named_law.simulated(one) for one in grown.EFFECTS))
+_NAMED: tuple[type[Effect], ...] = (*_TABLE, *(closure.simulated(one) for one in grown.EFFECTS))
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
 """Effects by id and options, as `label` writes them."""
 

@@ -1,17 +1,314 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closures: unnamed terms found by a diagnosis, as laws and tables of `model.grammar`."""
+"""Closures: laws and tables of `model.grammar` as effects, and the laws that have an id (`model.effects.grown`).
+
+A closure's class is put together: where its law acts, one base for each equation, and what it remembers.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
-from hydro_sim.model import grammar, laws, tables
-from hydro_sim.model.effects import closure_memory as memory
-from hydro_sim.model.effects import closure_terms as terms
-from hydro_sim.model.effects.base import hidden, parameter
-from hydro_sim.model.effects.closure_terms import Closure
-from hydro_sim.model.laws import Element, Law, Number
+import numpy as np
+
+from hydro_sim.model import equations as eq
+from hydro_sim.model import grammar, tables
+from hydro_sim.model.edge_laws import edge_losses, shifted
+from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.equations import Symbol
+from hydro_sim.model.law_signals import Signals, sensed
+from hydro_sim.model.laws import WIDEST, Element, Law, Number
 from hydro_sim.model.tables import Table
+
+# --- where they act --------------------------------------------------------------------------------------------------
+
+
+class Closure(Effect):
+    """One law or table; subclasses are made from `grammar.ALL`, one base for each equation."""
+
+    id = "closure"
+    law: ClassVar[Law | Table]
+    element: ClassVar[Element]
+    """What it remembers, if it does."""
+
+    def _value(self, at: Signals) -> Symbol:
+        return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
+
+    def _past(self) -> Symbol:
+        """State of the law at this instant."""
+        return 0.0
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """State of the law at the end of a step in which its signal has come to this."""
+        return self._past()
+
+    def _held(self) -> Symbol:
+        """Current [A] under which a sensor is read."""
+        return 0.0
+
+
+class MotionClosure(Closure):
+    """A force against the motion."""
+
+    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
+        pressure_a, pressure_b = self.at.pressures
+        return self._value(Signals(position, velocity, pressure_a, pressure_b, memory=self._past()))
+
+
+class FlowClosure(Closure):
+    """A flow out of the chambers beside the valve."""
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, memory=self._past())
+        out = self._value(at)
+        return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
+
+
+class EdgeClosure(Closure):
+    """A share of the flow through the valve's edges that does not pass."""
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        n, spool = self.at.numbers, self.at.spool
+        openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
+        past = self._past()
+        return edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.but(memory=past)))
+
+
+class AcrossClosure(Closure):
+    """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        n, spool = self.at.numbers, self.at.spool
+        at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, spool)
+        return shifted(n, spool, self._value(at), (pressure_a, pressure_b))
+
+
+class DraggedClosure(Closure):
+    """A mass that the load drags along."""
+
+    shaken = True
+
+    def inertia(self, position: Symbol) -> Symbol:
+        return self._value(Signals(position, self.at.velocity, acceleration=1.0))
+
+
+class LoadClosure(Closure):
+    """A force of the load."""
+
+    def load(self, force: Symbol, position: Symbol) -> Symbol:
+        return force + self._value(Signals(position, self.at.velocity, memory=self._remembered(position)))
+
+
+class SensorClosure(Closure):
+    """What a sensor shows more than its signal."""
+
+    def show(self, channel: str, signal: Symbol) -> Symbol:
+        if channel != self.law.where:
+            return signal
+        pressure_a, pressure_b = self.at.pressures
+        beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
+                  "pressure_b": pressure_b, "current": self._held(), "acceleration": self.at.acceleration}  # fmt: skip
+        return signal + self._value(replace(sensed(channel, signal, beside), memory=self._past()))
+
+
+class ValveClosure(Closure):
+    """A law of the spool's position."""
+
+    late = True
+
+    def command(self, spool: Symbol) -> Symbol:
+        return spool + self._value(Signals(current=spool, memory=self._remembered(spool)))
+
+
+class Shaken(SensorClosure):
+    """A reading that follows the acceleration."""
+
+    shaken = True
+
+
+class PickingUp(SensorClosure):
+    """A reading that follows the valve's current: that which was held until the sample."""
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        self.next["held"] = self.at.current
+
+    def _held(self) -> Symbol:
+        return self.held
+
+
+# --- what they remember ----------------------------------------------------------------------------------------------
+
+
+class Measured(Closure):
+    """A law with a memory of one signal of the bench."""
+
+    def _began(self, signals: Mapping[str, Symbol]) -> Symbol:
+        """Its signal on a still bench."""
+        if self.element.signal == "force":
+            return signals[self.law.where]
+        if self.element.signal == "velocity":
+            return 0.0
+        return signals[
+            {"position": "piston_position", "current": "spool"}.get(self.element.signal, self.element.signal)
+        ]
+
+    def _now(self) -> Symbol:
+        """Its signal at this instant."""
+        p_a, p_b = self.at.pressures
+        loaded = self.law.where == "load_force"
+        force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
+        now = Signals(self.at.position, self.at.velocity, p_a, p_b, force=force)
+        return getattr(now, self.element.signal)
+
+
+class Lagging(Measured):
+    """A law that lags behind a signal."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"past": self._began(signals)}
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        return {"past": (self._now() - self.past) / self.time}
+
+    def _past(self) -> Symbol:
+        return self.past
+
+
+class Turning(Lagging):
+    """A law that lags behind a signal, its rises by another time than its falls."""
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        off = self._now() - self.past
+        return {"past": eq.choose(off > 0.0, off / self.rising, off / self.falling)}
+
+
+class Warming(Closure):
+    """A law that motion warms and time cools; a still bench is cold."""
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        return {"past": np.abs(self.at.velocity) / self.path - self.past / self.time}
+
+    def _past(self) -> Symbol:
+        return self.past
+
+
+class Following(Closure):
+    """A law that follows a size over a time, or time alone; it begins at nothing."""
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        signal = self.element.signal
+        pressure_a, pressure_b = self.at.pressures
+        first = getattr(self, self.law.names[1])
+        now = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, number=first)
+        return {"past": ((1.0 if signal == "time" else getattr(now, signal)) - self.past) / self.time}
+
+    def _past(self) -> Symbol:
+        return self.past
+
+
+class Settling(Closure):
+    """The same of the spool's position, which is held over a step."""
+
+    def command(self, spool: Symbol) -> Symbol:
+        commanded = super().command(spool)
+        left = np.exp(-self.at.step / self.time)
+        self.next["past"] = self._driver(spool) + (self.past - self._driver(spool)) * left
+        return commanded
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """Mean over the step."""
+        share = (1.0 - np.exp(-self.at.step / self.time)) * self.time / self.at.step
+        return self._driver(signal) + (self.past - self._driver(signal)) * share
+
+    def _driver(self, spool: Symbol) -> Symbol:
+        return 1.0 if self.element.signal == "time" else getattr(Signals(current=spool), self.element.signal)
+
+
+class Bending(Measured):
+    """A law that follows a path: the piston's, the current's, or that of a sensor's signal."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"where": self._began(signals)}
+
+    def command(self, spool: Symbol) -> Symbol:
+        if self.element.signal == "current":
+            self.next["bent"], self.next["where"] = self._remembered(spool), spool
+        return super().command(spool)
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        if self.element.signal != "current":
+            now = position if self.element.signal == "position" else self._now()
+            self.next["bent"], self.next["where"] = self._remembered(now), now
+
+    def _past(self) -> Symbol:
+        return self.bent
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        moved = signal - self.where
+        goal = np.sign(moved)
+        return goal + (self.bent - goal) * np.exp(-np.abs(moved) / self.path)
+
+
+class Limited(Closure):
+    """A law of a spool that lags, and moves no faster than a rate."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"where": signals["spool"]}
+
+    def command(self, spool: Symbol) -> Symbol:
+        off, near, left = self._course(spool)
+        self.next["where"] = spool - np.sign(off) * near * left
+        return super().command(spool)
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """Mean over the step, exact for a signal that is held."""
+        off, near, left = self._course(signal)
+        fast = (np.abs(off) - near) / self.rate
+        area = 0.5 * (np.abs(off) + near) * fast + near * self.time * (1.0 - left)
+        return signal - np.sign(off) * area / self.at.step
+
+    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
+        """How far off the signal is, how far after what it goes at full rate, and what an exponential leaves of it."""
+        off = signal - self.where
+        fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)
+        return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
+
+
+class TurningSpool(Closure):
+    """A law of a spool that follows rises by another time than falls."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"where": signals["spool"]}
+
+    def command(self, spool: Symbol) -> Symbol:
+        off, _, left = self._course(spool)
+        self.next["where"] = spool - off * left
+        return super().command(spool)
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """Mean over the step, exact for a signal that is held."""
+        off, time, left = self._course(signal)
+        return signal - off * time * (1.0 - left) / self.at.step
+
+    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
+        """How far off the signal is, the time over which that fades, and what a step leaves of it."""
+        off = signal - self.where
+        time = self._time(off)
+        return off, time, np.exp(-self.at.step / time)
+
+    def _time(self, off: Symbol) -> Symbol:
+        return eq.choose(off > 0.0, self.rising, self.falling)
+
+
+class LaggingSpool(TurningSpool):
+    """A law of a spool that follows late."""
+
+    def _time(self, off: Symbol) -> Symbol:
+        return self.time
+
+
+# --- one class for each law ------------------------------------------------------------------------------------------
 
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
@@ -26,7 +323,7 @@ def made(law: Law | Table) -> type[Closure]:
     if isinstance(law, Table):
         members |= {} if element is None else {"time": tables.SETTLING}
         over = tables.VARIABLES[law.variable]
-        members |= {name: parameter(over, -laws.WIDEST, laws.WIDEST, scale=1.0) for name in ("low", "high")}
+        members |= {name: parameter(over, -WIDEST, WIDEST, scale=1.0) for name in ("low", "high")}
     else:
         members |= {one.name: _number(one) for one in law.numbers}
     if element is not None:
@@ -58,33 +355,69 @@ def _states(element: Element, law: Law | Table) -> dict[str, Any]:
     }[element.kind]
 
 
-_PLACES = {"edges": terms.EdgeClosure, "across": terms.AcrossClosure}
+_PLACES = {"edges": EdgeClosure, "across": AcrossClosure}
 _MEMORIES = {
-    "lag": memory.Lagging,
-    "heat": memory.Warming,
-    "path": memory.Bending,
-    "slow": memory.Following,
-    "turn": memory.Turning,
+    "lag": Lagging,
+    "heat": Warming,
+    "path": Bending,
+    "slow": Following,
+    "turn": Turning,
 }
-_AT_SPOOL = {"rate": memory.Limited, "slow": memory.Settling, "turn": memory.TurningSpool,
-             "lag": memory.LaggingSpool}  # fmt: skip
+_AT_SPOOL = {"rate": Limited, "slow": Settling, "turn": TurningSpool,
+             "lag": LaggingSpool}  # fmt: skip
 """What a spool, which is held over a step, remembers otherwise."""
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
     acting = {
-        "motion": terms.MotionClosure,
-        "load": terms.LoadClosure,
-        "sensor": terms.SensorClosure,
-        "actuation": terms.ValveClosure,
+        "motion": MotionClosure,
+        "load": LoadClosure,
+        "sensor": SensorClosure,
+        "actuation": ValveClosure,
     }
-    acts = _PLACES.get(law.where) or acting.get(law.equation, terms.FlowClosure)
+    acts = _PLACES.get(law.where) or acting.get(law.equation, FlowClosure)
     if "acceleration" in law.uses:
-        return (terms.Shaken,) if law.equation == "sensor" else (terms.DraggedClosure,)
+        return (Shaken,) if law.equation == "sensor" else (DraggedClosure,)
     if element is None:
-        return (terms.PickingUp,) if law.picks_up else (acts,)
-    remembers = _AT_SPOOL.get(element.kind) if acts is terms.ValveClosure else None
+        return (PickingUp,) if law.picks_up else (acts,)
+    remembers = _AT_SPOOL.get(element.kind) if acts is ValveClosure else None
     return remembers or _MEMORIES[element.kind], acts
 
 
 EFFECTS = tuple(made(law) for law in grammar.ALL.values())
+
+
+# --- laws that have an id --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedLaw:
+    """One effect of the bench: a law, its id, and the bounds of its parameters."""
+
+    id: str
+    law: Law
+    """Its typical coefficient and the probes of its further numbers are those that were seen."""
+    bounds: Mapping[str, tuple[float, float]]
+    """Lowest and highest value of each parameter, in the law's units."""
+
+    def __post_init__(self) -> None:
+        if tuple(self.bounds) != self.law.names:
+            raise ValueError(f"effect {self.id}: bounds are of {', '.join(self.law.names)}, in this order")
+
+    @property
+    def seen(self) -> dict[str, float]:
+        """Typical values of its parameters."""
+        sign = 1.0 if self.bounds["coefficient"][1] > 0.0 else -1.0
+        middles = {number.name: number.probes[len(number.probes) // 2] for number in self.law.numbers}
+        return {"coefficient": sign * self.law.typical, **middles}
+
+
+def simulated(named: NamedLaw) -> type[Effect]:
+    """The effect in the bench model: it does what the closure of its law does."""
+    acting = made(named.law)
+    about = {"id": named.id, "options": {}, "__doc__": named.law.sentence}
+    effect: Any = type(named.id, (acting,), about)
+    effect.parameters = tuple(
+        replace(one, low=named.bounds[one.name][0], high=named.bounds[one.name][1]) for one in acting.parameters
+    )
+    return effect

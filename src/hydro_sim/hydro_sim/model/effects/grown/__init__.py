@@ -13,7 +13,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from hydro_bridge.errors import UserError
-from hydro_sim.model.effects.named_law import NamedLaw
+from hydro_sim.model.effects.closure import NamedLaw
 
 VARIABLE = "HYDRO_EFFECTS"
 HERE = Path(__file__).resolve().parent
