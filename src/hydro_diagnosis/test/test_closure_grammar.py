@@ -14,7 +14,7 @@ from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, eq
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.kernels import asymmetric_lag, held_lag, limited
+from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag, limited
 from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -82,6 +82,15 @@ def test_a_held_lag_of_two_times_is_that_of_its_differential_equation() -> None:
     np.testing.assert_allclose(np.column_stack([begins, means]), wanted, atol=4e-4)
     one_way = held_lag(signal, step, rising, 0.3, rising)
     np.testing.assert_allclose(one_way, held_lag(signal, step, rising, 0.3), atol=1e-15)
+
+
+def test_a_path_element_follows_direction_and_distance_alone() -> None:
+    back_and_forth = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, 0.5, 20)])
+    force = along(back_and_forth, 10.0, np.ones(70))
+    assert force[49] == pytest.approx(1.0 - np.exp(-10.0))
+    assert force[-1] == pytest.approx(-1.0 + (force[49] + 1.0) * np.exp(-5.0))
+    slow = np.repeat(back_and_forth, 3)
+    np.testing.assert_allclose(along(slow, 10.0, np.ones(210))[2::3], force)
 
 
 def test_a_pocket_takes_what_its_pressure_rises_by_and_gives_it_back() -> None:
@@ -206,6 +215,9 @@ def test_a_curved_gauge_is_undone() -> None:
 
 
 FOUND = [
+    ("load", "hysteresis", {"coefficient": 9.0, "path": 2e-3}, 0.1),
+    ("actuation", "hysteresis", {"coefficient": -3e-4, "path": 4e-4}, 0.1),
+    ("pressure_a", "creeping volume", {"coefficient": 2e-13, "time": 0.15}, 0.1),
     ("motion", "drag towards the outer end", {"coefficient": 2e4, "threshold": 0.043}, 0.02),
     ("motion", "warming drag", {"coefficient": 120.0, "path": 0.25, "time": 4.0}, 0.1),
     ("motion", "drag outwards", {"coefficient": 800.0}, 0.03),

@@ -382,24 +382,6 @@ class SnubberClosure(SensorClosure):
         return reading + values["coefficient"] * led * np.where(led > 0.0, values["rising"], values["falling"])
 
 
-__all__ = [
-    "AcrossClosure",
-    "Closure",
-    "DraggedClosure",
-    "EdgeClosure",
-    "FlowClosure",
-    "GaugeClosure",
-    "LoadClosure",
-    "MotionClosure",
-    "PlaceClosure",
-    "SensorClosure",
-    "SnubberClosure",
-    "ValveClosure",
-    "closure",
-    "from_mapping",
-]
-
-
 def closure(
     law: Law | Table, bench: Bench, limits: tuple[float, float] = (0.0, 1.0), probes: tuple[float, ...] = ()
 ) -> Closure:

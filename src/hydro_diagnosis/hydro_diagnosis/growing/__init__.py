@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 """Growing the table: a law that diagnoses found on several benches becomes a named effect, with its test.
 
-`sightings` reads the law from the reports and compares its parameters, `files` writes the modules.
+`sightings` reads the law from the reports, compares its parameters and writes the effect and its test.
 """

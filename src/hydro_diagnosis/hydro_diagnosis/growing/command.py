@@ -44,8 +44,7 @@ def add_options(options: argparse.ArgumentParser | argparse._ArgumentGroup, *, r
 def run(arguments: Sequence[str]) -> int:
     """Compare the reports, write the effect and its test, say what was found."""
     chosen = parser().parse_args(arguments)
-    from hydro_diagnosis.growing.files import paths, written
-    from hydro_diagnosis.growing.sightings import agreements, sightings
+    from hydro_diagnosis.growing.sightings import agreements, paths, sightings, written
     from hydro_sim.model.effects import grown
 
     folder = chosen.out or grown.folder()
