@@ -19,13 +19,14 @@ from hydro_bridge.signals import (
     Waveform,
 )
 from hydro_filter.controller import innovations
-from hydro_filter.controller.innovations import COUNT, EQUATIONS, MONITOR_DTYPE
+from hydro_filter.controller.innovations import COUNT, EQUATIONS
 from hydro_filter.controller.loop_filter import default_filter
-from hydro_filter.model import hidden_states
+from hydro_filter.model import observer
+from hydro_filter.model.loop import memories
 from hydro_filter.validation.cases import CASES
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 
 GAINS = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")
@@ -46,14 +47,15 @@ def references(rng: np.random.Generator, count: int) -> list[ReferenceSignal]:
 
 
 @njit
-def _watch(model, monitors, hidden, x, currents, highest):
+def _watch(loop, monitors, memories, x, currents, highest):
     """Samples of all benches: x (benches, n, 8), currents (benches, n)."""
     alarms = 0
     for i in range(len(x)):
         m = monitors[i]
         for k in range(x.shape[1]):
-            innovations.update(model, 1.0, m, x[i, k], hidden[i])
-            hidden_states.follow(model[0], x[i, k, 7], currents[i, k], hidden[i])
+            observer.settle(loop, memories[i], x[i, k], currents[i, k], 0.0)
+            innovations.update(loop.model, 1.0, m, x[i, k], memories[i].hidden)
+            observer.follow(loop, memories[i], x[i, k], currents[i, k], 0.0)
             for j in range(COUNT):
                 highest[j] = max(highest[j], m.sums[j, 0], m.sums[j, 1])
             alarms += m.broken != 0
@@ -77,7 +79,7 @@ def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
     fleet = (
         truth_fleet(BENCHES)
         if plant == "emulator"
-        else VectorBench([bench] * BENCHES, [LearnedPlant(None) for _ in range(BENCHES)])
+        else VectorBench([bench] * BENCHES, [make_plant() for _ in range(BENCHES)])
     )
     fleet.filters = fleet_filter("learned", bench, BENCHES)
     steps = max(round(60.0 * minutes / BENCHES / (SAMPLES_PER_STEP * SAMPLE_PERIOD)), 1)
@@ -85,13 +87,12 @@ def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
     changes = gains - (fleet.config.base_kp, fleet.config.base_ki)
     for i, signal in enumerate(references(rng, BENCHES)):
         fleet.begin(i, signal, seed * BENCHES + i)
-    model = default_filter(bench).parts.loop.model
-    monitors, hidden = np.zeros(BENCHES, MONITOR_DTYPE), np.zeros((BENCHES, 3))
+    loop, monitors, followed = default_filter(bench).parts.loop, innovations.monitors(BENCHES), memories(BENCHES)
     highest, alarms = np.zeros(COUNT), 0
     tripped = np.zeros(BENCHES, bool)
     for k in progress(range(steps), label=f"no alarm, {plant}", unit="step"):
         samples = fleet.step(changes[:, k])
-        alarms += _watch(model, monitors, hidden, *_read(samples), highest)
+        alarms += _watch(loop, monitors, followed, *_read(samples), highest)
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
     spent = steps * BENCHES * SAMPLES_PER_STEP * SAMPLE_PERIOD / 60.0
     sums = dict(zip(EQUATIONS, highest.tolist(), strict=True))

@@ -22,7 +22,7 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, TaskSettings
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 
 WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
@@ -47,7 +47,7 @@ class HydroEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.task = TaskSettings(steps_per_episode=steps)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
-        self._environment = Environment(VectorBench([Bench.nominal()], [LearnedPlant()]), self.task)
+        self._environment = Environment(VectorBench([Bench.nominal()], [make_plant()]), self.task)
         self._seed, self._frequency, self._episode, self._steps = seed, frequency, 0, 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:

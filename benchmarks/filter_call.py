@@ -2,18 +2,16 @@
 """One call of the contraction filter, and every tick's deadline.
 
 The samples are runs on the analytic bench under changing gains, half of the time unstable ones, with the filter in the
-loop. Filters see the same samples in turn, in one process; the bench file names a valve lag, dry friction and a leak,
-and has the shipped metric: the time is the same. Then the learned
-filter alone takes `--ticks` samples, and calls beyond 1 ms are counted: by the clock, and by the time that the
-process itself was running, which leaves out what other programs on the machine did to it. Samples come round again and
-again; each one's best call shows whether a slow one was the sample's doing.
+loop. Filters see the same samples in turn, in one process. Then the learned filter alone takes `--ticks` samples, and
+calls beyond 1 ms are counted: by the clock, and by the time that the process itself was running, which leaves out what
+other programs on the machine did to it. Samples come round again and again; each one's best call shows whether a slow
+one was the sample's doing.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,16 +21,11 @@ from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.ros.node import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import CONSTANT, LEARNED, Filter, FilterChoice, warm_up
-from hydro_filter.controller.loop_filter import LoopFilter, loop_filter
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
-from hydro_filter.precompile import FOUND
 from hydro_filter.validation.trial import Trial, run
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
-
-BENCH_FILE = "learned, bench file"
-"""The learned metric's filter on a bench file's model."""
 
 DEADLINE = 1e-3
 """s: the next sample is there."""
@@ -98,7 +91,6 @@ def main(arguments: list[str] | None = None) -> int:
     learned, constant = (choice.make(choice.default_settings()) for choice in choices.values())
     assert isinstance(learned, LoopFilter)
     filters = {"learned": learned, "constant": constant}
-    filters[BENCH_FILE] = loop_filter(LearnedMetric.load(), replace(bench, effects=FOUND), bench)
     for each in filters.values():
         warm_up(each, bench)
     samples = runs(bench, learned, asked.samples)

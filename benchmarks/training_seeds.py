@@ -18,7 +18,7 @@ from hydro_policy.envs.environment import Transitions
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_sim.learned.model import Learned
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 
 LIMIT = 700.0
@@ -30,7 +30,7 @@ def train(kind: str, episodes: int, seed: int) -> tuple[int, float, float, float
     training = replace(configuration("wide", seed), episodes=episodes, replay_capacity=100_000)
     exam = EvaluationSettings(settle=1.0, measure=1.0)
     settings = PretrainSettings(training=training, benches=1, filter=kind, evaluation=exam)
-    run, passed, peak = Pretraining(settings, Learned.load(None), Bench.nominal()), np.inf, [0.0]
+    run, passed, peak = Pretraining(settings, load_model(), Bench.nominal()), np.inf, [0.0]
 
     def look(transitions: Transitions) -> None:
         peak[0] = max(peak[0], float(np.abs(transitions.samples["load_force"]).max()))

@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -22,7 +22,7 @@ from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop import memories
 from hydro_sim.box.box import Box
-from hydro_sim.learned.model import Learned
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -53,41 +53,36 @@ MOST = np.array([1e5, 1e9, 1e5, 1e9, 1e8, 1e8, 1.0, 20.0, 0.1, 1e4, 1e5, 1e9, 1e
 """Magnitudes that loop_filter.h still computes with."""
 
 
-CONSTANTS = (
-    "bulk", "area", "ratio", "dead_a", "dead_b", "supply", "tank", "ka_positive", "ka_negative", "kb_positive",
-    "kb_negative", "offset", "leak", "mass", "viscous", "spring", "rest", "spool_omega", "spool_damping", "cell_omega",
-    "cell_damping", "coulomb", "stribeck", "stribeck_velocity", "bristle", "bristle_damping", "damping_velocity",
-    "gain_h", "bias_h", "gain_l", "bias_l", "stroke",
-)  # fmt: skip
-"""Members of `hydro_model` in C."""
-SET = {
-    "tank": 2e5, "offset": 1.5e-3, "leak": 2e-12, "gain_h": 1.1, "bias_h": 7.0, "gain_l": 0.92, "bias_l": -4.0,
-    "stroke": 0.09375,
-}  # fmt: skip
-"""Those that are 0 or 1 where nothing is missing, and a stroke in whole powers of 2."""
+BELIEVED = Bench.nominal()
+"""What the force law believes."""
 
 
-def shipped() -> LoopParts:
-    """The default filter's parts."""
-    return loop_parts(LearnedMetric.load(), Learned.load().model, Bench.nominal())  # type: ignore[arg-type]
+def parts_of(truth: Bench) -> LoopParts:
+    """Parts of the shipped metric on a bench file."""
+    return loop_parts(LearnedMetric.load(), truth, BELIEVED)
 
 
-def uneven(parts: LoopParts) -> LoopParts:
-    """The same on a model none of whose constants is 0, 1 or another's equal: what the shipped one leaves out shows."""
-    constants = parts.loop.model[0].copy()
-    constants *= np.linspace(0.85, 1.15, len(constants))
-    assert len(constants) == len(CONSTANTS)
-    for name, value in SET.items():
-        constants[CONSTANTS.index(name)] = value
-    smooth = constants.copy()
-    smooth[[CONSTANTS.index("bristle"), CONSTANTS.index("bristle_damping")]] = 0.0
-    rest = parts.loop.model[1:]
-    return parts._replace(loop=parts.loop._replace(model=(constants, *rest), free=(smooth, *rest)))
+def uneven() -> Bench:
+    """A bench none of whose numbers is 0, 1 or another's equal: what the shipped one leaves out shows."""
+    shipped = load_model()
+    numbers = [entry.name for entry in fields(Bench) if entry.metadata and entry.name != "load_cell_bandwidth"]
+    shares = np.linspace(0.85, 1.15, len(numbers))
+    changed = {name: share * getattr(shipped, name) for name, share in zip(numbers, shares, strict=True)}
+    changed |= {"tank_pressure": 2e5, "stroke": 0.09375, "spring_rest_position": 0.041}
+    offset = {"id": "valve_offset", "parameters": {"current": 1e-3}}
+    cells = [
+        {"id": "load_cell_gain", "cell": "load_force", "parameters": {"ratio": 0.92}},
+        {"id": "load_cell_bias", "cell": "load_force", "parameters": {"force": -4.0}},
+        {"id": "load_cell_gain", "cell": "hydraulic_force", "parameters": {"ratio": 1.1}},
+        {"id": "load_cell_bias", "cell": "hydraulic_force", "parameters": {"force": 7.0}},
+    ]
+    effects = (offset, *shipped.effects, {**offset, "parameters": {"current": 5e-4}}, *cells)
+    return replace(shipped, **changed, effects=effects, learned=None)
 
 
-def written(folder: Path, parts: LoopParts) -> Path:
+def written(folder: Path, truth: Bench) -> Path:
     """`folder` with the generated header."""
-    (folder / "filter_config.h").write_text(loop_header.header(parts, "A test."))
+    (folder / "filter_config.h").write_text(loop_header.header(parts_of(truth), truth, "A test."))
     return folder
 
 
@@ -112,22 +107,21 @@ def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
     return np.frombuffer(done.stdout, KINDS[precision]).reshape(len(rows), 4).astype(np.float64)
 
 
-def edges(parts: LoopParts) -> FloatArray:
+def edges(truth: Bench) -> FloatArray:
     """Samples with nothing before them, where the model or the force law has another form on each side.
 
-    The spool stands just closed; the piston at an end, or on a stop with no force, or with less than 1 N; a chamber
-    above twice the supply.
+    The spool stands just closed; the piston at an end or on a stop; a chamber above twice the supply.
     """
-    constants = dict(zip(CONSTANTS, parts.loop.model[0], strict=True))
-    into, leaves = 2.0**-10, 1e7 * 2.0**-10 / 4e3  # m; the speed [m/s] at which the stop's damping takes its force
-    places = [(position, 0.0, 4e6, 6e6) for position in (0.05, 0.0, float(parts.loop.bench["stroke"][0]))]
+    into = 2.0**-10  # m
+    closed = -sum(effect["parameters"]["current"] for effect in truth.effects if effect["id"] == "valve_offset")
+    places = [(position, 0.0, 4e6, 6e6) for position in (0.05, 0.0, BELIEVED.stroke)]
     places += [(0.05, 0.0, 60e6, 6e6), (0.05, 0.0, 4e6, 60e6)]
-    for position, speed in ((-into, leaves), (constants["stroke"] + into, -leaves)):
-        places += [(position, speed + more, 4e6, 6e6) for more in (0.0, 1e-4, -1e-4)]
+    places += [(-into, speed, 4e6, 6e6) for speed in (-0.3, 0.0, 0.3)]
+    places += [(truth.stroke + into, speed, 4e6, 6e6) for speed in (-0.3, 0.0, 0.3)]
     none = np.append(np.full(WIDTH, np.nan), 1.0)
     rows = []
     for position, speed, pressure_a, pressure_b in places:
-        for current in (-constants["offset"], 0.01, -0.01):
+        for current in (closed, 0.01, -0.01):
             row = np.zeros(WIDTH + 1)
             row[[4, 5, 6, 7]] = pressure_a, pressure_b, position, speed
             row[PLACES] = current, current, 2000.0, 0.0, 150.0
@@ -144,7 +138,7 @@ def law(row: FloatArray) -> tuple[float, float, float, float]:
 
 def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:
     """The same by the compiled Python; what is not finite as 0, as C tells it."""
-    memory, space = memories(parts.loop), loop_decision.workspace(parts)
+    memory, space = memories(), loop_decision.workspace(parts)
     made = [
         loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], law(row), bool(row[WIDTH]), space)
         for row in rows
@@ -168,7 +162,7 @@ def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
     """Samples of the emulated box on a bench that the filter corrects, a sample late, as the graph does."""
     bench = Bench.nominal()
     box, plant = Box(bench), AnalyticPlant(bench)
-    memory, space = memories(parts.loop), loop_decision.workspace(parts)
+    memory, space = memories(), loop_decision.workspace(parts)
     x, rows, wanted, delta_u = plant.reset(seed), [], dict(commands(seed, samples)), 0.0
     for k in range(samples):
         command = wanted.get(k - k % 400, Command())

@@ -15,9 +15,8 @@ import pytest
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.metric.design import MetricDesign, rest_loop
-from hydro_filter.model.bench_loop import SUBSTEPS
-from hydro_filter.model.bench_parts import BenchLoop
-from hydro_filter.model.loop import follow, loop_of, memories, settle
+from hydro_filter.model.loop import SUBSTEPS, loop_of, memories
+from hydro_filter.model.observer import follow, settle
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_sim.files import recordings
 from hydro_sim.identification.bench_learning import learn
@@ -133,10 +132,9 @@ def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> No
     if not label.startswith(("valve_lag", "transport_delay")):
         bench = replace(bench, effects=(lag, *bench.effects))
     loop = loop_of(bench, BENCH)
-    assert isinstance(loop, BenchLoop)
     free, push, feedback = rest_loop(loop, MetricDesign().gain_low)
     assert np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max() < 1.0
-    model, p, memory = BenchModel(bench, substeps=SUBSTEPS), loop.model, memories(loop)[0]
+    model, p, memory = BenchModel(bench, substeps=SUBSTEPS), loop.model, memories()[0]
     k, y, z = model.begin(model.values)
     for current in 4e-3 * np.sin(2e-3 * np.pi * 3.0 * np.arange(400)):
         x = shown(p, y, z)

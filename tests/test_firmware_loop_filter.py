@@ -13,6 +13,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter.controller import loop_header
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.metric.learned import LearnedMetric
+from hydro_sim.files.learned_bench import load_model
 from tests.firmware_filter import (
     MOST,
     READ,
@@ -23,9 +24,9 @@ from tests.firmware_filter import (
     drawn,
     edges,
     hostile,
+    parts_of,
     recorded,
     replay,
-    shipped,
     uneven,
     written,
 )
@@ -35,12 +36,12 @@ SANITIZE = ("-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-f
 
 @pytest.fixture(scope="module")
 def parts() -> LoopParts:
-    return shipped()
+    return parts_of(load_model())
 
 
 @pytest.fixture(scope="module")
-def generated(parts: LoopParts, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("loop_filter"), parts)
+def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("loop_filter"), load_model())
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +85,10 @@ def test_drawn_samples_are_decided_as_in_python_but_for_rounding(parts: LoopPart
     assert np.all(np.bincount(expected[:, 3].astype(int)) > 500), "every status is tried"
 
 
-def test_an_uneven_model_is_decided_as_in_python_but_for_rounding(parts: LoopParts, tmp_path: Path) -> None:
-    other = uneven(parts)
-    program = compiled(written(tmp_path, other), "double", "-O2")
-    trials = {"drawn": drawn(20_000, 9), "at edges": edges(other), "recorded": recorded(other, 4, 10_000)}
+def test_an_uneven_model_is_decided_as_in_python_but_for_rounding(tmp_path: Path) -> None:
+    truth = uneven()
+    other, program = parts_of(truth), compiled(written(tmp_path, truth), "double", "-O2")
+    trials = {"drawn": drawn(20_000, 9), "at edges": edges(truth), "recorded": recorded(other, 4, 10_000)}
     for label, rows in trials.items():
         differing, worst, measure = compare(replay(program, "double", rows), decided(other, rows), f"uneven, {label}")
         assert differing == 0.0 and worst < 1e-12 and measure < 1e-9
@@ -143,4 +144,4 @@ def test_a_network_is_refused_in_a_sentence(parts: LoopParts) -> None:
     flat[-1] = 0.1
     other = parts._replace(metric=with_network.with_weights(flat).parts)
     with pytest.raises(ValueError, match="the metric has a network that adds to it, for which the box in C has no pl"):
-        loop_header.header(other, "")
+        loop_header.header(other, load_model(), "")

@@ -2,7 +2,8 @@
 """The matrix of wrong pairings, each command called as its executable calls it.
 
 The files differ in nothing but what they say they were made for: `own` is for another bench (another spring, cylinder
-and supply), `other` for this bench and another model, `unmarked` does not say.
+and supply), `other` for this bench and another model, `unmarked` does not say. A learned bench of one's own is for any
+box; the shipped one is for the shipped box.
 """
 
 from __future__ import annotations
@@ -24,10 +25,9 @@ from hydro_policy.nodes.startup.box_expectation import require_matching_agent, r
 from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
-from hydro_sim.files import weights
+from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.files.stamping import stamped
-from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
 MODULES = {
@@ -49,56 +49,45 @@ CONSTANT = "--filter=--metric=constant"
 
 WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     "hydro_filter filter": (
-        ("--bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
-        ("--bench @own.yaml --model @own_model.safetensors", f"the metric default_metric.safetensors {FOREIGN}"),
-        ("--bench @own.yaml --metric @own_metric.safetensors", f"the model default_weights.safetensors {FOREIGN}"),
-        ("--model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("--bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+        ("--bench @own.yaml --model @own_model.yaml", f"the metric default_metric.safetensors {FOREIGN}"),
+        ("--bench @own.yaml --metric @own_metric.safetensors", f"the model learned_bench.yaml {FOREIGN}"),
         ("--metric @own_metric.safetensors", f"the metric own_metric.safetensors {FOREIGN}"),
-        ("--model @other_model.safetensors", "the metric default_metric.safetensors was made for model"),
+        ("--model @other_model.yaml", "the metric default_metric.safetensors was made for model"),
         ("--metric @other_metric.safetensors", "the metric other_metric.safetensors was made for model"),
-        ("--model @unmarked_model.safetensors", UNMARKED),
         ("--metric @unmarked_metric.safetensors", UNMARKED),
     ),
     "hydro_filter validate": (
-        ("--bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
-        ("--model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
+        ("--bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--metric @own_metric.safetensors", f"the metric own_metric.safetensors {FOREIGN}"),
-        ("--model @other_model.safetensors", "was made for model"),
+        ("--model @other_model.yaml", "was made for model"),
         ("--metric @unmarked_metric.safetensors", UNMARKED),
     ),
     "hydro_filter learn_metric": (
-        ("--out @new/m.safetensors --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
-        ("--out @new/m.safetensors --model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
-        ("--out @new/m.safetensors --model @unmarked_model.safetensors", UNMARKED),
+        ("--out @new/m.safetensors --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
     ),
     "hydro_sim sim": (
-        ("--model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
-        ("--model shipped --box-bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
-        ("--model @unmarked_model.safetensors", UNMARKED),
+        ("--model shipped --box-bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
     ),
     "hydro_sim validate": (
-        ("@bag --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
-        ("@bag --model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
-        ("@bag --model @unmarked_model.safetensors", UNMARKED),
+        ("@bag --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
     ),
     "hydro_policy pretrain": (
-        ("--out @new --box @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
-        ("--out @new --model @own_model.safetensors", f"the model own_model.safetensors {FOREIGN}"),
-        ("--out @new --model @unmarked_model.safetensors", UNMARKED),
+        ("--out @new --box @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--out @new --bench @own.yaml --box @own.yaml --filter learned", FOREIGN),
     ),
     "hydro_policy trainer": (
-        ("--runs @new --plant sim --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--runs @new --plant sim --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--runs @new --plant emulator --bench @own.yaml --configuration wide", FOREIGN),
         (f"--runs @new --plant sim --bench @own.yaml {CONSTANT}", f"the agent pretrained_paper {FOREIGN}"),
         ("--runs @new --plant sim --from @own", f"the agent own {FOREIGN}"),
         ("--runs @new --plant sim --from @unmarked", UNMARKED),
         ("--runs @new --plant sim --base-gains 30 8", "was made for a box with base K_p 15, this one has 30"),
         ("--runs @new --plant sim --filter=--metric=@own_metric.safetensors", "the metric own_metric.safetensors"),
-        ("--runs @new --plant bench --filter=--model=@other_model.safetensors", "was made for model"),
+        ("--runs @new --plant bench --filter=--model=@other_model.yaml", "was made for model"),
     ),
     "hydro_policy evaluate": (
-        ("--runs @new --plant sim --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--runs @new --plant sim --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--runs @new --plant sim --policy @own", f"the policy own {FOREIGN}"),
         ("--runs @new --plant emulator --policy @unmarked", UNMARKED),
         (f"--runs @new --plant sim --bench @own.yaml {CONSTANT} --policy @shipped", f"the policy shipped {FOREIGN}"),
@@ -114,11 +103,11 @@ def make_files(folder: Path) -> None:
     nominal = Bench.nominal()
     own = replace(nominal, spring_stiffness=4e4, piston_area=3e-4, supply_pressure=12e6)
     (folder / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()), encoding="utf-8")
-    shipped, metric = weights.shipped().read_bytes(), learned_metric.shipped().read_bytes()
-    _other_model(folder / "other_model.safetensors", MadeFor(box=nominal.digest))
-    _other_model(folder / "own_model.safetensors", MadeFor(box=own.digest))
-    (folder / "unmarked_model.safetensors").write_bytes(stamped(shipped, None))
-    other = weights.digest(folder / "other_model.safetensors")
+    metric, learned = learned_metric.shipped().read_bytes(), learned_bench.load_model()
+    for name in ("other_model.yaml", "own_model.yaml"):  # a hair off the shipped one: another by its digest
+        changed = replace(learned, moving_mass=learned.moving_mass * (1.0 + 1e-9), learned=None)
+        (folder / name).write_text(yaml.safe_dump(changed.to_mapping()), encoding="utf-8")
+    other = learned_bench.digest(folder / "other_model.yaml")
     (folder / "own_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=own.digest, model=other)))
     (folder / "other_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=nominal.digest, model=other)))
     (folder / "unmarked_metric.safetensors").write_bytes(stamped(metric, None))
@@ -129,13 +118,6 @@ def make_files(folder: Path) -> None:
         for file in (folder / name).iterdir():
             file.write_bytes(stamped(file.read_bytes(), made))
     shutil.copytree(start.source, folder / "shipped")
-
-
-def _other_model(path: Path, made: MadeFor) -> None:
-    """The shipped model with a region that is a hair wider: another one by its digest."""
-    learned = Learned.load()
-    region = replace(learned.region, whiten=learned.region.whiten * (1.0 + 1e-9))
-    replace(learned, region=region, made=made).save(path)
 
 
 @pytest.fixture(scope="module")
@@ -175,14 +157,13 @@ def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path)
     assert SimulationSetup(model="analytic", bench=bench).trouble() == "", (
         "another plant than the box believes may be simulated"
     )
-    assert SimulationSetup(model=str(files / "own_model.safetensors"), box=bench).trouble() == ""
+    assert SimulationSetup(model=str(files / "own_model.yaml"), box=bench).trouble() == ""
     requested_filter(("--metric", "constant"), files / "own.yaml")
 
 
 def test_what_is_shipped_is_for_the_shipped_bench(files: Path) -> None:
     digest = BoxIdentity.of_file(None).digest
     shipped = load_initial_agent(files / "shipped").made
-    model = Learned.load().made
-    assert model is not None and model.box == digest
     assert shipped is not None and (shipped.box, shipped.base_kp, shipped.base_ki) == (digest, 15.0, 5.0)
-    assert shipped.model == weights.digest(weights.shipped())
+    metric = learned_metric.LearnedMetric.load().made
+    assert metric is not None and (metric.box, metric.model) == (digest, learned_bench.digest())

@@ -3,7 +3,7 @@
 
 Recordings are of the emulator's default truth: 2 x 150 s to train on, 60 s to stop by, 60 s to be judged by, the
 seeds those of schedule and noise. Errors are of 70-sample
-predictions from the measurement, over each state's range; the structured model, which is ours, starts from its
+predictions from the measurement, over each state's range; the learned bench file, which is ours, starts from its
 observer's states, which see the same measurements.
 """
 
@@ -22,11 +22,12 @@ from hydro_sim.emulator.offline import Recording, record_offline
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.recordings import Data
 from hydro_sim.identification import evaluation
 from hydro_sim.identification.analytic import AnalyticModel
+from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.evaluation import Predictor, Scales, Scored
-from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
 HORIZON, STRIDE = 70, 37
@@ -64,7 +65,7 @@ def weights(store: Store, loss: str, seed: int) -> Path:
 def run(store: Store, seed: int) -> None:
     """The networks of a seed, and both other models."""
     store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
-    store.piece("model-ours", lambda: judged(Learned.load().model))
+    store.piece("model-ours", lambda: judged(BenchPrediction(load_model(), [one.run for one in held_out()])))
     for loss in LOSSES:
         store.piece(f"model-{loss}-{seed}", lambda chosen=loss: _trained(store, chosen, seed))  # type: ignore[misc]
 

@@ -2,22 +2,34 @@
 /* Optional, of the default filter: the whole force loop over one sample, linearized, and its place beside f_r.
  *
  *   q = [f_h  g spool  g spool'  f_l  f_l'  x_p  x_p'  x_p' as the box has it]      in units of `scale`
- *   q_{k+1} = F q_k + G u_k     of the structured model        u_k = K q_k     of the force law that the box runs
+ *   q_{k+1} = F q_k + G u_k     of a bench file's model        u_k = K q_k     of the force law that the box runs
  *   v = q - q_r                 q_r from f_r, f_r', f_r''
  *
- * Spool and bristle are not measured: a memory follows both from the currents and the velocity. In Python:
- * hydro_filter.model.loop_model, displacement, hidden_states.
+ * The model is two, generated from the bench file (`hydro_model`): the whole one, and the loop's, without dry friction,
+ * which is linearized. States begin with p_a p_b x_p x_p'. What no sensor shows is simulated by the whole one, from the
+ * currents and what is measured. In Python: hydro_filter.model.observer, displacement, linearization.
  */
 #ifndef HYDRO_LOOP_H
 #define HYDRO_LOOP_H
 
 #include "filter.h"
-#include "structured.h"
+
+#ifndef HYDRO_EXP /* of the target; the compiler's own else */
+#ifdef HYDRO_SINGLE
+#define HYDRO_EXP(x) __builtin_expf(x)
+#else
+#define HYDRO_EXP(x) __builtin_exp(x)
+#endif
+#endif
 
 #define HYDRO_LOOP 8
-#define HYDRO_INPUT 7          /* column of nudges that is the current's: the box's own velocity moves nothing */
+#define HYDRO_INPUT 7          /* column of tangents that is the current's: the box's own velocity moves nothing */
 #define HYDRO_CLOSED 1e-9      /* A, where the spool is taken to stand in a sample in which it passes zero */
 #define HYDRO_BEND_MAX 2e5     /* N/s^2, largest f_r'' that is believed */
+#define HYDRO_PROBE 0.1        /* m/s, over which the velocity's part of the flows is taken; they are linear in it */
+#define HYDRO_CREEP 2e-3       /* m/s, below which the sign of a velocity is noise, where dry friction can hold */
+#define HYDRO_STATES 16        /* of a model, at most */
+#define HYDRO_READINGS 5
 
 enum {
     HYDRO_Q_F_H,
@@ -30,8 +42,34 @@ enum {
     HYDRO_Q_BOX
 };
 
+/* A generated model: y' and a sample of 1 ms at a current [A], or that sample's derivatives by y and the current. */
+typedef void hydro_model_rates(
+    const hydro_real *k, const hydro_real *y, hydro_real u, hydro_real share, hydro_real *restrict out);
+typedef void hydro_model_sample(const hydro_real *k, hydro_real *y, hydro_real u, hydro_real *z);
+typedef void hydro_model_jacobian(
+    const hydro_real *k, hydro_real *y, hydro_real u, hydro_real *z, hydro_real *dy, hydro_real *dz);
+
 typedef struct {
-    hydro_model model;
+    hydro_model_rates *rates;
+    const hydro_real *k;                           /* its coefficients */
+    int states, spool, spool_rate, cell, cell_rate; /* number of states, and the places of some */
+} hydro_model;
+
+typedef struct {
+    hydro_model whole, linear;
+    hydro_model_sample *sample;     /* of the whole model */
+    hydro_model_jacobian *jacobian; /* of the loop's model */
+    const int *from_whole;          /* place in the whole model of each state of the loop's */
+    const hydro_real *rest;     /* the whole model's still bench */
+    const hydro_real *forces;   /* N, load at `points` positions [m] from `first` on, rising */
+    int points;
+    hydro_real first, step;
+    bool holds;                                   /* whether dry friction can hold the piston */
+    hydro_real before, after;                     /* A, null shifts before and behind the spool's lag */
+    hydro_real lag, inertia;                      /* s, s^2: of the load cell, 2 d/w and 1/w^2 */
+    hydro_real gain[HYDRO_READINGS], bias[HYDRO_READINGS]; /* of f_h f_l p_a p_b x_p */
+    hydro_real area, ratio, mass, dead_a, dead_b, stroke; /* m2 - kg m3 m3 m */
+    hydro_real least_gain, least_opening;         /* N/s/A, A */
     hydro_bench bench;          /* what the force law believes */
     hydro_real gain_floor;      /* N/s/A */
     hydro_real velocity_memory; /* a of the box's velocity (differentiation.h) */
@@ -40,8 +78,8 @@ typedef struct {
 
 /* What x does not show; all zero at first. */
 typedef struct {
-    hydro_real spool, spool_rate, bristle; /* A, A/s, m */
-    hydro_real reference_rate;             /* N/s, of the sample before */
+    hydro_real hidden[HYDRO_STATES]; /* states of the whole model */
+    hydro_real reference_rate;       /* N/s, of the sample before */
     bool running;
 } hydro_memory_of_loop;
 
@@ -49,31 +87,80 @@ typedef struct {
     hydro_real transition[HYDRO_LOOP][HYDRO_LOOP], push[HYDRO_LOOP], feedback[HYDRO_LOOP]; /* F, G, K */
 } hydro_linear;
 
-/* Level of the dry friction [N] at a velocity [m/s]. */
-static inline hydro_real hydro_friction_level(const hydro_model *c, hydro_real velocity)
+/* g [N/s/A] on the opening's side, what f_h' loses per velocity [N/m], f_h' of the closed valve at rest [N/s], and how
+ * fast a velocity lowers p_a and raises p_b [Pa/m].
+ */
+typedef struct {
+    hydro_real gain, stiffness, still, soft_a, soft_b;
+} hydro_sensitivity;
+
+/* The size of x with the sign of y. */
+static inline hydro_real hydro_copysign(hydro_real x, hydro_real y)
 {
-    hydro_real share = velocity / c->stribeck_velocity;
-    return c->coulomb + c->stribeck * HYDRO_EXP(-(share * share));
+    hydro_pattern bits = (hydro_pattern_of(x) & ~HYDRO_SIGN) | (hydro_pattern_of(y) & HYDRO_SIGN);
+    hydro_copy(&x, &bits, sizeof x);
+    return x;
 }
 
-/* Dry friction [N] at a velocity and a deflection of the bristle. */
-static inline hydro_real hydro_dry_friction(const hydro_model *c, hydro_real velocity, hydro_real bristle)
+/* States of the whole model: measured where there is a sensor, f_l and its rate only for `cell`. */
+static inline void hydro_lift(
+    const hydro_loop *loop, const hydro_real *hidden, const hydro_real *x, bool cell, hydro_real *y)
 {
-    hydro_real slip = velocity - c->bristle * hydro_abs(velocity) / hydro_friction_level(c, velocity) * bristle;
-    hydro_real share = velocity / c->damping_velocity;
-    return c->bristle * bristle + c->bristle_damping * HYDRO_EXP(-(share * share)) * slip;
+    const hydro_real *gain = loop->gain, *bias = loop->bias;
+    for (int i = 0; i < loop->whole.states; i++) {
+        y[i] = hidden[i];
+    }
+    y[0] = (x[4] - bias[2]) / gain[2];
+    y[1] = (x[5] - bias[3]) / gain[3];
+    y[2] = (x[6] - bias[4]) / gain[4];
+    y[3] = x[7] / gain[4];
+    if (cell) {
+        y[loop->whole.cell] = (x[2] - bias[1]) / gain[1];
+        y[loop->whole.cell_rate] = x[3] / gain[1];
+    }
 }
 
-/* Take in the first sample: what the current and the velocity of now lead to. */
+/* f_h' [N/s] and y' with the valve held at `opening` [A]. */
+static inline hydro_real hydro_held(
+    const hydro_loop *loop, const hydro_model *model, hydro_real *y, hydro_real opening, hydro_real *slopes)
+{
+    y[model->spool] = opening - loop->after;
+    y[model->spool_rate] = HYDRO_R(0);
+    model->rates(model->k, y, opening - loop->after - loop->before, HYDRO_R(0.5), slopes);
+    return loop->area * (slopes[0] - loop->ratio * slopes[1]);
+}
+
+static inline hydro_sensitivity hydro_sensitivity_at(
+    const hydro_loop *loop, const hydro_real *state, hydro_real opening)
+{
+    hydro_real y[HYDRO_STATES], slopes[2 * HYDRO_STATES], closed, rate_a, rate_b, held, size;
+    hydro_sensitivity made;
+    hydro_copy(y, state, sizeof y);
+    closed = hydro_held(loop, &loop->linear, y, HYDRO_R(0), slopes);
+    rate_a = slopes[0];
+    rate_b = slopes[1];
+    y[3] += HYDRO_R(HYDRO_PROBE);
+    (void)hydro_held(loop, &loop->linear, y, HYDRO_R(0), slopes);
+    made.soft_a = (rate_a - slopes[0]) / HYDRO_R(HYDRO_PROBE);
+    made.soft_b = (slopes[1] - rate_b) / HYDRO_R(HYDRO_PROBE);
+    y[3] -= HYDRO_R(HYDRO_PROBE);
+    size = hydro_copysign(hydro_max(hydro_abs(opening), loop->least_opening), opening);
+    held = hydro_held(loop, &loop->linear, y, size, slopes);
+    made.gain = hydro_max((held - closed) / size, loop->least_gain);
+    made.stiffness = loop->area * (made.soft_a + loop->ratio * made.soft_b);
+    made.still = closed + made.stiffness * y[3];
+    return made;
+}
+
+/* Take in the first sample: what the current of now leads to. */
 static inline void hydro_settle(
     const hydro_loop *loop, hydro_memory_of_loop *memory, const hydro_real *x, hydro_real current,
     hydro_real reference_rate)
 {
-    hydro_real sign = x[7] > HYDRO_R(0) ? HYDRO_R(1) : (x[7] < HYDRO_R(0) ? HYDRO_R(-1) : HYDRO_R(0));
     if (!memory->running) {
-        memory->spool = current;
-        memory->spool_rate = HYDRO_R(0);
-        memory->bristle = sign * hydro_friction_level(&loop->model, x[7]) / loop->model.bristle;
+        hydro_lift(loop, loop->rest, x, true, memory->hidden);
+        memory->hidden[loop->whole.spool] = current + loop->before;
+        memory->hidden[loop->whole.spool_rate] = HYDRO_R(0);
         memory->reference_rate = reference_rate;
         memory->running = true;
     }
@@ -84,44 +171,59 @@ static inline void hydro_follow(
     const hydro_loop *loop, hydro_memory_of_loop *memory, const hydro_real *x, hydro_real current,
     hydro_real reference_rate)
 {
-    const hydro_model *c = &loop->model;
-    hydro_real half = HYDRO_R(0.5 * HYDRO_STEP), w = c->spool_omega;
-    hydro_real decay = c->bristle * hydro_abs(x[7]) * half / hydro_friction_level(c, x[7]), kept = HYDRO_EXP(-decay);
-    hydro_real filling = decay < HYDRO_R(1e-4) ? HYDRO_R(1) - HYDRO_R(0.5) * decay : (HYDRO_R(1) - kept) / decay;
-    for (int i = 0; i < 2 * HYDRO_SUBSTEPS; i++) {
-        memory->bristle = memory->bristle * kept + half * x[7] * filling;
-    }
-    for (int step = 0; step < HYDRO_SUBSTEPS; step++) {
-        hydro_real y = memory->spool, rate = memory->spool_rate, moved = HYDRO_R(0), pulled = HYDRO_R(0);
-        for (int stage = 0; stage < 4; stage++) {
-            hydro_real pull = w * (w * (current - y) - HYDRO_R(2) * c->spool_damping * rate);
-            hydro_real weight = HYDRO_R(stage == 0 || stage == 3 ? HYDRO_STEP / 6.0 : HYDRO_STEP / 3.0);
-            hydro_real reach = HYDRO_R(stage == 2 ? HYDRO_STEP : 0.5 * HYDRO_STEP);
-            moved += weight * rate;
-            pulled += weight * pull;
-            y = memory->spool + reach * rate;
-            rate = memory->spool_rate + reach * pull;
-        }
-        memory->spool += moved;
-        memory->spool_rate += pulled;
-    }
+    hydro_real z[HYDRO_READINGS];
+    hydro_lift(loop, memory->hidden, x, false, memory->hidden);
+    loop->sample(loop->whole.k, memory->hidden, current, z);
     memory->reference_rate = reference_rate;
 }
 
-/* g [N/s/A] of the model on the spool's side, and what f_h' loses per velocity [N/m]; s: p_a, p_b, x_p. */
-static inline hydro_real hydro_gain_of_model(
-    const hydro_model *c, const hydro_real *s, hydro_real spool, hydro_real *stiffness)
+/* Load [N] at a position [m]. */
+static inline hydro_real hydro_load(const hydro_loop *loop, hydro_real position)
 {
-    hydro_real area = c->area, area_b = c->ratio * c->area, none;
-    hydro_real volume_a = c->dead_a + area * s[2], volume_b = c->dead_b + area_b * (c->stroke - s[2]);
-    bool forward = spool + c->offset >= HYDRO_R(0);
-    hydro_real gain_a = forward ? c->ka_positive : c->ka_negative, gain_b = forward ? c->kb_positive : c->kb_negative;
-    hydro_real root_a = hydro_root(forward ? c->supply - s[0] : s[0] - c->tank, &none);
-    hydro_real root_b = hydro_root(forward ? s[1] - c->tank : c->supply - s[1], &none);
-    hydro_real gain = area * gain_a * root_a / volume_a + area_b * gain_b * root_b / volume_b;
-    hydro_real least = HYDRO_R(0.1) * area * gain_a * HYDRO_SQRT(HYDRO_R(0.5) * c->supply) / volume_a;
-    *stiffness = c->bulk * (area * area / volume_a + area_b * area_b / volume_b);
-    return c->bulk * hydro_max(gain, least); /* a chamber at its limit has no gain */
+    hydro_real place = hydro_clamp((position - loop->first) / loop->step, HYDRO_R(0), (hydro_real)(loop->points - 2));
+    int i = (int)place;
+    hydro_real slope = (loop->forces[i + 1] - loop->forces[i]) / loop->step;
+    return loop->forces[i] + slope * (position - loop->first - (hydro_real)i * loop->step);
+}
+
+/* Position [m] at which the load is a force [N], and its stiffness there [N/m]. */
+static inline hydro_real hydro_position(const hydro_loop *loop, hydro_real force, hydro_real *stiffness)
+{
+    int low = 0, high = loop->points - 2;
+    while (low < high) {
+        int middle = (low + high + 1) / 2;
+        if (loop->forces[middle] < force) {
+            low = middle;
+        } else {
+            high = middle - 1;
+        }
+    }
+    *stiffness = (loop->forces[low + 1] - loop->forces[low]) / loop->step;
+    return loop->first + (hydro_real)low * loop->step + (force - loop->forces[low]) / *stiffness;
+}
+
+/* Dry friction [N] against the motion: what the loop's model leaves out. y and `state` are as they were afterwards. */
+static inline hydro_real hydro_dry_friction(
+    const hydro_loop *loop, hydro_real *y, hydro_real *state, hydro_real *slopes)
+{
+    hydro_real measured = y[3], share = HYDRO_R(1), creep = HYDRO_R(HYDRO_CREEP), whole;
+    if (loop->holds && hydro_abs(measured) < creep) {
+        share = hydro_abs(measured) / creep;
+        y[3] = state[3] = hydro_copysign(creep, measured);
+    }
+    (void)hydro_held(loop, &loop->whole, y, HYDRO_R(0), slopes);
+    whole = slopes[3];
+    (void)hydro_held(loop, &loop->linear, state, HYDRO_R(0), slopes);
+    y[3] = state[3] = measured;
+    return share * loop->mass * (slopes[3] - whole);
+}
+
+/* The loop's states of the whole model's. */
+static inline void hydro_chosen(const hydro_loop *loop, const hydro_real *y, hydro_real *state)
+{
+    for (int i = 0; i < loop->linear.states; i++) {
+        state[i] = y[loop->from_whole[i]];
+    }
 }
 
 /* v of a sample at f_r [N] and f_r' [N/s]. */
@@ -129,66 +231,91 @@ static inline void hydro_displace(
     const hydro_loop *loop, const hydro_memory_of_loop *memory, const hydro_real *x, hydro_real reference,
     hydro_real reference_rate, hydro_real *v)
 {
-    const hydro_model *c = &loop->model;
-    hydro_real limit = HYDRO_R(HYDRO_BEND_MAX);
+    hydro_real limit = HYDRO_R(HYDRO_BEND_MAX), y[HYDRO_STATES] = {HYDRO_R(0)}, state[HYDRO_STATES] = {HYDRO_R(0)};
     hydro_real bend = hydro_clamp((reference_rate - memory->reference_rate) / HYDRO_R(HYDRO_PERIOD), -limit, limit);
-    hydro_real lag = HYDRO_R(2) * c->cell_damping / c->cell_omega;
-    hydro_real spring =
-        (reference - c->bias_l + lag * reference_rate + bend / (c->cell_omega * c->cell_omega)) / c->gain_l;
-    hydro_real spring_rate = (reference_rate + lag * bend) / c->gain_l, spring_bend = bend / c->gain_l;
-    hydro_real velocity = spring_rate / c->spring;
-    hydro_real hydraulic = spring + (c->mass * spring_bend + c->viscous * spring_rate) / c->spring
-                           + hydro_dry_friction(c, x[7], memory->bristle);
-    hydro_real stiffness, gain = hydro_gain_of_model(c, x + 4, memory->spool, &stiffness);
-    v[HYDRO_Q_F_H] = x[0] - c->bias_h - c->gain_h * hydraulic;
-    v[HYDRO_Q_SPOOL] = gain * memory->spool - (spring_rate + stiffness * velocity);
-    v[HYDRO_Q_SPOOL_RATE] = gain * memory->spool_rate - (HYDRO_R(1) + stiffness / c->spring) * spring_bend;
+    hydro_real opening = memory->hidden[loop->whole.spool] + loop->after, slopes[2 * HYDRO_STATES];
+    hydro_real turned = memory->hidden[loop->whole.spool_rate], stiffness, position, velocity, driven, dry, pushing;
+    hydro_real spring = (reference - loop->bias[1] + loop->lag * reference_rate + loop->inertia * bend) / loop->gain[1];
+    hydro_real spring_rate = (reference_rate + loop->lag * bend) / loop->gain[1], spring_bend = bend / loop->gain[1];
+    hydro_sensitivity at;
+    hydro_lift(loop, memory->hidden, x, true, y);
+    hydro_chosen(loop, y, state);
+    at = hydro_sensitivity_at(loop, state, opening);
+    position = hydro_position(loop, spring, &stiffness);
+    velocity = spring_rate / stiffness;
+    driven = hydro_held(loop, &loop->whole, y, opening, slopes) - (at.still - at.stiffness * y[3]);
+    dry = hydro_dry_friction(loop, y, state, slopes);
+    pushing = loop->area * (y[0] - loop->ratio * y[1]) - hydro_load(loop, y[2]);
+    state[3] = velocity;
+    (void)hydro_held(loop, &loop->linear, state, HYDRO_R(0), slopes);
+    v[HYDRO_Q_F_H] = x[0] - loop->bias[0]
+                     - loop->gain[0] * (spring + loop->mass * spring_bend / stiffness + pushing
+                                        - loop->mass * slopes[3] + dry);
+    v[HYDRO_Q_SPOOL] = driven - (spring_rate + at.stiffness * velocity - at.still);
+    v[HYDRO_Q_SPOOL_RATE] = at.gain * turned - (HYDRO_R(1) + at.stiffness / stiffness) * spring_bend;
     v[HYDRO_Q_F_L] = x[2] - reference;
     v[HYDRO_Q_F_L_RATE] = x[3] - reference_rate;
-    v[HYDRO_Q_X] = x[6] - c->rest - spring / c->spring;
-    v[HYDRO_Q_V] = v[HYDRO_Q_BOX] = x[7] - velocity;
+    v[HYDRO_Q_X] = y[2] - position;
+    v[HYDRO_Q_V] = v[HYDRO_Q_BOX] = y[3] - velocity;
     for (int i = 0; i < HYDRO_LOOP; i++) {
         v[i] /= loop->scale[i];
     }
 }
 
-/* The sample from s under a held current, and of one nudge along each coordinate: F but for its last column, and G. */
-static inline void hydro_nudge(
-    const hydro_loop *loop, hydro_real *s, hydro_real current, hydro_real spool, const hydro_real share[2],
+/* The loop's states a sample after `before`, and their derivatives; an opening near zero is moved to its side of it. */
+static inline void hydro_ahead_of(
+    const hydro_loop *loop, const hydro_real *before, hydro_real opening, hydro_real side, hydro_real current,
+    hydro_real *after, hydro_real *by_state)
+{
+    hydro_real z[HYDRO_READINGS], dz[HYDRO_READINGS * (HYDRO_STATES + 1)];
+    hydro_copy(after, before, HYDRO_STATES * sizeof *after);
+    if (hydro_abs(opening) < HYDRO_R(HYDRO_CLOSED)) {
+        after[loop->linear.spool] = side * HYDRO_R(HYDRO_CLOSED) - loop->after;
+    }
+    loop->jacobian(loop->linear.k, after, current, z, by_state, dz);
+}
+
+/* F and G from the derivatives of the loop's states; a change of f_h is `share` of the pressures [Pa/N]. */
+static inline void hydro_transition(
+    const hydro_loop *loop, const hydro_real *by_state, const hydro_real share[2], hydro_real gain, hydro_real later,
     hydro_linear *linear)
 {
-    const hydro_model *c = &loop->model;
+    const hydro_model *model = &loop->linear;
     const hydro_real *scale = loop->scale;
-    hydro_real d[HYDRO_PLANT + 1][HYDRO_DIRECTIONS] = {{HYDRO_R(0)}}, none, moved;
-    hydro_real gain = hydro_gain_of_model(c, s, spool, &none), area = c->gain_h * c->area;
-    d[0][HYDRO_Q_F_H] = scale[HYDRO_Q_F_H] * share[0];
-    d[1][HYDRO_Q_F_H] = scale[HYDRO_Q_F_H] * share[1];
-    d[2][HYDRO_Q_X] = scale[HYDRO_Q_X];
-    d[3][HYDRO_Q_V] = scale[HYDRO_Q_V];
-    d[4][HYDRO_Q_SPOOL] = scale[HYDRO_Q_SPOOL] / gain;
-    d[5][HYDRO_Q_SPOOL_RATE] = scale[HYDRO_Q_SPOOL_RATE] / gain;
-    d[6][HYDRO_Q_F_L] = scale[HYDRO_Q_F_L] / c->gain_l;
-    d[7][HYDRO_Q_F_L_RATE] = scale[HYDRO_Q_F_L_RATE] / c->gain_l;
-    d[HYDRO_CURRENT_ROW][HYDRO_INPUT] = HYDRO_R(1);
-    hydro_sample_ahead(c, s, current, d);
-    gain = hydro_gain_of_model(c, s, spool, &none);
-    for (int k = 0; k < HYDRO_LOOP; k++) {
-        moved = d[2][k] - (k == HYDRO_Q_X ? scale[HYDRO_Q_X] : HYDRO_R(0));
-        linear->transition[HYDRO_Q_F_H][k] = area * (d[0][k] - c->ratio * d[1][k]) / scale[HYDRO_Q_F_H];
-        linear->transition[HYDRO_Q_SPOOL][k] = gain * d[4][k] / scale[HYDRO_Q_SPOOL];
-        linear->transition[HYDRO_Q_SPOOL_RATE][k] = gain * d[5][k] / scale[HYDRO_Q_SPOOL_RATE];
-        linear->transition[HYDRO_Q_F_L][k] = c->gain_l * d[6][k] / scale[HYDRO_Q_F_L];
-        linear->transition[HYDRO_Q_F_L_RATE][k] = c->gain_l * d[7][k] / scale[HYDRO_Q_F_L_RATE];
-        linear->transition[HYDRO_Q_X][k] = d[2][k] / scale[HYDRO_Q_X];
-        linear->transition[HYDRO_Q_V][k] = d[3][k] / scale[HYDRO_Q_V];
-        linear->transition[HYDRO_Q_BOX][k] =
-            (HYDRO_R(1) - loop->velocity_memory) * moved / HYDRO_R(HYDRO_PERIOD) / scale[HYDRO_Q_BOX];
+    hydro_real tangent[HYDRO_STATES + 1][HYDRO_LOOP] = {{HYDRO_R(0)}}, moved[HYDRO_STATES];
+    hydro_real force = loop->gain[0] * loop->area, memory = loop->velocity_memory;
+    int n = model->states;
+    tangent[0][HYDRO_Q_F_H] = scale[HYDRO_Q_F_H] * share[0];
+    tangent[1][HYDRO_Q_F_H] = scale[HYDRO_Q_F_H] * share[1];
+    tangent[model->spool][HYDRO_Q_SPOOL] = scale[HYDRO_Q_SPOOL] / gain;
+    tangent[model->spool_rate][HYDRO_Q_SPOOL_RATE] = scale[HYDRO_Q_SPOOL_RATE] / gain;
+    tangent[model->cell][HYDRO_Q_F_L] = scale[HYDRO_Q_F_L] / loop->gain[1];
+    tangent[model->cell_rate][HYDRO_Q_F_L_RATE] = scale[HYDRO_Q_F_L_RATE] / loop->gain[1];
+    tangent[2][HYDRO_Q_X] = scale[HYDRO_Q_X];
+    tangent[3][HYDRO_Q_V] = scale[HYDRO_Q_V];
+    tangent[n][HYDRO_INPUT] = HYDRO_R(1);
+    for (int c = 0; c < HYDRO_LOOP; c++) {
+        for (int i = 0; i < n; i++) {
+            moved[i] = HYDRO_R(0);
+            for (int j = 0; j <= n; j++) {
+                moved[i] += by_state[i * (n + 1) + j] * tangent[j][c];
+            }
+        }
+        linear->transition[HYDRO_Q_F_H][c] = force * (moved[0] - loop->ratio * moved[1]) / scale[HYDRO_Q_F_H];
+        linear->transition[HYDRO_Q_SPOOL][c] = later * moved[model->spool] / scale[HYDRO_Q_SPOOL];
+        linear->transition[HYDRO_Q_SPOOL_RATE][c] = later * moved[model->spool_rate] / scale[HYDRO_Q_SPOOL_RATE];
+        linear->transition[HYDRO_Q_F_L][c] = loop->gain[1] * moved[model->cell] / scale[HYDRO_Q_F_L];
+        linear->transition[HYDRO_Q_F_L_RATE][c] = loop->gain[1] * moved[model->cell_rate] / scale[HYDRO_Q_F_L_RATE];
+        linear->transition[HYDRO_Q_X][c] = moved[2] / scale[HYDRO_Q_X];
+        linear->transition[HYDRO_Q_V][c] = moved[3] / scale[HYDRO_Q_V];
+        linear->transition[HYDRO_Q_BOX][c] =
+            (HYDRO_R(1) - memory) / HYDRO_R(HYDRO_PERIOD) * (moved[2] - tangent[2][c]) / scale[HYDRO_Q_BOX];
     }
     for (int i = 0; i < HYDRO_LOOP; i++) {
         linear->push[i] = linear->transition[i][HYDRO_INPUT];
         linear->transition[i][HYDRO_INPUT] = HYDRO_R(0);
     }
-    linear->transition[HYDRO_Q_BOX][HYDRO_INPUT] = loop->velocity_memory;
+    linear->transition[HYDRO_Q_BOX][HYDRO_INPUT] = memory;
 }
 
 /* K [A] of the force law at its own current [A]; a nudge of f_h is `share` of the pressures [Pa/N]. */
@@ -225,24 +352,27 @@ static inline void hydro_linearize(
     const hydro_loop *loop, const hydro_memory_of_loop *memory, const hydro_real *x, hydro_real nominal,
     hydro_real current, hydro_real k_p, hydro_linear *linear)
 {
-    const hydro_model *c = &loop->model;
-    const hydro_real lifted[HYDRO_MOVING] = {x[4], x[5], x[6], x[7], memory->spool, memory->spool_rate};
-    hydro_real s[HYDRO_MOVING], share[2], area_b = c->ratio * c->area, total;
-    hydro_real side = memory->spool + c->offset >= HYDRO_R(0) ? HYDRO_R(1) : HYDRO_R(-1);
-    share[0] = c->area / (c->dead_a + c->area * x[6]); /* a nudge of f_h is the chambers' by their stiffness */
-    share[1] = area_b / (c->dead_b + area_b * (c->stroke - x[6]));
-    total = c->gain_h * (c->area * share[0] + area_b * share[1]);
-    share[0] = share[0] / total;
-    share[1] = -share[1] / total;
-    hydro_copy(s, lifted, sizeof s);
-    hydro_nudge(loop, s, current, memory->spool, share, linear);
-    if (side * (s[4] + c->offset) < HYDRO_R(0)) { /* the spool passes zero: held closed on the side it comes from */
-        hydro_copy(s, lifted, sizeof s);
-        s[4] = side * HYDRO_R(HYDRO_CLOSED) - c->offset;
-        s[5] = HYDRO_R(0);
-        hydro_nudge(loop, s, s[4], memory->spool, share, linear);
+    hydro_real y[HYDRO_STATES] = {HYDRO_R(0)}, before[HYDRO_STATES] = {HYDRO_R(0)}, after[HYDRO_STATES];
+    hydro_real by_state[HYDRO_STATES * (HYDRO_STATES + 1)], share[2], total, later, closed;
+    hydro_real opening = memory->hidden[loop->whole.spool] + loop->after;
+    hydro_real side = hydro_copysign(HYDRO_R(1), opening);
+    hydro_sensitivity at;
+    hydro_lift(loop, memory->hidden, x, true, y);
+    hydro_chosen(loop, y, before);
+    at = hydro_sensitivity_at(loop, before, opening);
+    total = loop->gain[0] * loop->area * (at.soft_a + loop->ratio * at.soft_b);
+    share[0] = at.soft_a / total;
+    share[1] = -at.soft_b / total;
+    hydro_ahead_of(loop, before, opening, side, current, after, by_state);
+    if (side * (after[loop->linear.spool] + loop->after) < HYDRO_R(0)) { /* passes zero: held on its side of it */
+        closed = side * HYDRO_R(HYDRO_CLOSED);
+        before[loop->linear.spool] = closed - loop->after;
+        before[loop->linear.spool_rate] = HYDRO_R(0);
+        hydro_ahead_of(loop, before, closed, side, closed - loop->after - loop->before, after, by_state);
     }
-    hydro_law_slopes(loop, x, side * hydro_abs(nominal), k_p, share, linear->feedback);
+    later = hydro_sensitivity_at(loop, after, opening).gain;
+    hydro_transition(loop, by_state, share, at.gain, later, linear);
+    hydro_law_slopes(loop, x, hydro_copysign(nominal, side), k_p, share, linear->feedback);
 }
 
 #endif

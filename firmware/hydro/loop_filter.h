@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Optional: the default filter's decision, one sample at a time, for a metric and a model without networks.
+/* Optional: the default filter's decision, one sample at a time, for a metric without a network.
  *
  *   loop.h --> v, F, G, K --+
  *   table of K_p --> M -----+--> M_c(du) = bent du^2 + 2 slope du + level --> a du <= b --> smallest |du|
@@ -182,19 +182,18 @@ static inline hydro_real hydro_smallest(
 /* Whether a sample can be one of a bench: `hydro_conceivable`, also by the model. */
 static inline bool hydro_believable(const hydro_loop *loop, const hydro_real *values)
 {
-    const hydro_model *c = &loop->model;
     return hydro_conceivable(&loop->bench, values, values[HYDRO_NOMINAL], values[HYDRO_REFERENCE], values[HYDRO_KP])
            && hydro_within(values[HYDRO_CURRENT], HYDRO_R(2) * loop->bench.valve_current_max)
            && hydro_within(values[HYDRO_REFERENCE_RATE], HYDRO_R(1e9))
-           && hydro_has_room(c->area, c->dead_a, values[6])
-           && hydro_has_room(c->ratio * c->area, c->dead_b, c->stroke - values[6]);
+           && hydro_has_room(loop->area, loop->dead_a, values[6])
+           && hydro_has_room(loop->ratio * loop->area, loop->dead_b, loop->stroke - values[6]);
 }
 
 /* Decide about one sample, `values` of a hydro_sample; a disarmed one, too, moves the memory on. */
 static inline hydro_decision hydro_decide_loop(
     const hydro_loop_filter *filter, hydro_memory_of_loop *memory, const hydro_real *values, bool armed)
 {
-    static const hydro_memory_of_loop fresh = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), false};
+    static const hydro_memory_of_loop fresh = {.running = false};
     hydro_decision made = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_NAN};
     hydro_real limit = filter->loop.bench.valve_current_max, nominal = values[HYDRO_NOMINAL], applied, change;
     hydro_quadratic p;

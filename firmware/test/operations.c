@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Runs samples of one kind, for counting: operations KIND SAMPLES; `size` prints the bytes of a box instead.
  * A COMMAND comes in and a STATE goes out with each sample, with `greeting` a HELLO in, and HELLO, DETAILS, LAW, STATE out.
- * `host` is what this program does for the host; `filter`, `loop_filter` and `policy` are one decision each.
+ * `host` is what this program does for the host; `filter` and `policy` are one decision each.
  */
 #include "check.h"
 
-#include "../hydro/loop_filter.h"
+#include "../hydro/filter.h"
 
 #define HYDRO_POLICY_UNITS 32
 #include "../hydro/policy.h"
@@ -28,43 +28,6 @@ static void decisions(uint32_t samples)
     for (uint32_t k = 0; k < samples; k++) {
         hydro_decision made = decided(&filter, STILL, HYDRO_R(0.001), HYDRO_R(3) + HYDRO_R(k % 100));
         CHECK(made.status != HYDRO_NAN);
-    }
-}
-
-__attribute__((noinline)) static hydro_decision decided_loop(
-    const hydro_loop_filter *filter, hydro_memory_of_loop *memory, const hydro_real *values)
-{
-    return hydro_decide_loop(filter, memory, values, true);
-}
-
-/* The dearest path: the spool passes zero, which takes two linearizations, at gains between two rows of the table. */
-static void loop_decisions(uint32_t samples)
-{
-    static const hydro_model model = {
-        .bulk = HYDRO_R(1.34e9), .area = HYDRO_R(2e-4), .ratio = HYDRO_R(0.609), .dead_a = HYDRO_R(2e-4),
-        .dead_b = HYDRO_R(2e-4), .supply = HYDRO_R(16e6), .ka_positive = HYDRO_R(1.785e-6),
-        .ka_negative = HYDRO_R(1.785e-6), .kb_positive = HYDRO_R(1.785e-6), .kb_negative = HYDRO_R(1.785e-6),
-        .mass = HYDRO_R(1.2), .viscous = 60, .spring = 20000, .rest = HYDRO_R(0.04), .spool_omega = 500,
-        .spool_damping = HYDRO_R(0.7), .cell_omega = 157, .cell_damping = HYDRO_R(0.7), .coulomb = 10, .stribeck = 5,
-        .stribeck_velocity = HYDRO_R(0.01), .bristle = HYDRO_R(1e5), .bristle_damping = 100,
-        .damping_velocity = HYDRO_R(0.1), .gain_h = 1, .gain_l = 1, .stroke = HYDRO_R(0.08)};
-    static hydro_real table[3][HYDRO_FACTOR];
-    hydro_loop_filter filter = {
-        .loop = {.model = model, .bench = CONFIG.bench, .gain_floor = 100000, .velocity_memory = HYDRO_R(0.3),
-                 .scale = {300, 780000, HYDRO_R(3.9e8), 300, 39000, HYDRO_R(0.015), HYDRO_R(1.95), HYDRO_R(1.95)}},
-        .table = (const hydro_real(*)[HYDRO_FACTOR])table, .rows = 2, .gain_low = 10, .gain_high = 90, .gain_step = 80,
-        .floor = HYDRO_R(1e-6), .kept = 1, .foreign_kept = 1, .integral_allowance = 1400};
-    hydro_real values[HYDRO_STATE_REALS] = {0};
-    for (int i = 0; i < HYDRO_FACTOR; i++) {
-        table[0][i] = table[1][i] = table[2][i] = HYDRO_R(1 + i % 7);
-    }
-    hydro_copy(values, STILL, sizeof STILL);
-    values[HYDRO_CURRENT] = values[HYDRO_NOMINAL] = HYDRO_R(-0.02);
-    values[HYDRO_KP] = 60;
-    for (uint32_t k = 0; k < samples; k++) {
-        hydro_memory_of_loop memory = {.spool = HYDRO_R(1e-6), .running = true};
-        values[HYDRO_REFERENCE] = HYDRO_R(3) + HYDRO_R(k % 100);
-        CHECK(decided_loop(&filter, &memory, values).status != HYDRO_NAN && memory.spool < 0);
     }
 }
 
@@ -105,10 +68,6 @@ int main(int argc, char **argv)
     }
     if (strcmp(argv[1], "filter") == 0) {
         decisions(samples);
-        return 0;
-    }
-    if (strcmp(argv[1], "loop_filter") == 0) {
-        loop_decisions(samples);
         return 0;
     }
     if (strcmp(argv[1], "policy") == 0) {

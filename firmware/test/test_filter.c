@@ -56,12 +56,12 @@ static bool believed(int column, double value)
     hydro_loop loop = {0};
     hydro_real values[HYDRO_STATE_REALS] = {0};
     loop.bench.valve_current_max = HYDRO_R(0.04);
-    loop.bench.piston_area = loop.model.area = HYDRO_R(2e-3);
-    loop.bench.area_ratio = loop.model.ratio = HYDRO_R(0.5);
-    loop.bench.stroke = loop.model.stroke = HYDRO_R(0.08);
+    loop.bench.piston_area = loop.area = HYDRO_R(2e-3);
+    loop.bench.area_ratio = loop.ratio = HYDRO_R(0.5);
+    loop.bench.stroke = loop.stroke = HYDRO_R(0.08);
     loop.bench.dead_volume_a = loop.bench.dead_volume_b = HYDRO_R(1);
-    loop.model.dead_a = HYDRO_R(4e-5); /* half of it is 10 mm of the piston */
-    loop.model.dead_b = HYDRO_R(4e-5); /* and 20 mm of the rod's side */
+    loop.dead_a = HYDRO_R(4e-5); /* half of it is 10 mm of the piston */
+    loop.dead_b = HYDRO_R(4e-5); /* and 20 mm of the rod's side */
     values[6] = HYDRO_R(0.04);
     values[column] = HYDRO_R(value);
     return hydro_believable(&loop, values);

@@ -38,7 +38,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "--model",
         metavar="WEIGHTS",
-        help="learned weights (structured) as the baseline in place of a bench file: names what has changed since",
+        help="learned bench as the baseline in place of --bench: names what has changed since",
     )
     options.add_argument(
         "--columns",

@@ -49,7 +49,7 @@ def diagnose(
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
         A file or content needs only the numbers that the recorded channels connect (`bench_numbers.needed`).
     model
-        Learned weights as the baseline, in place of `bench` (structured ones).
+        File of a learned bench as the baseline, in place of `bench`.
     columns
         Column map of a file, or of a bag's fields or topics: see `column_map`.
     without

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learned weights as the baseline: a model of the healthy bench, which then wears."""
+"""A learned bench as the baseline: a model of the healthy bench, which then wears."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hydro_diagnosis import Report, diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.stages.reading import baseline
-from hydro_sim.files.weights import shipped
+from hydro_sim.files.learned_bench import shipped
 from hydro_sim.model.bench import Bench
 
 DRIVES = (
@@ -30,12 +30,12 @@ HEALTHY_LEAK = 1e-13
 
 def test_learned_constants_become_the_bench_and_its_effects() -> None:
     believed = baseline(None, shipped())
-    assert believed.model == "learned default_weights.safetensors" and believed.notes == ()
+    assert believed.model == "learned learned_bench.yaml"
     assert believed.bench.moving_mass == pytest.approx(1.2, rel=5e-3)
     assert believed.bench.load_cell_bandwidth is None
     assert believed.bench.valve_gain == pytest.approx(Bench.nominal().valve_gain, rel=1e-3)
     claims = {claim.effect.id: dict(claim.values) for claim in claims_of(believed.bench)}
-    assert claims["valve_lag"]["bandwidth"] == pytest.approx(109.2, rel=1e-2)
+    assert claims["valve_lag"]["bandwidth"] == pytest.approx(110.0, rel=1e-2)
     assert claims["friction_coulomb"]["force"] == pytest.approx(HEALTHY_FRICTION, rel=1e-2)
     assert claims["sensor_lag"] == pytest.approx({"bandwidth": 25.0, "damping": 0.55}, rel=5e-3)
 

@@ -13,17 +13,14 @@ from hydro_filter.controller.factory import CONSTANT, LEARNED, FilterChoice, war
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.design import rest_loop
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.loop import Loop, loop_of
+from hydro_filter.model.loop import loop_of
 from hydro_filter.training import levels
 from hydro_filter.training.data import DataSettings, collect
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import PLANTS
 from hydro_filter.validation.runs import FILTERS, Task, evaluate_task
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant, Plant
-from hydro_sim.structured.model import StructuredModel
 
 FOUND: tuple[dict[str, Any], ...] = (
     {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
@@ -55,18 +52,8 @@ def _validation() -> None:
 
 
 def _metric_learning() -> None:
-    bench = Bench.nominal()
-    learned = Learned.load()
-    assert isinstance(learned.model, StructuredModel)
-    _metric_of(loop_of(learned.model, bench), LearnedPlant(learned), bench)
-
-
-def _metric_of_a_bench_file() -> None:
-    bench = _with(FOUND)
-    _metric_of(loop_of(bench, Bench.nominal()), AnalyticPlant(bench), Bench.nominal())
-
-
-def _metric_of(loop: Loop, plant: Plant, bench: Bench) -> None:
+    bench, plant = Bench.nominal(), learned_bench.make_plant()
+    loop = loop_of(learned_bench.load_model(), bench)
     rollout, _ = next(collect(plant, bench, loop, DataSettings(rollouts=8, seconds=2.0, windows=1)))
     rest_loop(loop, 60.0)
     metric = LearnedMetric.load(None)
@@ -81,6 +68,5 @@ STEPS: dict[str, Callable[[], None]] = {
     "filter, bench file": _bench_file,
     "validation": _validation,
     "metric learning": _metric_learning,
-    "metric learning, bench file": _metric_of_a_bench_file,
 }
 """Functions by the message shown while each runs."""

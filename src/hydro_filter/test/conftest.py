@@ -11,7 +11,7 @@ import pytest
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.design import MetricDesign
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.bench_loop import bench_loop
+from hydro_filter.model.loop import loop_of
 from hydro_filter.model.state import STATES
 from hydro_filter.precompile import FOUND
 from hydro_sim.box.box import BoxConfig
@@ -41,7 +41,7 @@ def model(bench: Bench) -> Bench:
 @pytest.fixture(scope="session")
 def metric(bench: Bench, model: Bench) -> LearnedMetric:
     """Its metric for both laws, solved at rest, without rollouts."""
-    loop, c_1 = bench_loop(model, bench), BoxConfig().compensated.velocity_compensation
+    loop, c_1 = loop_of(model, bench), BoxConfig().compensated.velocity_compensation
     shaped = MetricDesign(velocity_compensation=c_1, gain_low=15.0, gain_high=400.0)
     solved = (LearnedMetric.designed(loop, bench, design) for design in (MetricDesign(gain_high=70.0), shaped))
     paper, other = (replace(one, low=np.full(8, -1e9), high=np.full(8, 1e9)) for one in solved)

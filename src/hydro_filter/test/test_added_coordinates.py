@@ -16,20 +16,19 @@ from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model import force_law
-from hydro_filter.model.bench_loop import SUBSTEPS, rest_measurement
-from hydro_filter.model.bench_parts import NONE, BenchLoop
-from hydro_filter.model.bench_states import hydraulic_slopes, model_state
+from hydro_filter.model.coordinates import LOOP
+from hydro_filter.model.displacement import displace
+from hydro_filter.model.linearization import CLOSED, linearize
 from hydro_filter.model.loop import (
+    SUBSTEPS,
     coordinates_of,
-    displace,
-    follow,
-    linearize,
     loop_of,
     memories,
-    settle,
+    rest_measurement,
     step_of,
 )
-from hydro_filter.model.loop_model import CLOSED, LOOP
+from hydro_filter.model.observer import follow, hydraulic_slopes, model_state, settle
+from hydro_filter.model.parts import NONE, Loop
 from hydro_filter.model.state import STATES
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
@@ -64,16 +63,13 @@ def having(*effects: Entry) -> Bench:
     return replace(Bench.nominal(), effects=effects)
 
 
-def of(case: str) -> BenchLoop:
-    loop = loop_of(having(*CASES[case]), Bench.nominal())
-    assert isinstance(loop, BenchLoop)
-    return loop
+def of(case: str) -> Loop:
+    return loop_of(having(*CASES[case]), Bench.nominal())
 
 
 def whole_loop(bench: Bench, gain: float) -> FloatArray:
     """One sample of bench and force law about rest, all states and the box's velocity, without an integral."""
     model, loop = BenchModel(bench, substeps=SUBSTEPS), loop_of(bench, Bench.nominal())
-    assert isinstance(loop, BenchLoop)
     p, n = loop.model, len(model.states)
     k, y, _ = model.begin(model.values)
     y[n - p.past :] = CLOSED  # the edges' slopes differ on both sides of zero
@@ -154,7 +150,7 @@ def run(
 LAW = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
 
 
-def nudge(loop: BenchLoop, slopes: tuple[float, ...], first: Run, second: Run, k: int) -> FloatArray:
+def nudge(loop: Loop, slopes: tuple[float, ...], first: Run, second: Run, k: int) -> FloatArray:
     """Difference of two runs at a sample in the loop's coordinates; `slopes`: see `slopes_of`."""
     p, dy, dx = loop.model, second.y[k] - first.y[k], second.x[k] - first.x[k]
     n, q, (gain, *shares) = len(p.rest), np.zeros(len(loop.scale)), slopes
@@ -168,7 +164,7 @@ def nudge(loop: BenchLoop, slopes: tuple[float, ...], first: Run, second: Run, k
     return np.asarray(q / loop.scale)
 
 
-def slopes_of(loop: BenchLoop, memory: Any, x: FloatArray) -> tuple[float, ...]:
+def slopes_of(loop: Loop, memory: Any, x: FloatArray) -> tuple[float, ...]:
     """g [N/s/A] at a sample, and the change of either pressure [Pa] for 1 N of f_h."""
     p = loop.model
     y = np.empty(len(p.rest))
@@ -187,7 +183,7 @@ def test_the_certificate_foretells_how_twin_runs_of_the_whole_bench_part(case: s
     bench, loop, gain = having(*CASES[case]), of(case), 60.0
     metric = LearnedMetric.designed(loop, Bench.nominal(), MetricDesign(gain_low=40.0, gain_high=80.0))
     first, second = run(bench, gain), run(bench, gain, pulse=2e-5)
-    step, memory = step_of(loop), memories(loop)[0]
+    step, memory = step_of(loop), memories()[0]
     told, found, errors = [], [], []
     for k in range(650):
         nominal, current, _, rate, _ = first.law[k]
@@ -215,9 +211,8 @@ def test_the_pressure_behind_a_slow_sensor_is_estimated(bandwidth: float) -> Non
     """Without noise nearly without an error; with it, better than the reading."""
     bench = having(LAG, LEAK, slow_sensor("a", bandwidth), slow_sensor("b", bandwidth))
     loop = loop_of(bench, Bench.nominal())
-    assert isinstance(loop, BenchLoop)
     for noise, share in ((0.0, 0.01), (1.0, 0.5)):
-        seen, memory = run(bench, 60.0, noise=noise), memories(loop)[0]
+        seen, memory = run(bench, 60.0, noise=noise), memories()[0]
         found = np.empty((len(seen.x), 2))
         for k, x in enumerate(seen.x):
             settle(loop, memory, x, seen.law[k, 1], 0.0)
@@ -237,7 +232,7 @@ def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(
     model, gain = having(LAG, LEAK, *sensors), {"id": "valve_gain", "parameters": {"ratio": ratio}}
     seen = run(having(LAG, LEAK, gain, *sensors), 60.0, noise=1.0, samples=2000, amplitude=250.0)
     loop = loop_of(model, Bench.nominal())
-    memory, monitor = memories(loop), innovations.monitor_of(loop)
+    memory, monitor = memories(), innovations.monitors()
     for x, (_, current, _, rate, _) in zip(seen.x, seen.law, strict=True):
         innovations.update(loop.model, 1.0, monitor[0], x, memory[0]["hidden"])
         settle(loop, memory[0], x, current, rate)
@@ -266,7 +261,7 @@ def test_a_second_lag_of_a_pressure_sensor_is_refused_in_a_sentence(bench: Bench
 def test_a_bench_that_follows_its_reference_is_not_displaced(case: str) -> None:
     """Without noise, at a gain that follows well: no added coordinate stands out."""
     bench, loop = having(*CASES[case]), of(case)
-    seen, memory, v = run(bench, 80.0), memories(loop)[0], np.empty(len(loop.scale))
+    seen, memory, v = run(bench, 80.0), memories()[0], np.empty(len(loop.scale))
     sizes = []
     for k, x in enumerate(seen.x):
         _, current, reference, rate, _ = seen.law[k]
@@ -285,7 +280,7 @@ def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None
     for effects in ((LAG, LEAK), (LAG, LEAK, slow)):
         bench = having(*effects)
         loop, v = loop_of(bench, Bench.nominal()), np.empty(LOOP)
-        seen, memory = run(bench, 60.0, samples=550), memories(loop)[0]
+        seen, memory = run(bench, 60.0, samples=550), memories()[0]
         for k, x in enumerate(seen.x):
             _, current, reference, rate, _ = seen.law[k]
             settle(loop, memory, x, current, rate)

@@ -9,13 +9,17 @@ import pytest
 from hydro_filter.certificate import qp, sampled
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import metric_value
-from hydro_filter.model.loop_model import LOOP, loop_step
+from hydro_filter.model.coordinates import LOOP
+from hydro_filter.model.loop import loop_of, step_of
+from hydro_sim.files.learned_bench import load_model
+from hydro_sim.model.bench import Bench
 
 T = 1e-3
 
 
 def test_the_quadratic_is_two_samples_moved_on() -> None:
-    rng, step, value = np.random.default_rng(0), loop_step(), metric_value(LearnedMetric.load().parts)
+    step = step_of(loop_of(load_model(), Bench.nominal()))
+    rng, value = np.random.default_rng(0), metric_value(LearnedMetric.load().parts)
     for _ in range(100):
         root = rng.standard_normal((LOOP, LOOP))
         value.matrix[:], value.rate[:] = root @ root.T, root + root.T

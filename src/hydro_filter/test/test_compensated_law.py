@@ -27,7 +27,7 @@ from hydro_filter.controller.loop_decision import certified_gain, feedforward_ex
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter, loop_parts
 from hydro_filter.metric.design import lyapunov, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.bench_loop import bench_loop
+from hydro_filter.model.loop import loop_of
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
 from hydro_sim.box.box import Box, BoxConfig, law_state
@@ -125,7 +125,7 @@ def twins(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> tupl
 def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(bench: Bench, gain: float) -> None:
     """Plant and box know nothing of the linearized loop; K_i at its least, it moves the eigenvalue by K_i / K_p."""
     smooth = replace(bench, effects=tuple(each for each in FOUND if each["id"] != "friction_coulomb"))
-    free, push, feedback = rest_loop(bench_loop(smooth, bench), gain, C_1)
+    free, push, feedback = rest_loop(loop_of(smooth, bench), gain, C_1)
     values = np.linalg.eigvals(free + np.outer(push, feedback))
     slowest = -float(np.log(np.abs(values).max())) / SAMPLE_PERIOD
     first, second = twins(bench, AnalyticPlant(smooth, noise=0.0), gain, 1e-4)
@@ -137,7 +137,7 @@ def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(
 
 def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Bench, metric: LearnedMetric) -> None:
     """Lyapunov's inequality at rest, between the table's gains, too; at C_1 = 1 there is none above 100 1/s."""
-    loop, one = bench_loop(model, bench), metric.certificates[1]
+    loop, one = loop_of(model, bench), metric.certificates[1]
     x = np.zeros(8)
     for gain in np.linspace(15.0, 400.0, 50):
         free, push, feedback = rest_loop(loop, gain, C_1)

@@ -52,8 +52,8 @@ from hydro_filter.validation.plants import ChangingPlant, modified_truth  # noqa
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
 from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
+from hydro_sim.files.learned_bench import digest as digest_of  # noqa: E402
 from hydro_sim.files.pairing import MadeFor  # noqa: E402
-from hydro_sim.learned.any_model import digest as digest_of  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
 from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
@@ -347,7 +347,7 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
         seen.add(expected.status)
     assert seen >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
     source.wait(lambda: any("sha256" in dict_of(status).get("metric", "") for status in source.diagnostics))
-    assert "default_weights.safetensors, sha256" in dict_of(source.diagnostics[-1])["model"]
+    assert "learned_bench.yaml, sha256" in dict_of(source.diagnostics[-1])["model"]
 
 
 def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_again(

@@ -16,7 +16,7 @@ from hydro_filter.model.sample import Sample
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import ChangingPlant, modified_truth
 from hydro_filter.validation.trial import Run, Trial, run
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
@@ -78,7 +78,7 @@ def test_under_a_mismatch_nothing_is_corrected_no_certificate_is_claimed_and_the
 
 
 def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilter) -> None:
-    for plant, case, seed in ((becoming(at=()), "wide", 3), (LearnedPlant(None), "wide-slow", 4)):
+    for plant, case, seed in ((becoming(at=()), "wide", 3), (make_plant(), "wide-slow", 4)):
         done = played(contraction_filter, plant, 6.0, CASES[case].draw(seed, 6.0), seed)
         assert not len(mismatches(done)) and done.bounded
 

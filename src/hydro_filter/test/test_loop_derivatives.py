@@ -4,147 +4,138 @@ and of the box's own law, and torch's derivatives of the network."""
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.design import MetricDesign
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import ENTRIES, GAIN_UNIT, INPUTS
-from hydro_filter.model import loop_model, structured_kernels
+from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.force_law import PAPER_SCALES
-from hydro_filter.model.loop_model import LOOP, LoopModel, hydraulic_slopes, shares
+from hydro_filter.model.linearization import linearize
+from hydro_filter.model.loop import SUBSTEPS, loop_of, memories, step_of, without_disturbances
+from hydro_filter.model.observer import hydraulic_slopes, model_state, settle
+from hydro_filter.model.parts import Loop
 from hydro_sim.box import force_law
-from hydro_sim.learned.model import Learned
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.neural import mlp
-from hydro_sim.structured import integration, rollout
-from hydro_sim.structured.model import StructuredModel
-from hydro_sim.structured.physics import AREA, GAIN_H, GAIN_L, OFFSET, RATIO
-from hydro_sim.structured.rollout import FULL
 
 LIMIT = 1e-6
 COUNT = 40
+Case = tuple[FloatArray, FloatArray, float]
 
 
 @pytest.fixture(scope="module")
-def model() -> StructuredModel:
-    shipped = Learned.load().model
-    assert isinstance(shipped, StructuredModel)
-    return shipped
+def loop(bench: Bench) -> Loop:
+    return loop_of(load_model(), bench)
 
 
 @pytest.fixture(scope="module")
-def loop(model: StructuredModel, bench: Bench) -> LoopModel:
-    return loop_model.loop_model(model, bench)
+def cases(loop: Loop, states: FloatArray) -> list[Case]:
+    """x, simulated states with the spool well on one side, current."""
+    rng, p, made = np.random.default_rng(2), loop.model, list[Case]()
+    for k, side in enumerate(rng.choice([-1.0, 1.0], COUNT)):
+        memory, current = memories()[0], float(side * rng.uniform(2e-3, 0.05))
+        settle(loop, memory, states[k], current, 0.0)
+        hidden, n = memory["hidden"].copy(), len(p.rest)
+        hidden[p.spool], hidden[p.spool_rate] = current * rng.uniform(0.8, 1.2), rng.normal(0, 1)
+        hidden[n], hidden[n + 1] = hidden[p.spool] + p.after, hidden[p.spool_rate]
+        made.append((states[k], hidden, current))
+    return made
 
 
 @pytest.fixture(scope="module")
-def cases(states: FloatArray) -> list[tuple[FloatArray, FloatArray, float]]:
-    """x, hidden states with the spool well on one side, current."""
-    rng = np.random.default_rng(2)
-    currents = rng.choice([-1.0, 1.0], COUNT) * rng.uniform(2e-3, 0.05, COUNT)
-    hidden = np.column_stack([currents * rng.uniform(0.8, 1.2, COUNT), rng.normal(0, 1, COUNT), np.zeros(COUNT)])
-    return [(states[k], hidden[k], float(currents[k])) for k in range(COUNT)]
-
-
-@pytest.fixture(scope="module")
-def metric(loop: LoopModel, bench: Bench) -> LearnedMetric:
+def metric(loop: Loop, bench: Bench) -> LearnedMetric:
     """A network that says something, on the solved table."""
     solved = LearnedMetric.designed(loop, bench, MetricDesign())
     return solved.with_weights(mlp.initial(np.random.default_rng(1), INPUTS, solved.hidden, ENTRIES, last=0.3))
 
 
-def advanced(model: StructuredModel, constants: FloatArray, full: FloatArray, current: float) -> FloatArray:
-    """The plant's own step with these constants."""
-    after, (_, *others) = full.copy(), model.compiled
-    space = np.empty(5), np.empty(model.hidden[0]), np.empty(model.hidden[1]), np.empty(3), np.empty(8)
-    rollout.advance_full(constants, *others, after, current, integration.scratch(), *space)
-    return after
+def state_of(loop: Loop, x: FloatArray, hidden: FloatArray) -> FloatArray:
+    """State of the loop's model."""
+    whole = np.empty(len(loop.model.rest))
+    model_state(loop.model, hidden, x, whole, True)
+    return np.asarray(whole[loop.model.from_whole])
 
 
-def displaced(loop: LoopModel, full: FloatArray, x: FloatArray, spool: float, q: FloatArray) -> FloatArray:
-    """The full state with a displacement q of the loop, in units of its scale (docstring of `loop_model`)."""
-    c, change = loop.model[0], q * loop.scale
-    moved = full.copy()
-    gain = hydraulic_slopes(c, full[0], full[1], full[2], spool)[0]
-    share_a, share_b = shares(c, x[6])
-    moved[0] += share_a * change[0]
-    moved[1] += share_b * change[0]
-    moved[4] += change[1] / gain
-    moved[5] += change[2] / gain
-    moved[6] += change[3] / c[GAIN_L]
-    moved[7] += change[4] / c[GAIN_L]
+def displaced(loop: Loop, y: FloatArray, opening: float, q: FloatArray) -> FloatArray:
+    """A state with a displacement q of the loop, in units of its scale (docstring of `coordinates`)."""
+    p, change, moved = loop.model, q * loop.scale, y.copy()
+    gain, _, _, soft_a, soft_b = hydraulic_slopes(p, y, opening)
+    total = p.gain[0] * p.area * (soft_a + p.ratio * soft_b)
+    moved[0] += soft_a / total * change[0]
+    moved[1] -= soft_b / total * change[0]
+    moved[p.loop_spool] += change[1] / gain
+    moved[p.loop_spool_rate] += change[2] / gain
+    moved[p.loop_cell] += change[3] / p.gain[1]
+    moved[p.loop_cell_rate] += change[4] / p.gain[1]
     moved[2] += change[5]
     moved[3] += change[6]
-    moved[11] += change[7]
     return moved
 
 
-def coordinates(loop: LoopModel, full: FloatArray, gain: float) -> FloatArray:
-    """q of a full state in units of its scale, the spool counted by `gain`."""
-    c = loop.model[0]
-    force = c[GAIN_H] * c[AREA] * (full[0] - c[RATIO] * full[1])
-    shown = [
-        force,
-        gain * full[4],
-        gain * full[5],
-        c[GAIN_L] * full[6],
-        c[GAIN_L] * full[7],
-        full[2],
-        full[3],
-        full[11],
-    ]
-    return np.array(shown) / loop.scale
-
-
-def test_f_and_g_are_derivatives_of_the_models_own_sample(
-    model: StructuredModel, loop: LoopModel, cases: list[tuple[FloatArray, FloatArray, float]]
-) -> None:
-    step, free = loop_model.loop_step(), loop.free[0]
+def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: list[Case]) -> None:
+    step, p = step_of(loop), loop.model
+    model, kept = BenchModel(without_disturbances(load_model()), substeps=SUBSTEPS), p.memories[1]
     for x, hidden, current in cases:
-        loop_model.linearize(loop, hidden, x, current, current, 60.0, PAPER_SCALES, step)
-        full = np.empty(FULL)
-        structured_kernels.full_state(loop.model[0], x, hidden, full)
-        after = advanced(model, free, full, current)
-        gain = hydraulic_slopes(loop.model[0], after[0], after[1], after[2], hidden[0])[0]
+        linearize(loop, hidden, x, current, current, 60.0, PAPER_SCALES, step)
+        before, opening = state_of(loop, x, hidden), hidden[len(p.rest)]
+        after = before.copy()
+        model.sample(p.loop_k, after, current)
+        later = hydraulic_slopes(p, after, opening)[0]
 
-        def shown(full: FloatArray, u: float, gain: float = gain) -> FloatArray:
-            return coordinates(loop, advanced(model, free, full, u), gain)
+        def shown(  # q a sample later
+            q: FloatArray, change: float, y: FloatArray = before, later: float = later, opening: float = opening,
+            current: float = current,
+        ) -> FloatArray:  # fmt: skip
+            begun = displaced(loop, y, opening, q)
+            ended = begun.copy()
+            model.sample(p.loop_k, ended, current + change)
+            speed = kept * q[7] * loop.scale[7] + (1.0 - kept) * (ended[2] - begun[2]) / SAMPLE_PERIOD
+            force = p.gain[0] * p.area * (ended[0] - p.ratio * ended[1])
+            spool, cell = later * ended[[p.loop_spool, p.loop_spool_rate]], ended[[p.loop_cell, p.loop_cell_rate]]
+            return np.array([force, *spool, *cell, ended[2], ended[3], speed]) / loop.scale
 
         exact = np.column_stack([step.transition, step.push * 0.01])
-        numeric = np.empty((LOOP, LOOP + 1))
-        width = 1e-4
+        numeric, width, none = np.empty((LOOP, LOOP + 1)), 1e-4, np.zeros(LOOP)
         for k in range(LOOP):
             q = width * np.eye(LOOP)[k]
-            sides = [shown(displaced(loop, full, x, hidden[0], sign * q), current) for sign in (1, -1, 2, -2)]
+            sides = [shown(sign * q, 0.0) for sign in (1, -1, 2, -2)]
             numeric[:, k] = (8.0 * (sides[0] - sides[1]) - (sides[2] - sides[3])) / (12.0 * width)
-        near, far = (shown(full, current + 0.01 * s) - shown(full, current - 0.01 * s) for s in (width, 2 * width))
+        near, far = (shown(none, 0.01 * s) - shown(none, -0.01 * s) for s in (width, 2 * width))
         numeric[:, LOOP] = (8.0 * near - far) / (12.0 * width)
         assert np.abs(exact - numeric).max() <= LIMIT * np.abs(exact).max()
 
 
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (0.3, 1.0), (0.0, 2.5)])
-def test_k_is_the_derivative_of_the_boxs_law(
-    loop: LoopModel, cases: list[tuple[FloatArray, FloatArray, float]], scales: tuple[float, float]
-) -> None:
+def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scales: tuple[float, float]) -> None:
     """With what f_h is made of, and on the spool's side of zero."""
-    step, bench = loop_model.loop_step(), loop.bench[0]
+    step, bench, p = step_of(loop), loop.bench[0], loop.model
     for x, hidden, current in cases:
-        side = np.copysign(current, hidden[0] + loop.model[0][OFFSET])
-        loop_model.linearize(loop, hidden, x, current, current, -35.0, scales, step)
+        opening = hidden[len(p.rest)]
+        side = np.copysign(current, opening)
+        linearize(loop, hidden, x, current, current, -35.0, scales, step)
         g = scales[1] * hydraulics.input_gain(bench, x[6], x[4], x[5], side)
         driven = max(g, loop.gain_floor) * side
         # the f_c' that gives this current
         wanted = driven + scales[0] * hydraulics.velocity_term(bench, x[6], x[7]) + 35.0 * 110.0
+        y = state_of(loop, x, hidden)
 
-        def law(q: FloatArray, x: FloatArray = x, wanted: float = wanted) -> float:
+        change_of = partial(displaced, loop, y, opening)
+
+        def law(
+            q: FloatArray, x: FloatArray = x, wanted: float = wanted, change_of: Any = change_of, y: Any = y
+        ) -> float:
             moved, change = x.copy(), q * loop.scale
-            share_a, share_b = shares(loop.model[0], x[6])
-            moved[4] += share_a * change[0]
-            moved[5] += share_b * change[0]
+            moved[4:6] += (change_of(q) - y)[:2]
             moved[2] += change[3]
             moved[6] += change[5]
             moved[7] += change[7]

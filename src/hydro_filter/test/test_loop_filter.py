@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter
-from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Run, Trial, gammas, run
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 NOMINAL = Bench.nominal()
@@ -25,26 +26,24 @@ MADE = default_filter(NOMINAL)
 
 
 @pytest.fixture(scope="module")
-def plant() -> LearnedPlant:
-    return LearnedPlant()
+def plant() -> Plant:
+    return make_plant()
 
 
-def closed(
-    bench: Bench, plant: LearnedPlant, gains: tuple[float, float], made: LoopFilter, seconds: float = 3.0
-) -> Run:
+def closed(bench: Bench, plant: Plant, gains: tuple[float, float], made: LoopFilter, seconds: float = 3.0) -> Run:
     steps = round(100 * seconds)
     return run(Trial(bench=bench, reference=SINE, gains=np.tile(gains, (steps, 1)), seed=4), plant, made)
 
 
 @pytest.fixture(scope="module")
-def states(bench: Bench, plant: LearnedPlant) -> StateArray:
+def states(bench: Bench, plant: Plant) -> StateArray:
     """A second of a bench whose gains the filter corrects, shape (1000,)."""
     return closed(bench, plant, (250.0, 15.0), default_filter(bench), 1.0).states
 
 
 def test_the_compiled_call_decides_as_the_filter_does(bench: Bench, states: StateArray) -> None:
     one, parts = default_filter(bench), default_filter(bench).parts
-    memory, workspace, corrected = np.zeros(1, MEMORY_DTYPE), loop_decision.workspace(parts), 0
+    memory, workspace, corrected = memories(), loop_decision.workspace(parts), 0
     for record in states:
         sample = Sample.of(record)
         signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate
@@ -107,7 +106,7 @@ def test_a_disarmed_bench_and_an_old_state_are_left_alone(bench: Bench, states: 
     assert bypass.correct(sample).delta_u == 0.0
 
 
-def test_gains_that_the_loop_does_not_bear_are_held(bench: Bench, plant: LearnedPlant) -> None:
+def test_gains_that_the_loop_does_not_bear_are_held(bench: Bench, plant: Plant) -> None:
     for gains in ((300.0, 15.0), (-30.0, -3.0)):
         bypass = LoopFilter(default_filter(bench).parts, LoopFilterSettings(bypass=True))
         assert not closed(bench, plant, gains, bypass).bounded
@@ -118,13 +117,13 @@ def test_gains_that_the_loop_does_not_bear_are_held(bench: Bench, plant: Learned
 
 
 @pytest.mark.parametrize("gains", [(90.0, 15.0), (45.0, 10.0), (15.0, 5.0)])
-def test_stable_gains_are_left_alone(bench: Bench, plant: LearnedPlant, gains: tuple[float, float]) -> None:
+def test_stable_gains_are_left_alone(bench: Bench, plant: Plant, gains: tuple[float, float]) -> None:
     done = closed(bench, plant, gains, default_filter(bench))
     assert done.bounded
     assert 100.0 * gammas(done.results, bench.valve_current_max).correction < 0.005
 
 
-def test_the_integral_cannot_wind_up_without_end(bench: Bench, plant: LearnedPlant) -> None:
+def test_the_integral_cannot_wind_up_without_end(bench: Bench, plant: Plant) -> None:
     """What it asks for beyond its allowance is a displacement: at no allowance it is taken away altogether."""
     made = default_filter(bench)
     none = LoopFilter(made.parts._replace(integral_allowance=0.0))

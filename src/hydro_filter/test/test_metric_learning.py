@@ -12,8 +12,8 @@ import pytest
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
 from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.bench_loop import without_overlap
-from hydro_filter.model.loop_model import LoopModel, loop_model
+from hydro_filter.model.loop import loop_of, without_overlap
+from hydro_filter.model.parts import Loop
 from hydro_filter.precompile import FOUND
 from hydro_filter.training.data import (
     NEITHER,
@@ -31,8 +31,7 @@ from hydro_filter.training.data import (
 from hydro_filter.training.loss import Samples
 from hydro_filter.training.metric_learning import correction, free_plant, require_held_out
 from hydro_filter.training.training import TrainingSettings, certificate_queries, train
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -48,24 +47,24 @@ def decay_rate(transition: FloatArray, weight: FloatArray) -> float:
 
 
 @pytest.fixture(scope="module")
-def loop(bench: Bench) -> LoopModel:
-    return loop_model(Learned.load().model, bench)  # type: ignore[arg-type]
+def loop(bench: Bench) -> Loop:
+    return loop_of(load_model(), bench)
 
 
 @pytest.fixture(scope="module")
 def rollouts(bench: Bench) -> list[Rollout]:
-    plant = LearnedPlant()
+    plant = make_plant()
     return [roll_out(plant, bench, DATA, index) for index in range(DATA.rollouts)]
 
 
 @pytest.fixture(scope="module")
-def windows(rollouts: list[Rollout], loop: LoopModel) -> Windows:
+def windows(rollouts: list[Rollout], loop: Loop) -> Windows:
     made = [windows_of(rollout, loop, DATA, index) for index, rollout in enumerate(rollouts)]
     return concatenated([each for each in made if each is not None])
 
 
 @pytest.fixture(scope="module")
-def asked(windows: Windows, loop: LoopModel, bench: Bench) -> tuple[LearnedMetric, Samples]:
+def asked(windows: Windows, loop: Loop, bench: Bench) -> tuple[LearnedMetric, Samples]:
     design = MetricDesign()
     metric = LearnedMetric.designed(loop, bench, design)
     return metric, certificate_queries(windows, metric, correction(loop, design), TrainingSettings().loss)
@@ -92,7 +91,7 @@ def test_rollouts_are_labelled_as_the_bench_is(rollouts: list[Rollout]) -> None:
             assert rollout.label == STABLE
 
 
-def test_a_solved_metric_decays_with_its_loop(loop: LoopModel, bench: Bench) -> None:
+def test_a_solved_metric_decays_with_its_loop(loop: Loop, bench: Bench) -> None:
     metric = LearnedMetric.designed(loop, bench, MetricDesign())
     x = metric.center
     for gain in metric.gains:
@@ -100,7 +99,7 @@ def test_a_solved_metric_decays_with_its_loop(loop: LoopModel, bench: Bench) -> 
         assert decay_rate(free + np.outer(push, feedback), metric.matrix(x, float(gain))) > 0.1
 
 
-def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: LoopModel, bench: Bench) -> None:
+def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: Loop, bench: Bench) -> None:
     metric = LearnedMetric.designed(loop, bench, MetricDesign())
     assert metric.unfit("own") == replace(metric, training={"violated": 3.0}).unfit("own") == ""
     assert "own is no certificate: 93 % of the held-out" in replace(metric, training={"violated": 93.0}).unfit("own")
@@ -112,7 +111,7 @@ def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: LoopMode
     assert "50 % of the held-out samples under its own correction" in replace(metric, training=foreign).unfit("own")
 
 
-def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: LoopModel) -> None:
+def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: Loop) -> None:
     def slowest(gain: float) -> float:
         free, push, feedback = rest_loop(loop, gain)
         return float(np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max())

@@ -12,8 +12,8 @@ import pytest
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.design import MetricDesign
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.loop_model import loop_model
-from hydro_sim.learned.model import Learned
+from hydro_filter.model.loop import loop_of
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 
 GAINS = (12.0, 47.3, 90.0, -20.0, 300.0)
@@ -22,7 +22,7 @@ GAINS = (12.0, 47.3, 90.0, -20.0, 300.0)
 @pytest.fixture(scope="module")
 def metric(bench: Bench) -> LearnedMetric:
     """Solved metrics with a network of random weights of some size on top."""
-    solved = LearnedMetric.designed(loop_model(Learned.load().model, bench), bench, MetricDesign())
+    solved = LearnedMetric.designed(loop_of(load_model(), bench), bench, MetricDesign())
     return solved.with_weights(0.2 * np.random.default_rng(3).standard_normal(solved.flat.shape))
 
 

@@ -12,8 +12,7 @@ from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, Waveform
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.bench_loop import overlap_of, without_overlap
-from hydro_filter.model.loop import memories
+from hydro_filter.model.loop import memories, overlap_of, without_overlap
 from hydro_filter.model.overlap import Overlap, change_for, lost, passed_change
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
@@ -81,7 +80,7 @@ def test_the_correction_is_the_smallest_that_restores_the_certificate_across_the
 ) -> None:
     """Against a search over all currents."""
     done = closed(made, bench, AnalyticPlant(overlapped), (250.0, 15.0))
-    parts, memory = made.parts, memories(made.parts.loop)
+    parts, memory = made.parts, memories()
     space, leaps = loop_decision.workspace(parts), 0
     changes = np.linspace(-4e-3, 4e-3, 16001)
     for k, record in enumerate(done.states):

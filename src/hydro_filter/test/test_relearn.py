@@ -12,7 +12,7 @@ import yaml
 
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.training.relearn import METRIC, MODEL
-from hydro_sim.learned.any_model import load_model
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 
 

@@ -18,7 +18,7 @@ from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
 from hydro_policy.task.mdp import ACTIONS
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
 
@@ -45,7 +45,7 @@ def _analytic() -> Plant:
     return AnalyticPlant(Bench.nominal())
 
 
-_PLANTS: dict[str, Callable[[], Plant]] = {"analytic": _analytic, "learned": LearnedPlant}
+_PLANTS: dict[str, Callable[[], Plant]] = {"analytic": _analytic, "learned": make_plant}
 
 STEPS: dict[str, Callable[[], None]] = {
     "learner": _learner,

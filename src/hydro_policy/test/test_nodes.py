@@ -33,8 +33,8 @@ from hydro_policy.nodes.startup.box_expectation import box_mismatch
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import BASE, GainRange
+from hydro_sim.files.learned_bench import shipped
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
-from hydro_sim.files.weights import shipped
 from hydro_sim.model.bench import Bench
 
 pytestmark = pytest.mark.graph

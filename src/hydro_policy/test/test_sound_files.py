@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every file that becomes a policy, agent, metric, model or checkpoint is refused, by name, if it is damaged."""
+"""Every file that becomes a policy, agent, metric or checkpoint is refused, by name, if it is damaged."""
 
 from __future__ import annotations
 
@@ -22,14 +22,12 @@ from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import load_policy
-from hydro_sim.learned.model import Learned
 
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_paper"))
 FILES: dict[str, tuple[Path, Callable[[Path], object]]] = {
     "policy": (SHIPPED / "policy.safetensors", load_policy),
     "agent": (SHIPPED / AGENT, lambda path: load_initial_agent(path.parent)),
     "metric": (Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors")), LearnedMetric.load),
-    "model": (Path(str(resources.files("hydro_sim") / "data" / "default_weights.safetensors")), Learned.load),
 }
 Tensors = dict[str, Any]
 

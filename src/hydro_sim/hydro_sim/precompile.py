@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_sim.files import recordings
+from hydro_sim.files import learned_bench, recordings
 from hydro_sim.identification import bench_learning, evaluation
 from hydro_sim.identification.analytic import AnalyticModel
+from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.evaluation import Scored
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -25,7 +24,7 @@ _SECONDS = 8.0
 
 def _simulation() -> None:
     _simulated(AnalyticPlant(Bench.nominal()))
-    _simulated(LearnedPlant())
+    _simulated(learned_bench.make_plant())
 
 
 def _simulated(plant: Plant) -> None:
@@ -42,9 +41,9 @@ def _learning() -> None:
     reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
     run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_SECONDS)
     data = recordings.split({"recording": simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), run)})
-    bench_learning.learn(Bench.nominal(), data, count=4)
+    found = bench_learning.learn(Bench.nominal(), data, count=4)
     scored = [Scored(run=run, truth=None) for run in data.training]
-    for predictor in (Learned.load().model, AnalyticModel(Bench.nominal())):
+    for predictor in (BenchPrediction(found.bench, data.training), AnalyticModel(Bench.nominal())):
         states = [predictor.estimate(item.run) for item in scored]
         evaluation.prediction_errors(predictor, states, scored, recorded=True, horizon=70, stride=500)
 

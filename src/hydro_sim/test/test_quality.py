@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hydro_sim.learned.any_model import load_model
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.quality import Quality
 

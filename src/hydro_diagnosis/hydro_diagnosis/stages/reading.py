@@ -2,17 +2,15 @@
 """First stage: recordings and the baseline bench become a problem, and the candidates that can act on it.
 
 The baseline is the assumed bench, as a `Bench` whose `effects` are known and are not claimed again. It comes from a
-bench.yaml, from a diagnosis' corrected.yaml, or from the learned weights of `ros2 run hydro_sim learn`: then the
-constants that were learned are the bench's numbers, and spool, leak, friction, bristles and amplifier its effects.
+bench.yaml, from a diagnosis' corrected.yaml, or from `ros2 run hydro_sim learn`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import metadata
-from math import pi, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +36,8 @@ from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_diagnosis.validation import Known
 from hydro_diagnosis.wiring import Doubt
-from hydro_sim.files.weights import WeightsError
-from hydro_sim.learned.model import Learned
+from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
-from hydro_sim.structured.model import StructuredModel
 
 
 def recording_entry(path: str | Path) -> dict[str, Any]:
@@ -55,16 +51,6 @@ def recording_entry(path: str | Path) -> dict[str, Any]:
         return {"name": path.stem, "begin": None}
 
 
-NUMBERS = (
-    "bulk_modulus", "piston_area", "area_ratio", "dead_volume_a", "dead_volume_b", "supply_pressure", "tank_pressure",
-    "moving_mass", "viscous_friction", "spring_stiffness", "spring_rest_position", "stroke",
-)  # fmt: skip
-"""Learned constants that are numbers of a bench."""
-GAINS = ("valve_gain_a_positive", "valve_gain_a_negative", "valve_gain_b_positive", "valve_gain_b_negative")
-GAIN_ALIKE = 0.002
-"""Share by which the four learned gains may differ from their mean without a note."""
-
-
 @dataclass(frozen=True)
 class Baseline:
     """The assumed bench, its origin, and the parts of it that the diagnosis cannot represent."""
@@ -72,7 +58,6 @@ class Baseline:
     bench: Bench
     model: str
     """`analytic`, or `learned` and the file's name."""
-    notes: tuple[str, ...] = ()
 
 
 def baseline(
@@ -80,18 +65,18 @@ def baseline(
     model: str | Path | None = None,
     estimated: Collection[str] = (),
 ) -> Baseline:
-    """The baseline of a bench, of a bench's file or its content (None: the nominal one), or of learned weights.
+    """The baseline of a bench, of a bench's file or its content (None: the nominal one), or of a learned bench.
 
     Of a bench whose file lacks numbers it is a `PartialBench`; `estimated`: those that will be estimated.
 
     Raises
     ------
     InputError
-        If a file cannot be read, if both are given, or if the weights hold no equations.
+        If a file cannot be read, or if both are given.
     """
     if model is not None:
         if bench is not None:
-            raise InputError("give a bench file or learned weights as baseline, not both: weights hold a bench")
+            raise InputError("give a bench file or a learned bench as baseline, not both")
         return _learned(Path(model))
     try:
         return Baseline(bench if isinstance(bench, Bench) else _read(bench, frozenset(estimated)), "analytic")
@@ -107,62 +92,9 @@ def _read(bench: Mapping[str, Any] | str | Path | None, estimated: frozenset[str
 
 def _learned(path: Path) -> Baseline:
     try:
-        learned = Learned.load(path).model
-    except WeightsError as error:
+        return Baseline(learned_bench.read(path), f"learned {path.name}")
+    except ValueError as error:
         raise InputError(str(error)) from None
-    constants = {entry["name"]: float(entry["value"]) for entry in learned.header()["constants"]}
-    return Baseline(bench_of(constants, learned.bench), f"learned {path.name}", tuple(_left_out(constants, learned)))
-
-
-def bench_of(constants: Mapping[str, float], start: Bench) -> Bench:
-    """Learned constants as a bench with effects; `start` gives what is not learned."""
-    limits = {entry.name: entry.metadata for entry in fields(start)}
-    values = {name: min(max(constants[name], limits[name]["low"]), limits[name]["high"]) for name in NUMBERS}
-    gain = sum(constants[name] for name in GAINS) / len(GAINS)
-    flow = gain * start.valve_nominal_current * sqrt(start.valve_nominal_pressure_drop / 2.0)
-    return replace(
-        start, **values, valve_nominal_flow=flow, load_cell_bandwidth=None, effects=tuple(_effects(constants))
-    )
-
-
-def _effects(c: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Effects of the learned model beyond a bench's numbers, as entries of a corrected.yaml."""
-    entries = [
-        _entry("valve_lag", bandwidth=c["spool_frequency"] / (2.0 * pi), damping=c["spool_damping"]),
-        _entry("friction_coulomb", force=c["friction_coulomb"]),
-        _entry("friction_stribeck", breakaway_force=c["friction_stribeck"], velocity=c["stribeck_velocity"]),
-        _entry("friction_presliding", stiffness=c["bristle_stiffness"]),
-        _entry("leakage_internal", coefficient=max(c["leakage_internal"], 0.0)),
-        _entry(
-            "sensor_lag",
-            sensor="load_force",
-            bandwidth=c["load_cell_frequency"] / (2.0 * pi),
-            damping=c["load_cell_damping"],
-        ),
-        _entry("valve_offset", current=c["valve_offset"]),
-    ]
-    if c["force_h_bias"]:
-        entries.append(_entry("load_cell_bias", cell="hydraulic_force", force=c["force_h_bias"]))
-    return entries
-
-
-def _entry(identifier: str, **values: Any) -> dict[str, Any]:
-    options = {name: value for name, value in values.items() if isinstance(value, str)}
-    numbers = {name: value for name, value in values.items() if not isinstance(value, str)}
-    return {"id": identifier, **options, "parameters": numbers}
-
-
-def _left_out(constants: Mapping[str, float], learned: StructuredModel) -> list[str]:
-    """Parts of the learned model that the baseline lacks, one sentence each."""
-    notes = []
-    gains = [constants[name] for name in GAINS]
-    spread = (max(gains) - min(gains)) / (2.0 * sum(gains) / len(gains))
-    if spread > GAIN_ALIKE:
-        notes.append(f"the learned valve gains differ by {100 * spread:.2g} % around their mean, which was taken")
-    last = learned.compiled[1]
-    if last.w3.any() or last.b3.any():
-        notes.append("the learned model's network, which adds to flows and force, is not part of the baseline")
-    return notes
 
 
 Progress = Callable[[str], None]
@@ -243,7 +175,7 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
         "recordings": [recording_entry(path) for path in (*question.recordings, *question.holdout)],
-        "data_quality": [*base.notes, *_untried(question.without), *left_out(channels, believed), *quality],
+        "data_quality": [*_untried(question.without), *left_out(channels, believed), *quality],
         "baseline": {"bench": given.to_mapping(), "model": base.model},
         "versions": {"hydro_diagnosis": _version()},
     }

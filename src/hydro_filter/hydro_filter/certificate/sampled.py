@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_filter.model.loop_model import LOOP
+from hydro_filter.model.coordinates import LOOP
 from hydro_sim.jit import njit
 
 

@@ -3,7 +3,7 @@
 
 =============== ============================================= ==========================================
 metric          learned (a file of `learn_metric`)            constant (solved for the bench file)
-model           learned (a file of `learn`) or a bench file   analytic, the bench file
+model           a bench file of `learn` or `diagnose`         analytic, the bench file
 certificate     sampled, of the whole loop, with its delay    the paper's, in continuous time
 displacement    of the whole loop from its reference          of the load force alone (eq. v)
 settings        `LoopFilterSettings`                          `FilterSettings`
@@ -27,14 +27,12 @@ from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import learned as learned_metric
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.bench_loop import effects_to_compile
+from hydro_filter.model.loop import effects_to_compile
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
-from hydro_sim.files import weights
+from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch
 from hydro_sim.files.weights import WeightsError
-from hydro_sim.learned.any_model import digest, is_bench_file, load_model
-from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import rest_state
 
@@ -57,7 +55,7 @@ class FilterChoice:
     metric: str = DEFAULT
     """`learned` (the shipped one), `constant`, or a file."""
     model: Path | None = None
-    """Model of the learned bench, or a bench file; None: the shipped one. The constant metric has none."""
+    """Bench file of the learned bench; None: the shipped one. The constant metric has none."""
 
     @property
     def constant(self) -> bool:
@@ -66,11 +64,11 @@ class FilterChoice:
 
     @property
     def files(self) -> dict[str, Path]:
-        """Weights files by kind; none for the constant metric."""
+        """Files by kind; none for the constant metric."""
         if self.constant:
             return {}
         metric = learned_metric.shipped() if self.metric == LEARNED else Path(self.metric)
-        return {"metric": metric, "model": self.model or weights.shipped()}
+        return {"metric": metric, "model": self.model or learned_bench.shipped()}
 
     def describe(self) -> dict[str, str]:
         """Return its description with the files' digests and certified gains, for logs and /diagnostics."""
@@ -97,21 +95,20 @@ class FilterChoice:
         if self.constant:
             return ""
         box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
-        model, metric, digest = self.stamps
+        metric, digest = self.stamps
         learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
         learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
-        path = self.files["model"]  # a bench file's metric is made for that bench
+        path = self.files["model"]
         return (
-            ("" if is_bench_file(path) else mismatch(f"the model {path.name}", model, box, learn))
+            learned_bench.box_mismatch(path, box, learn)
             or mismatch(f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest)
             or self.stored_metric.unfit(self.files["metric"].name)
         )
 
     @cached_property
-    def stamps(self) -> tuple[MadeFor | None, MadeFor | None, str]:
-        """Stamps of model and metric and the model's digest, read from the files at first access."""
-        model = self.files["model"]
-        return None if is_bench_file(model) else Learned.load(model).made, self.stored_metric.made, digest(model)
+    def stamps(self) -> tuple[MadeFor | None, str]:
+        """Stamp of the metric and the model's digest, read from the files at first access."""
+        return self.stored_metric.made, learned_bench.digest(self.files["model"])
 
     @cached_property
     def stored_metric(self) -> LearnedMetric:
@@ -138,9 +135,9 @@ class FilterChoice:
     @property
     def uncompiled(self) -> str:
         """Return what must be compiled before it can run, as text; empty if set-up or an earlier start did so."""
-        if self.constant or not is_bench_file(self.files["model"]):
+        if self.constant:
             return ""
-        effects = effects_to_compile(Bench.load(self.files["model"]))
+        effects = effects_to_compile(learned_bench.read(self.files["model"]))
         return effects and f"the model of a bench with {effects}"
 
     def make(self, settings: Settings) -> Filter:
@@ -156,7 +153,7 @@ class FilterChoice:
         if isinstance(settings, FilterSettings):
             return ContractionFilter.for_bench(self.bench, settings)
         files = self.files
-        metric, model = LearnedMetric.load(files["metric"]), load_model(files["model"])
+        metric, model = self.stored_metric, learned_bench.load_model(files["model"])
         return loop_filter(metric, model, self.bench, settings)
 
 

@@ -22,7 +22,7 @@ from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.state import LOAD_FORCE
 from hydro_sim.box.c_text import header_file, reals
 from hydro_sim.box.configuration import BENCH_FIELDS
-from hydro_sim.learned.any_model import load_model
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 
 MOST_STROKE, MOST_FORCE = 0.9, 1e5
@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--metric", default=CONSTANT, metavar="constant|learned|FILE", help="of `learn_metric`; default: %(default)s"
     )
-    parser.add_argument("--model", type=Path, metavar="FILE", help="of `learn`; default: the shipped one")
+    parser.add_argument("--model", type=Path, metavar="FILE", help="bench file of `learn`; default: the shipped one")
     parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: nominal")
     parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
     parser.add_argument(
@@ -115,8 +115,9 @@ def _learned(choice: FilterChoice, options: argparse.Namespace) -> str:
     usual, rate = LoopFilterSettings(), options.contraction_rate
     settings = LoopFilterSettings(contraction_rate=usual.contraction_rate if rate is None else rate)
     files = choice.files
-    parts = loop_parts(LearnedMetric.load(files["metric"]), load_model(files["model"]), choice.bench, settings)
+    truth = load_model(files["model"])
+    parts = loop_parts(LearnedMetric.load(files["metric"]), truth, choice.bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     return loop_header.header(
-        parts, f"Written by `ros2 run hydro_filter export_c` for the bench {choice.bench.digest}: {told}."
+        parts, truth, f"Written by `ros2 run hydro_filter export_c` for the bench {choice.bench.digest}: {told}."
     )

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model monitor: detects from one-step prediction errors whether the model still fits the bench.
 
-Of three consecutive samples the middle one gives the model's state, and the outer two its change. The equations are
+Of three consecutive samples the middle one gives the model's state, and the outer two its change. The predicted load is
+the simulated state of its amplifier. Static friction may have any force up to its level: below `displacement.CREEP` the
+best-fitting one is used. Behind a lagging sensor, a chamber's error is what the observer corrects of its pressure in a
+sample. The equations are
 then independent, and none contains the lag of the box's velocity. Their errors, T = 1 ms::
 
     load             f_l - (gain F + bias)        F: the spring's force at x_p, behind the load cell's amplifier     N
@@ -24,35 +27,18 @@ it was raised: neither a gap nor a new arming ends it. Measurements: safety.md.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
-from numba.extending import overload
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.controller import bench_errors
-from hydro_filter.model.bench_parts import BENCH_MEMORY_DTYPE, BenchLoop
-from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE, lag
-from hydro_filter.model.loop import Loop, is_bench_file_loop
-from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
+from hydro_filter.model.displacement import CREEP
+from hydro_filter.model.observer import held_rates, hydraulic_slopes, model_state
+from hydro_filter.model.parts import MEMORY_DTYPE, NONE
+from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim import copies
 from hydro_sim.jit import njit
-from hydro_sim.model.compiled_equations import equations as eq
-from hydro_sim.structured import physics, rollout
-from hydro_sim.structured.integration import STATES
-from hydro_sim.structured.physics import (
-    AREA,
-    BIAS_H,
-    BIAS_L,
-    CELL_DAMPING,
-    CELL_OMEGA,
-    GAIN_H,
-    GAIN_L,
-    MASS,
-    RATIO,
-    REST,
-    SPRING,
-)  # fmt: skip
-from hydro_sim.structured.rollout import INPUTS, OUTPUTS
 
 EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
 SUSPECTS = (
@@ -81,31 +67,21 @@ F_H, F_L, P_A, P_B, X_P = range(5)
 
 MONITOR_DTYPE = np.dtype(
     [
-        ("last", np.float64, (5,)), ("middle", np.float64, (5,)), ("hidden", np.float64, (HIDDEN,)),
-        ("cell", np.float64), ("cell_rate", np.float64), ("seen", np.int64),
+        ("last", np.float64, (5,)), ("middle", np.float64, (5,)), ("hidden", MEMORY_DTYPE["hidden"]),
+        ("cell", np.float64), ("seen", np.int64),
         ("sums", np.float64, (COUNT, 2)), ("runs", np.int64, (COUNT, 2)),
         ("broken", np.int64), ("ratio", np.float64), ("effort", np.float64), ("held", np.int64),
     ],
     align=True,
 )  # fmt: skip
-"""What is remembered of one bench: readings of the last two samples, hidden states of the middle one, the load cell's
-amplifier, the sums and for how long each is above zero; which equation is broken (1 + its place, 0: none), how many
-times what is allowed it was off, what moved then, and for how many samples the equations have held since."""
+"""What is remembered of one bench: readings of the last two samples, hidden states of the middle one, what the load
+cell shows there, the sums and for how long each is above zero; which equation is broken (1 + its place, 0: none), how
+many times what is allowed it was off, what moved then, and for how many samples the equations have held since."""
 
 
-BENCH_MONITOR_DTYPE = np.dtype(
-    [
-        (name, BENCH_MEMORY_DTYPE["hidden"]) if name == "hidden" else (name, MONITOR_DTYPE[name])
-        for name in MONITOR_DTYPE.names or ()
-    ],
-    align=True,
-)
-"""The same with the states that a bench file's model has."""
-
-
-def monitor_of(loop: Loop) -> npt.NDArray[np.void]:
-    """Return a new monitor, shape (1,)."""
-    return np.zeros(1, BENCH_MONITOR_DTYPE if isinstance(loop, BenchLoop) else MONITOR_DTYPE)
+def monitors(count: int = 1) -> npt.NDArray[np.void]:
+    """Return new monitors of `count` benches, shape (count,)."""
+    return np.zeros(count, MONITOR_DTYPE)
 
 
 @njit
@@ -118,12 +94,12 @@ def reset(m):
 
 @njit
 def update(model, limit, m, x, hidden):
-    """Process sample x, shape (8,), with its hidden states (3,); `limit` scales the allowed errors.
+    """Process sample x, shape (8,), with its hidden states (a memory's); `limit` scales the allowed errors.
 
-    `model` is `StructuredModel.compiled`, or a bench file's `BenchParts`. `m.broken` afterwards says which equation
+    `model` is `Loop.model`. `m.broken` afterwards says which equation
     does not hold.
     """
-    _show(model, m, x, hidden)
+    load_cell_reading(model, m, hidden)
     if m.seen > SETTLING:
         _judge(model, limit, m, x)
     m.seen += 1
@@ -133,68 +109,61 @@ def update(model, limit, m, x, hidden):
     copies.vector(m.hidden, hidden)
 
 
-def _show(model, m, x, hidden):
-    raise NotImplementedError("compiled code only")
-
-
-@overload(_show, inline="always")
-def _shown(model, m, x, hidden):
-    return (bench_errors.load_cell_reading if is_bench_file_loop(model) else amplifier_reading).py_func
-
-
-def _errors(model, m, x, error, size):
-    raise NotImplementedError("compiled code only")
-
-
-@overload(_errors, inline="always")
-def _found(model, m, x, error, size):
-    return (bench_errors.errors if is_bench_file_loop(model) else errors).py_func
-
-
 @njit
-def amplifier_reading(model, m, x, hidden):
-    """Return the output of the load cell's amplifier at the middle sample."""
-    c = model[0]
-    if m.seen == 0:
-        m.cell, m.cell_rate = (x[LOAD_FORCE] - c[BIAS_L]) / c[GAIN_L], 0.0
-    elif m.seen > 1:
-        spring = c[SPRING] * (0.5 * (m.last[X_P] + m.middle[X_P]) - c[REST])
-        m.cell, m.cell_rate = lag(c[CELL_OMEGA], c[CELL_DAMPING], spring, m.cell, m.cell_rate)
+def load_cell_reading(model, m, hidden):
+    """Return the load-cell reading at the middle sample; a valve without lag steps there, and its mean is used."""
+    p, n = model, len(model.rest)
+    m.cell = m.hidden[p.cell]
+    if p.spool == NONE:
+        m.hidden[n] = 0.5 * (m.hidden[n] + hidden[n])
 
 
 @njit
 def errors(model, m, x, error, size):
     """Return each equation's error at the middle sample and the scale of its left-hand side; both shape (5,)."""
-    c, layers, center, scale, _ = model
-    s, slope, inputs, r = np.empty(STATES), np.empty(8), np.empty(INPUTS), np.empty(OUTPUTS)
-    first, second = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
-    readings, position = m.middle, m.middle[X_P]
-    speed = (x[POSITION] - m.last[X_P]) / (2.0 * SAMPLE_PERIOD)
-    s[0], s[1], s[2], s[3] = readings[P_A], readings[P_B], position, speed
-    s[4], s[5], s[6], s[7], s[8] = m.hidden[SPOOL], m.hidden[SPOOL_RATE], m.cell, m.cell_rate, m.hidden[BRISTLE_STATE]
-    rollout.residual(layers, center, scale, s, inputs, first, second, r)
-    physics.rates(c, s[:8], s[8], 0.0, r, slope)
-    bend = (x[POSITION] - 2.0 * position + m.last[X_P]) / SAMPLE_PERIOD**2
-    pushed = c[GAIN_H] * c[AREA] * (s[0] - c[RATIO] * s[1])
-    error[0] = readings[F_L] - c[GAIN_L] * m.cell - c[BIAS_L]
-    error[1] = c[MASS] * (bend - slope[3])
-    error[2] = readings[F_H] - pushed - c[BIAS_H]
-    error[3] = 0.5 * (x[PRESSURE_A] - m.last[P_A]) - SAMPLE_PERIOD * slope[0]
-    error[4] = 0.5 * (x[PRESSURE_B] - m.last[P_B]) - SAMPLE_PERIOD * slope[1]
-    stiff = physics.stiffnesses(c, position)
-    displaced_a, displaced_b = eq.pressure_rates(physics.numbers(c), stiff, (0.0, 0.0), SAMPLE_PERIOD * abs(speed))
-    size[0] = abs(c[GAIN_L] * m.cell)
-    size[1] = abs(c[SPRING] * (position - c[REST]))
+    p, n, readings = model, len(model.rest), m.middle
+    y, state, slopes, measured = np.empty(n), np.empty(len(p.from_whole)), np.empty(p.slopes), np.zeros(STATES)
+    measured[PRESSURE_A], measured[PRESSURE_B], measured[POSITION] = readings[P_A], readings[P_B], readings[X_P]
+    model_state(p, m.hidden, measured, y, False)
+    speed = (x[POSITION] - m.last[X_P]) / (2.0 * SAMPLE_PERIOD * p.gain[4])
+    y[3] = speed
+    for i in range(len(state)):
+        state[i] = y[p.from_whole[i]]
+    opening = m.hidden[n]
+    bend = (x[POSITION] - 2.0 * readings[X_P] + m.last[X_P]) / (SAMPLE_PERIOD**2 * p.gain[4])
+    _, _, _, soft_a, soft_b = hydraulic_slopes(p, state, opening)
+    held_rates(p, y, opening, True, slopes)
+    rate_a, rate_b, pull = slopes[0], slopes[1], slopes[3]
+    error[1] = p.mass * (bend - pull)
+    if p.holds and abs(speed) < CREEP:
+        y[3] = state[3] = math.copysign(CREEP, speed)
+        held_rates(p, y, opening, True, slopes)
+        whole = slopes[3]
+        held_rates(p, state, 0.0, False, slopes)
+        level = p.mass * abs(slopes[3] - whole)
+        y[3] = state[3] = speed
+        held_rates(p, state, 0.0, False, slopes)
+        free = p.mass * (bend - slopes[3])
+        error[1] = free - min(max(free, -level), level)
+    pushed = p.gain[0] * (p.area * (y[0] - p.ratio * y[1]) if p.force_shown == NONE else m.hidden[p.force_shown])
+    error[0] = readings[F_L] - p.gain[1] * m.cell - p.bias[1]
+    error[2] = readings[F_H] - pushed - p.bias[0]
+    error[3] = 0.5 * (x[PRESSURE_A] - m.last[P_A]) / p.gain[2] - SAMPLE_PERIOD * rate_a
+    error[4] = 0.5 * (x[PRESSURE_B] - m.last[P_B]) / p.gain[3] - SAMPLE_PERIOD * rate_b
+    for i in range(len(p.lagging)):
+        error[3 + p.lagging[i, 2]] = y[p.lagging[i, 2]] - m.hidden[p.lagging[i, 2]]
+    size[0] = abs(p.gain[1] * m.cell)
+    size[1] = abs(p.area * (y[0] - p.ratio * y[1]))
     size[2] = abs(pushed)
-    size[3] = SAMPLE_PERIOD * abs(slope[0]) - displaced_a
-    size[4] = SAMPLE_PERIOD * abs(slope[1]) + displaced_b
+    size[3] = SAMPLE_PERIOD * (abs(rate_a) + soft_a * abs(speed))
+    size[4] = SAMPLE_PERIOD * (abs(rate_b) + soft_b * abs(speed))
 
 
 @njit
 def _judge(model, limit, m, x):
     """Update the sums and the alarm."""
     error, size = np.empty(COUNT), np.empty(COUNT)
-    _errors(model, m, x, error, size)
+    errors(model, m, x, error, size)
     highest = 0.0
     for i in range(COUNT):
         z = min(max(error[i] / (limit * (ALLOWED[i] + SHARE * size[i])), -CLIP), CLIP)

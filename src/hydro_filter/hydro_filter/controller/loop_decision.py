@@ -29,10 +29,14 @@ from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.certificate import qp, sampled
 from hydro_filter.metric import network
 from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
-from hydro_filter.model import displacement, overlap
-from hydro_filter.model.loop import Loop, Step, displace, follow, linearize, settle, step_of
-from hydro_filter.model.loop_model import Q_VELOCITY
+from hydro_filter.model import overlap
+from hydro_filter.model.coordinates import Q_VELOCITY
+from hydro_filter.model.displacement import displace
+from hydro_filter.model.linearization import linearize
+from hydro_filter.model.loop import step_of
+from hydro_filter.model.observer import follow, reset, settle
 from hydro_filter.model.overlap import Overlap
+from hydro_filter.model.parts import Loop, Step
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.jit import njit
 from hydro_sim.model.hydraulics import input_gain, velocity_term
@@ -233,7 +237,7 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
         Whether the valve follows the law; if not, no correction is made.
     """
     if not finite(x, nominal, current, reference, reference_rate, gain, law):
-        displacement.reset(memory)
+        reset(memory)
         return Decision(0.0, math.nan, math.nan, qp.NAN)
     problem = build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, law, workspace)
     if not armed:

@@ -30,15 +30,12 @@ from hydro_filter.controller import innovations, loop_decision
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_decision import LoopParts, Problem
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model import displacement
-from hydro_filter.model.bench_loop import overlap_of
-from hydro_filter.model.loop import coordinates_of, loop_of, memories
-from hydro_filter.model.overlap import Overlap
+from hydro_filter.model import observer
+from hydro_filter.model.loop import coordinates_of, loop_of, memories, overlap_of
 from hydro_filter.model.sample import Sample
+from hydro_sim.files import learned_bench
 from hydro_sim.jit import njit
-from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
-from hydro_sim.structured.model import StructuredModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +83,7 @@ def propose(box, memory, x, nominal, current, reference, reference_rate, gain, l
     """Return the validity of a sample and its `Problem`; advances the memory, shape (1,), and the monitor."""
     parts, workspace, monitor, limit = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain, law):
-        displacement.reset(memory[0])
+        observer.reset(memory[0])
         innovations.reset(monitor[0])
         return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     innovations.update(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
@@ -125,8 +122,8 @@ class LoopFilter:
         self.parts = parts
         self.settings = settings or LoopFilterSettings()
         self.qp = QpFilter()
-        self.memory = memories(parts.loop)
-        self.monitor = innovations.monitor_of(parts.loop)
+        self.memory = memories()
+        self.monitor = innovations.monitors()
         workspace, limit = loop_decision.workspace(parts), self.settings.innovation_limit
         every = (parts, *others)
         self._boxes = [(each.velocity_compensation, packed(each, workspace, self.monitor, limit)) for each in every]
@@ -148,7 +145,7 @@ class LoopFilter:
 
     def skip(self) -> None:
         """Announce that samples are missing before the next one. Findings about the model are kept."""
-        displacement.reset(self.memory[0])
+        observer.reset(self.memory[0])
         innovations.reset(self.monitor[0])
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
@@ -187,7 +184,7 @@ class LoopFilter:
 
 
 def loop_filter(
-    metric: LearnedMetric, model: StructuredModel | Bench, bench: Bench, settings: LoopFilterSettings | None = None
+    metric: LearnedMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopFilter:
     """Return the filter of a metric's file, with all its certificates (raises as `loop_parts`)."""
     first, *others = (loop_parts(each, model, bench, settings) for each in metric.certificates)
@@ -195,14 +192,14 @@ def loop_filter(
 
 
 def loop_parts(
-    metric: LearnedMetric, model: StructuredModel | Bench, bench: Bench, settings: LoopFilterSettings | None = None
+    metric: LearnedMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopParts:
     """Return the inputs of `decide` for a metric, its training model, and the bench that the box is configured for.
 
     Raises
     ------
     ValueError
-        The metric's coordinates are not those of the model's loop, or as `bench_loop`.
+        The metric's coordinates are not those of the model's loop, or as `loop_of`.
     """
     chosen, levels, loop = settings or LoopFilterSettings(), metric.thresholds, loop_of(model, bench)
     if metric.coordinates != (needed := coordinates_of(loop)):
@@ -218,19 +215,11 @@ def loop_parts(
         noise_size=chosen.noise_share * levels.noise_size,
         foreign_noise_size=chosen.noise_share * levels.foreign_noise_size,
         integral_allowance=levels.integral_allowance,
-        overlap=overlap_of(model) if isinstance(model, Bench) else Overlap(),
+        overlap=overlap_of(model),
         velocity_compensation=metric.velocity_compensation,
     )
 
 
 def default_filter(bench: Bench | None = None, settings: LoopFilterSettings | None = None) -> LoopFilter:
-    """Return the shipped metric on the shipped learned model, for a box configured for `bench` (default: nominal).
-
-    Raises
-    ------
-    WeightsError
-        If a weights file is missing or unreadable.
-    """
-    model = Learned.load().model
-    assert isinstance(model, StructuredModel)
-    return loop_filter(LearnedMetric.load(), model, bench or Bench.nominal(), settings)
+    """Return the shipped metric on the shipped learned bench, for a box configured for `bench` (default: nominal)."""
+    return loop_filter(LearnedMetric.load(), learned_bench.load_model(), bench or Bench.nominal(), settings)

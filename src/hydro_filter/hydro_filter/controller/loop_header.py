@@ -1,38 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the default filter as a header for firmware/hydro/loop_filter.h.
 
-The C code has the structured model's physics and the metric's table. Both files may also hold a network; the shipped
-networks contribute nothing, and files whose networks do are refused.
+They are the bench file's two models, as generated C with their coefficients, and the metric's table.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import exp
 
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.controller.loop_decision import LoopParts
-from hydro_filter.model.loop_model import LoopModel
+from hydro_filter.model.loop import SUBSTEPS, closing_current, without_disturbances
+from hydro_filter.model.overlap import Overlap
+from hydro_filter.model.parts import NONE, Loop
 from hydro_sim.box.c_text import header_file, reals, wrapped
 from hydro_sim.box.configuration import BENCH_FIELDS
-from hydro_sim.neural.mlp import Layers
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel
+from hydro_sim.model.source import embedded_source
+
+MOST_STATES = 16
+"""HYDRO_STATES of firmware/hydro/loop.h."""
 
 
-def header(parts: LoopParts, origin: str) -> str:
-    """Return the header that defines `HYDRO_LOOP_FILTER`.
+def header(parts: LoopParts, truth: Bench, origin: str) -> str:
+    """Return the header that defines `HYDRO_LOOP_FILTER`, of the filter on the bench file `truth`.
 
     Raises
     ------
     ValueError
-        A network contributes to the metric or to the model, or the model is a bench file: not supported in C.
+        The box in C has no place for the metric or for an effect of the bench file; the message is one sentence.
     """
-    loop, metric = parts.loop, parts.metric
-    if not isinstance(loop, LoopModel):
-        raise ValueError("the box in C has no place for a bench file as model: --model needs one of `learn`")
-    for what, layers in (("metric", metric.layers), ("model", loop.model[1])):
-        if _adds(layers):
-            raise ValueError(f"the {what} has a network that adds to it, for which the box in C has no place")
+    metric = parts.metric
+    _refuse(parts)
     rows, table = len(metric.gains), metric.table
     step = metric.gains[1] - metric.gains[0] if rows > 1 else 1.0
     kept, foreign_kept = (exp(-2.0 * rate * SAMPLE_PERIOD) for rate in (parts.rate, parts.foreign_rate))
@@ -43,39 +46,94 @@ def header(parts: LoopParts, origin: str) -> str:
     }  # fmt: skip
     lines = [
         '#include "hydro/loop_filter.h"\n',
+        embedded_source(BenchModel(truth, substeps=SUBSTEPS).symbols(), SUBSTEPS, "hydro_whole", jacobian=False),
+        embedded_source(
+            BenchModel(without_disturbances(truth), substeps=SUBSTEPS).symbols(), SUBSTEPS, "hydro_linear",
+            jacobian=True,
+        ),
+        *_arrays(parts.loop),
         f"static const hydro_real HYDRO_LOOP_TABLE[{rows + 1}][HYDRO_FACTOR] = {{",
         *("    {\n" + wrapped((_real(number) for number in row), indent=" " * 8) + "\n    }," for row in table),
         "};\n",
         "static const hydro_loop_filter HYDRO_LOOP_FILTER = {",
-        *_loop(loop),
+        *_loop(parts.loop, truth),
         "    .table = HYDRO_LOOP_TABLE,",
         f"    .rows = {rows},",
         *(f"    .{name} = {_real(number)}," for name, number in numbers.items()),
         "};",
-    ]
+    ]  # fmt: skip
     return header_file("HYDRO_LOOP_FILTER_CONFIG_H", origin, "\n".join(lines))
 
 
-def _loop(loop: LoopModel) -> list[str]:
+def _refuse(parts: LoopParts) -> None:
+    """Raise ValueError if the box in C has no place for the metric or for an effect of the bench file."""
+    model, layers = parts.loop.model, parts.metric.layers
+    if np.any(layers.w3) or np.any(layers.b3):
+        raise ValueError("the metric has a network that adds to it, for which the box in C has no place")
+    lags = (model.spool, model.spool_rate, model.cell_rate)
+    reasons = {
+        "a valve or a load cell without a lag of second order": NONE in lags,
+        "a dead time": model.past > 0,
+        "a lagging sensor beside the load cell": len(model.lagging) > 0 or model.force_shown != NONE,
+        "an overlap of the valve": parts.overlap not in (Overlap(), Overlap(closing_current(parts.loop))),
+        f"a model of more than {MOST_STATES} states": len(model.rest) > MOST_STATES,
+    }
+    for what, found in reasons.items():
+        if found:
+            raise ValueError(f"the filter of the box in C has no place for {what}: run the graph's filter")
+
+
+def _arrays(loop: Loop) -> list[str]:
+    """Coefficients, places, the still bench and the load, as arrays."""
+    model = loop.model
+    arrays = {"K": model.k, "LINEAR_K": model.loop_k, "REST": model.rest, "FORCES": model.forces}
+    places = ", ".join(map(str, model.from_whole))
+    return [
+        *(_array(f"HYDRO_WHOLE_{name}", numbers) for name, numbers in arrays.items()),
+        f"static const int HYDRO_FROM_WHOLE[{len(model.from_whole)}] = {{{places}}};\n",
+    ]
+
+
+def _array(name: str, numbers: Iterable[float]) -> str:
+    words = [_real(number) for number in numbers]
+    return f"static const hydro_real {name}[{len(words)}] = {{\n{wrapped(words)}\n}};\n"
+
+
+def _loop(loop: Loop, truth: Bench) -> list[str]:
     """Lines of `hydro_loop`."""
-    bench = loop.bench[0]
+    bench, model, numbers = loop.bench[0], loop.model, truth.constants()[0]
+    reals_by_name = {
+        "first": model.positions[0], "step": model.positions[1] - model.positions[0], "before": model.before,
+        "after": model.after, "lag": model.lag, "inertia": model.inertia, "area": model.area, "ratio": model.ratio,
+        "mass": model.mass, "dead_a": numbers["dead_volume_a"], "dead_b": numbers["dead_volume_b"],
+        "stroke": numbers["stroke"], "least_gain": model.least_gain, "least_opening": model.least_opening,
+        "gain_floor": loop.gain_floor, "velocity_memory": model.memories[1],
+    }  # fmt: skip
+    whole = len(model.rest), model.spool, model.spool_rate, model.cell, model.cell_rate
+    linear = (
+        len(model.from_whole), model.loop_spool, model.loop_spool_rate, model.loop_cell, model.loop_cell_rate,
+    )  # fmt: skip
     return [
         "    .loop = {",
-        "        .model = {\n" + wrapped(map(_real, loop.model[0]), indent=" " * 12) + "\n        },",
+        f"        .whole = {{hydro_whole_rates, HYDRO_WHOLE_K, {', '.join(map(str, whole))}}},",
+        f"        .linear = {{hydro_linear_rates, HYDRO_WHOLE_LINEAR_K, {', '.join(map(str, linear))}}},",
+        "        .sample = hydro_whole_sample,",
+        "        .jacobian = hydro_linear_jacobian,",
+        "        .from_whole = HYDRO_FROM_WHOLE,",
+        "        .rest = HYDRO_WHOLE_REST,",
+        "        .forces = HYDRO_WHOLE_FORCES,",
+        f"        .points = {len(model.forces)},",
+        f"        .holds = {'true' if model.holds else 'false'},",
+        *(f"        .{name} = {_real(number)}," for name, number in reals_by_name.items()),
+        f"        .gain = {reals(model.gain)},",
+        f"        .bias = {reals(model.bias)},",
+        f"        .scale = {reals(loop.scale)},",
         "        .bench = {",
         *(f"            .{field} = {_real(bench[field])}," for field in BENCH_FIELDS),
         "        },",
-        f"        .gain_floor = {_real(loop.gain_floor)},",
-        f"        .velocity_memory = {_real(loop.model[4][1])},",
-        f"        .scale = {reals(loop.scale)},",
         "    },",
     ]
 
 
 def _real(number: float) -> str:
     return f"HYDRO_R({float(number)!r})"
-
-
-def _adds(layers: Layers) -> bool:
-    """Return whether a network's last layer is non-zero."""
-    return bool(np.any(layers.w3) or np.any(layers.b3))

@@ -18,11 +18,11 @@ from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import FloatArray
-from hydro_filter.model.bench_loop import rest_measurement
-from hydro_filter.model.bench_parts import BenchLoop
-from hydro_filter.model.loop import Loop, closing_current, linearize, memories, settle, step_of
-from hydro_filter.model.loop_model import LOOP
-from hydro_sim.model.hydraulics import rest_state
+from hydro_filter.model.coordinates import LOOP
+from hydro_filter.model.linearization import linearize
+from hydro_filter.model.loop import closing_current, memories, rest_measurement, step_of
+from hydro_filter.model.observer import settle
+from hydro_filter.model.parts import Loop
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,14 +68,9 @@ class Table(NamedTuple):
 def rest_loop(
     loop: Loop, proportional_gain: float, velocity_compensation: float = 1.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return F, G, K of the bench at rest, about a closed valve; for a bench file, as its sensors show it."""
-    x: FloatArray = np.zeros(8)
-    step, memory, closing = step_of(loop), memories(loop)[0], closing_current(loop)
-    if isinstance(loop, BenchLoop):
-        x = rest_measurement(loop.model)
-        settle(loop, memory, x, closing, 0.0)
-    else:
-        x[4:7] = rest_state(loop.bench[0])[:3]
+    """Return F, G, K of the bench at rest as its sensors show it, about a closed valve."""
+    step, memory, closing, x = step_of(loop), memories()[0], closing_current(loop), rest_measurement(loop.model)
+    settle(loop, memory, x, closing, 0.0)
     scales = float(velocity_compensation), 1.0
     linearize(loop, memory["hidden"], x, 1e-9, closing, float(proportional_gain), scales, step)
     return step.transition.copy(), step.push.copy(), step.feedback.copy()
@@ -101,13 +96,10 @@ def require_decay(loop: Loop, velocity_compensation: float = 1.0) -> None:
     closed = (_closed(loop, gain, velocity_compensation) for gain in ANY_GAIN)
     if any(float(np.abs(np.linalg.eigvals(each)).max()) < 1.0 for each in closed):
         return
-    late = ""
-    if isinstance(loop, BenchLoop):
-        valve, dead = 1e3 * loop.model.spool_age, 1e3 * loop.model.delay
-        late = f", whose valve is {valve:.1f} ms late by its lag and {dead:.1f} ms by its dead time,"
+    valve, dead = 1e3 * loop.model.spool_age, 1e3 * loop.model.delay
     raise ValueError(
-        f"no gain has a certificate: the loop of this bench{late} decays at no K_p from {ANY_GAIN[0]:g} to "
-        f"{ANY_GAIN[-1]:g} 1/s"
+        f"no gain has a certificate: the loop of this bench, whose valve is {valve:.1f} ms late by its lag and "
+        f"{dead:.1f} ms by its dead time, decays at no K_p from {ANY_GAIN[0]:g} to {ANY_GAIN[-1]:g} 1/s"
     )
 
 

@@ -22,8 +22,9 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter.metric import network
 from hydro_filter.metric.design import MetricDesign, design_table
 from hydro_filter.metric.network import HIDDEN, INPUTS, MetricParts, metric_value, width_of
-from hydro_filter.model.loop import Loop, coordinates_of
-from hydro_filter.model.loop_model import LOOP_FIELDS
+from hydro_filter.model.coordinates import LOOP_FIELDS
+from hydro_filter.model.loop import coordinates_of
+from hydro_filter.model.parts import Loop
 from hydro_filter.model.state import STATES, state_scale
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor, made_for

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.model.loop_model import LOOP
+from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.state import STATES
 from hydro_sim.jit import njit
 from hydro_sim.neural import mlp

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coordinates that a bench file's loop has beside the eight of `loop_model`: readings that lag, commands on their way.
+"""Coordinates that a bench file's loop has beside the eight of `coordinates`: readings that lag, commands on their way.
 
 ::
 
@@ -22,10 +22,10 @@ import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.model.bench_parts import NONE
-from hydro_filter.model.bench_terms import Name, state_number
-from hydro_filter.model.loop_model import Q_SPOOL
+from hydro_filter.model.coordinates import Q_SPOOL
+from hydro_filter.model.parts import NONE
 from hydro_filter.model.state import FORCE_SCALE
+from hydro_filter.model.terms import Name, state_number
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects import catalogue
@@ -65,7 +65,7 @@ def added_coordinates(bench: Bench, whole: Mapping[Name, int], loop: Mapping[Nam
     whole, loop
         Numbers of hidden states of the whole and of the loop's model.
     drive
-        `loop_model.loop_scale`.
+        `coordinates.loop_scale`.
     """
     lagging, kept, scale, ages = [], [], [], []
     pressure = FORCE_SCALE / bench.piston_area

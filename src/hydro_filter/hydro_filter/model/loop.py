@@ -1,144 +1,195 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dispatch over the kinds of loops by type: the structured model's (`loop_model`) or a bench file's (`bench_loop`).
+"""Loop of a bench file for the certificate, and the check whether a bench has one.
 
-For compiled code and for Python; the structured model's functions are in `displacement` and `loop_model`,
-a bench file's in `bench_states`, `bench_displacement` and `bench_linearization`.
+Two models stand behind it, both compiled from the bench file::
+
+    whole   all effects: for predictions, hidden states and the monitor
+    loop    without `DISTURBANCES`: linearized, by its exact Jacobian
+
+Dry friction, overlap and gaps are bounded disturbances to the metric: within them nothing moves, and a derivative there
+does not describe the loop. The certificate counts what of the current passes an overlap (`overlap`).
+
+The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
+(`added_coordinates`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
+hidden states (bristles, a drooping supply) are held fixed in derivatives by x.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from numba import types
-from numba.extending import overload
 
-from hydro_filter.model import bench_displacement, bench_linearization, bench_states, displacement, loop_model
-from hydro_filter.model.bench_loop import bench_loop, bench_step
-from hydro_filter.model.bench_parts import BENCH_MEMORY_DTYPE, BenchLoop, BenchParts, BenchStep
-from hydro_filter.model.displacement import MEMORY_DTYPE
-from hydro_filter.model.loop_model import LoopModel, LoopStep
+from hydro_bridge.signals import FloatArray
+from hydro_filter.model.added_coordinates import (
+    added_coordinates,
+    current_at_valve,
+    currents_on_their_way,
+    pressure_observer,
+)
+from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, least_gain, loop_scale
+from hydro_filter.model.overlap import Overlap
+from hydro_filter.model.parts import MEMORY_DTYPE, Loop, ModelParts, Step
+from hydro_filter.model.refusals import refuse
+from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_filter.model.terms import (
+    cell_dynamics,
+    cell_states,
+    hidden_state_numbers,
+    load_curve,
+    null_shifts,
+    sensor_scales,
+    state_number,
+    valve_age,
+)
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.jit import njit
+from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
-from hydro_sim.structured.model import StructuredModel
+from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
+from hydro_sim.model.effects import catalogue
+from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
-Loop = LoopModel | BenchLoop
-Step = LoopStep | BenchStep
+DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
+"""Effects that the linearized loop leaves out."""
+
+OVERLAP = "valve_deadband"
+"""Of these, the one within which no current moves anything: B = 0."""
+
+SUBSTEPS = 4
+"""Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
 
 
-def loop_of(model: StructuredModel | Bench, believed: Bench, box: BoxConfig | None = None) -> Loop:
-    """Return the loop of a model under a box configured for `believed` (raises as `bench_loop`)."""
-    return bench_loop(model, believed, box) if isinstance(model, Bench) else loop_model.loop_model(model, believed, box)
+def loop_of(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> Loop:
+    """Return the loop of the bench file `truth` under a box configured for `believed`.
 
-
-def closing_current(loop: Loop) -> float:
-    """Return the current [A] that closes the valve: from a bench file's null shifts, else zero."""
-    return -(loop.model.before + loop.model.after) if isinstance(loop, BenchLoop) else 0.0
+    Raises
+    ------
+    ValueError
+        The certificate's coordinates cannot represent this bench; the message is one sentence.
+    """
+    refuse(truth)
+    floor, scale = float((box or BoxConfig()).constants(believed)["gain_floor"][0]), loop_scale(believed)
+    model, added = parts(truth, scale)
+    return Loop(model, believed.constants(), floor, believed.valve_current_max, np.append(scale, added))
 
 
 def step_of(loop: Loop) -> Step:
     """Allocate the workspace of one caller."""
-    return bench_step(loop) if isinstance(loop, BenchLoop) else loop_model.loop_step()
+    whole, n, width = len(loop.model.rest), len(loop.model.from_whole), len(loop.scale)
+    shapes = (
+        (width, width), width, width, STATES, STATES, whole, n, n, len(RAW_FIELDS),
+        (n, n + 1), (len(RAW_FIELDS), n + 1), (n + 1, width), (n, width),
+    )  # fmt: skip
+    return Step(*(np.zeros(shape) for shape in shapes))
 
 
-def memories(loop: Loop, count: int = 1) -> npt.NDArray[np.void]:
+def memories(count: int = 1) -> npt.NDArray[np.void]:
     """Return new memories of `count` benches, shape (count,)."""
-    return np.zeros(count, BENCH_MEMORY_DTYPE if isinstance(loop, BenchLoop) else MEMORY_DTYPE)
+    return np.zeros(count, MEMORY_DTYPE)
+
+
+def closing_current(loop: Loop) -> float:
+    """Return the current [A] that closes the valve, from the bench file's null shifts."""
+    return -(loop.model.before + loop.model.after)
 
 
 def coordinates_of(loop: Loop) -> tuple[str, ...]:
-    """Return the names of the certificate's coordinates: `LOOP_FIELDS`, and those that a bench file adds."""
-    if not isinstance(loop, BenchLoop):
-        return loop_model.LOOP_FIELDS
+    """Return the names of the certificate's coordinates: `LOOP_FIELDS`, and those that the bench file adds."""
     shown = [f"p_{'ab'[chamber]}_shown{ending}" for chamber in loop.model.lagging[:, 2] for ending in ("", "_rate")]
-    return (*loop_model.LOOP_FIELDS, *shown, *(f"current_{i + 1}" for i in range(loop.model.on_their_way)))
+    return (*LOOP_FIELDS, *shown, *(f"current_{i + 1}" for i in range(loop.model.on_their_way)))
 
 
 def driven_coordinate(loop: Loop) -> int:
     """Return the coordinate whose entry of G follows g everywhere: the spool's rate, or the newest current."""
-    if isinstance(loop, BenchLoop) and loop.model.on_their_way:
-        return len(loop.scale) - loop.model.on_their_way
-    return loop_model.Q_SPOOL_RATE
+    return len(loop.scale) - loop.model.on_their_way if loop.model.on_their_way else Q_SPOOL_RATE
 
 
-def is_bench_file_loop(kind: Any) -> bool:
-    """Whether a type of compiled code is a bench file's loop, or its model."""
-    return isinstance(kind, types.BaseNamedTuple) and kind.instance_class in (BenchLoop, BenchParts)
+def rest_measurement(model: ModelParts) -> FloatArray:
+    """Sensor readings of the bench at rest, with gains and biases: x, shape (8,)."""
+    y, x = model.rest, np.zeros(STATES)
+    force = model.area * (y[0] - model.ratio * y[1])
+    true = np.array([force, y[model.cell], *y[:3]])
+    x[[HYDRAULIC_FORCE, LOAD_FORCE, PRESSURE_A, PRESSURE_B, POSITION]] = model.gain * true + model.bias
+    return x
 
 
-def _settle(loop, memory, x, current, reference_rate):
-    raise NotImplementedError("compiled code only")
+def parts(truth: Bench, scale: FloatArray) -> tuple[ModelParts, FloatArray]:
+    """Compute the `ModelParts` of a bench file, and the scales of its added coordinates; `scale`: of the eight."""
+    loop_bench = without_disturbances(truth)
+    whole, loop = BenchModel(truth, substeps=SUBSTEPS), BenchModel(loop_bench, substeps=SUBSTEPS)
+    k, rest, _ = whole.begin(whole.values)
+    loop_k, loop_rest, _ = loop.begin(loop.values)
+    places, loop_places = hidden_state_numbers(truth), hidden_state_numbers(loop_bench)
+    numbers = truth.constants()[0]
+    chosen = [effect for effect in truth.terms if effect["id"] not in DISTURBANCES]
+    past = whole.structure.past
+    from_whole = [*range(TEXTBOOK), *(places[name] for name in loop_places), *range(len(rest) - past, len(rest))]
+    before, after = null_shifts(truth)
+    lag, inertia = cell_dynamics(truth)
+    added = added_coordinates(truth, places, loop_places, scale)
+    sensors = np.column_stack((added.kept[: 2 * len(added.lagging)].reshape(-1, 2), added.lagging[:, 2:]))
+    direct = np.array([float(chamber not in added.lagging[:, 2]) for chamber in range(2)])
+    positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
+    forces = load_curve(numbers, chosen, positions)
+    if not (np.diff(forces) > 0.0).all():
+        raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
+    dry = any(effect["id"].startswith(("friction_coulomb", "friction_stribeck")) for effect in truth.effects)
+    bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
+    gain, bias = sensor_scales(truth)
+    record = Sensors().constants()[0]
+    area, ratio = float(numbers["piston_area"]), float(numbers["area_ratio"])
+    stiffness_a = hydraulics.stiffnesses(numbers, float(rest[2]))[0]
+    least = least_gain(area, stiffness_a, float(numbers["valve_gain"]), float(numbers["supply_pressure"]))
+    cell, loop_cell = cell_states(truth, places), cell_states(loop_bench, loop_places)
+    model = ModelParts(
+        sample_at=whole.address, rates_at=whole.address_of("bench_rates"), k=k,
+        loop_rates_at=loop.address_of("bench_rates"), loop_jacobian_at=loop.address_of("bench_jacobian"),
+        loop_k=loop_k, from_whole=np.array(from_whole, np.int64), rest=rest,
+        spool=state_number(places, "valve_lag", "spool"), spool_rate=state_number(places, "valve_lag", "rate"),
+        loop_spool=state_number(loop_places, "valve_lag", "spool"),
+        loop_spool_rate=state_number(loop_places, "valve_lag", "rate"), before=before, after=after,
+        cell=cell[0], cell_rate=cell[1], loop_cell=loop_cell[0], loop_cell_rate=loop_cell[1],
+        lagging=added.lagging, observer=pressure_observer(loop, sensors), sensor_ages=added.ages, direct=direct,
+        kept=added.kept, on_their_way=currents_on_their_way(truth), past=past, at_valve=current_at_valve(truth),
+        delay=catalogue.delay(truth.effects), spool_age=valve_age(truth),
+        force_shown=state_number(places, "sensor_lag sensor=hydraulic_force", "signal"),
+        lag=lag, inertia=inertia, gain=gain, bias=bias,
+        area=area, ratio=ratio, mass=float(numbers["moving_mass"]), positions=positions, forces=forces,
+        holds=dry and not bristles, least_gain=least, least_opening=0.1 * float(numbers["valve_current_max"]),
+        memories=np.array([record["force_memory"], record["velocity_memory"]]),
+        slopes=TEXTBOOK + max(len(rest), len(loop_rest)),
+    )  # fmt: skip
+    return model, added.scale
 
 
-def _follow(loop, memory, x, current, reference_rate):
-    raise NotImplementedError("compiled code only")
+def without_disturbances(truth: Bench) -> Bench:
+    """Return the bench without the effects that the linearization leaves out."""
+    return replace(truth, effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES))
 
 
-def _displace(loop, memory, x, reference, reference_rate, v):
-    raise NotImplementedError("compiled code only")
+def without_overlap(truth: Bench) -> Bench | None:
+    """Return the bench without its valve's overlap; None if it has none."""
+    kept = tuple(effect for effect in truth.effects if effect["id"] != OVERLAP)
+    return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None
 
 
-def _linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
-    raise NotImplementedError("compiled code only")
+def overlap_of(truth: Bench) -> Overlap:
+    """Return the overlap of a bench's valve: of several, the sum; of a soft one, its half width."""
+    closing, back, out = -sum(null_shifts(truth)), 0.0, 0.0
+    for effect in truth.effects:
+        if effect["id"] == OVERLAP:
+            widths = effect["parameters"]
+            out += float(widths["half_width"])
+            back += float(widths.get("half_width_negative", widths["half_width"]))
+    return Overlap(closing, back, out)
 
 
-def _bench_settle(loop, memory, x, current, reference_rate):
-    bench_states.settle(loop, memory, x, current, reference_rate)
-
-
-@overload(_settle, inline="always")
-def _settle_of(loop, memory, x, current, reference_rate):
-    return _bench_settle if is_bench_file_loop(loop) else displacement.settle.py_func
-
-
-def _bench_follow(loop, memory, x, current, reference_rate):
-    bench_states.follow(loop, memory, x, current, reference_rate)
-
-
-@overload(_follow, inline="always")
-def _follow_of(loop, memory, x, current, reference_rate):
-    return _bench_follow if is_bench_file_loop(loop) else displacement.follow.py_func
-
-
-def _bench_displace(loop, memory, x, reference, reference_rate, v):
-    bench_displacement.displace(loop, memory, x, reference, reference_rate, v)
-
-
-@overload(_displace, inline="always")
-def _displace_of(loop, memory, x, reference, reference_rate, v):
-    return _bench_displace if is_bench_file_loop(loop) else displacement.displace.py_func
-
-
-def _bench_linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
-    bench_linearization.linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step)
-
-
-@overload(_linearize, inline="always")
-def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
-    return _bench_linearize if is_bench_file_loop(loop) else loop_model.linearize.py_func
-
-
-@njit(inline="always")
-def settle(loop, memory, x, current, reference_rate):
-    """Initialise from the first sample."""
-    _settle(loop, memory, x, current, reference_rate)
-
-
-@njit(inline="always")
-def follow(loop, memory, x, current, reference_rate):
-    """Advance the memory by one sample, during which the valve holds `current` [A]."""
-    _follow(loop, memory, x, current, reference_rate)
-
-
-@njit(inline="always")
-def displace(loop, memory, x, reference, reference_rate, v):
-    """Write v, of each coordinate, of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
-    _displace(loop, memory, x, reference, reference_rate, v)
-
-
-@njit(inline="always")
-def linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step):
-    """Fill `step` at x (8,) and a memory's `hidden`, for the nominal and the valve's current [A], K_p, (C_1, C_2)."""
-    _linearize(loop, hidden, x, nominal_current, current, proportional_gain, scales, step)
+def effects_to_compile(truth: Bench) -> str:
+    """Return the names of the effects whose model is not compiled yet, as text; empty if it is."""
+    parts_needed: tuple[tuple[Bench, Part], ...] = (
+        (truth, ""), (without_disturbances(truth), ""), (without_disturbances(truth), "derivatives"),
+    )  # fmt: skip
+    if all(is_compiled(structure_of(bench, SUBSTEPS), part) for bench, part in parts_needed):
+        return ""
+    return ", ".join(map(catalogue.label, truth.terms)) or "no effects"

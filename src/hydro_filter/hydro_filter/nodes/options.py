@@ -30,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
         "--model",
         type=Path,
         metavar="FILE",
-        help="the learned bench, weights or a bench file; default: the shipped one",
+        help="bench file of the learned bench; default: the shipped one",
     )
     for name in NUMBERS:
         docs = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training data of the metric: rollouts of the learned bench with sensor noise, labelled stable or unstable.
+"""Training data of the metric: rollouts of the bench file with sensor noise, labelled stable or unstable.
 
 A rollout is run twice with the same noise, the second time with a pulse of valve current after one second. **Label**:
 the distance between the twins, largest |difference of f_l| in a window, early and late::
@@ -27,8 +27,11 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, matrix
-from hydro_filter.model.bench_parts import BenchLoop
-from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
+from hydro_filter.model.displacement import displace
+from hydro_filter.model.linearization import linearize
+from hydro_filter.model.loop import memories, step_of
+from hydro_filter.model.observer import follow, settle
+from hydro_filter.model.parts import Loop
 from hydro_filter.model.state import STATES
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.excitation import drawn
@@ -197,17 +200,15 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
     )  # fmt: skip
     scales = settings.velocity_compensation, 1.0
     _follow(
-        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, scales, memories(loop), step_of(loop),
+        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, scales, memories(), step_of(loop),
         made.x, made.state_rate, made.v, made.transition, made.push, made.feedback,
     )  # fmt: skip
     return made
 
 
 def _stroke(loop: Loop) -> float:
-    """Stroke [m]; a bench file's load curve goes from a twentieth of it before its ends to as much behind."""
-    if isinstance(loop, BenchLoop):
-        return float(loop.model.positions[-1] - loop.model.positions[0]) / 1.1
-    return float(loop.bench["stroke"][0])
+    """Stroke [m]: the load curve goes from a twentieth of it before its ends to as much behind."""
+    return float(loop.model.positions[-1] - loop.model.positions[0]) / 1.1
 
 
 def _between_stops(
@@ -263,7 +264,7 @@ def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0, high_shar
     stable = np.array([r.gains[0] for r in rollouts if r.label == STABLE])
     others = np.array([r.gains[0] for r in rollouts if r.label != STABLE])
     if not len(stable):
-        raise ValueError("no rollout is stable: the learned model or the bench file is not of this bench")
+        raise ValueError("no rollout is stable: the bench file is not of this bench")
     middle = float(np.median(stable))
     low = max(float(others[others < middle].max(initial=0.0)), 0.0) + low_reserve
     high = high_share * min(float(others[others > middle].min(initial=np.inf)), float(stable.max()) / high_share)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_filter learn_metric --out METRIC: train the contraction metric on the learned bench.
+"""ros2 run hydro_filter learn_metric --out METRIC: train the contraction metric on a learned bench.
 
 Rolls out, labels, solves a metric for each gain, trains the network on top, and judges on rollouts not trained on.
 Ctrl-C keeps the checkpoint beside METRIC; `--resume` goes on from it. Data and training depend on nothing but the

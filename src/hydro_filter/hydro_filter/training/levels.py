@@ -15,7 +15,11 @@ import numpy as np
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, Law, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.loop import Loop, closing_current, displace, follow, linearize, memories, settle, step_of
+from hydro_filter.model.displacement import displace
+from hydro_filter.model.linearization import linearize
+from hydro_filter.model.loop import closing_current, memories, step_of
+from hydro_filter.model.observer import follow, settle
+from hydro_filter.model.parts import Loop
 from hydro_filter.training.data import DataSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
@@ -28,7 +32,7 @@ QUANTILE = 0.99
 
 def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0) -> FloatArray:
     """v_1 of a still bench, its valve closed, shape (samples, coordinates)."""
-    x, memory, step, closing = plant.reset(seed), memories(loop), step_of(loop), closing_current(loop)
+    x, memory, step, closing = plant.reset(seed), memories(), step_of(loop), closing_current(loop)
     out, scales = np.empty((SAMPLES, len(loop.scale))), (velocity_compensation, 1.0)
     for k in range(SAMPLES):
         settle(loop, memory[0], x, closing, 0.0)

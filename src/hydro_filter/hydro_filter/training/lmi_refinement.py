@@ -17,7 +17,7 @@ import torch
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.design import factor_entries
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.loop_model import Q_LOAD
+from hydro_filter.model.coordinates import Q_LOAD
 from hydro_filter.training.data import STABLE, Windows
 
 SAMPLES = 120

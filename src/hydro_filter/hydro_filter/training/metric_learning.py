@@ -8,7 +8,6 @@ import sys
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,8 @@ from hydro_bridge.settings import check
 from hydro_bridge.signals import Law
 from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric, Thresholds
-from hydro_filter.model.bench_loop import without_overlap
-from hydro_filter.model.loop import Loop, driven_coordinate, loop_of
+from hydro_filter.model.loop import driven_coordinate, loop_of, without_overlap
+from hydro_filter.model.parts import Loop
 from hydro_filter.training.certificate import certificate_table, where_violated
 from hydro_filter.training.curves import draw_metric_curves
 from hydro_filter.training.data import (
@@ -49,12 +48,10 @@ from hydro_filter.training.training import (
     train,
 )
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.files import weights
+from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
-from hydro_sim.learned.any_model import digest, load_model, make_plant, require_match
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
-from hydro_sim.structured.model import StructuredModel
 
 HELD_OUT = 5
 """Every fifth rollout is held out."""
@@ -81,16 +78,16 @@ def learn(options: argparse.Namespace) -> None:
     data, settings = _settings(options)
     torch.set_num_threads(options.threads or torch.get_num_threads())
     out, began = Path(options.out), time.monotonic()
-    model = load_model(options.model)
-    bench, path = Bench.load(options.bench) if options.bench else Bench.nominal(), options.model or weights.shipped()
+    model = learned_bench.load_model(options.model)
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     remedy = "name the bench.yaml of its box by --bench, or learn a model from this box's recordings (hydro_sim learn)"
-    require_match(options.model, BoxIdentity.of_file(options.bench), remedy)
-    made = MadeFor(box=bench.digest, model=digest(path))  # either form of the integral: decision 31
+    learned_bench.require_match(options.model, BoxIdentity.of_file(options.bench), remedy)
+    made = MadeFor(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
     loop = loop_of(model, bench)
     if free_plant(model) is not None:
         _say(OVERLAP_TOLD)
-    laws = [(data, settings)] if options.law != "compensated" or not isinstance(model, Bench) else []
-    if isinstance(model, Bench) and options.law != "paper":  # learned benches keep to the paper's law
+    laws = [(data, settings)] if options.law != "compensated" else []
+    if options.law != "paper":
         shaped = DataSettings.under(BoxConfig().compensated, rollouts=data.rollouts // 2, seed=data.seed)
         laws.append((shaped, replace(settings, epochs=0)))
     found: list[tuple[LearnedMetric, Table]] = []
@@ -125,13 +122,13 @@ def learn(options: argparse.Namespace) -> None:
 
 
 def _certificate(
-    model: StructuredModel | Bench, bench: Bench, loop: Loop, data: DataSettings, settings: TrainingSettings,
+    model: Bench, bench: Bench, loop: Loop, data: DataSettings, settings: TrainingSettings,
     options: argparse.Namespace,
 ) -> tuple[LearnedMetric, Table]:  # fmt: skip
     """The metric for the law of `data`, and its certificate's table (raises ValueError where there is none)."""
     c_1 = data.velocity_compensation
     require_decay(loop, c_1)
-    plant, clean = make_plant(options.model), make_plant(options.model, noise=0.0)
+    plant, clean = (learned_bench.make_plant(options.model, noise=noise) for noise in (1.0, 0.0))
     material = collect_rollouts(plant, bench, loop, data, free_plant(model))
     design = _design(loop, data, material.rollouts)
     require_held_out(material.held_out, design)
@@ -154,7 +151,7 @@ def _certificate(
     violated, foreign = (row["violated"] for row in table.rows[-2:])
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
-        "design": asdict(design), "model": _digest(model), "epochs": last.epoch, "best_epoch": last.best_epoch,
+        "design": asdict(design), "model": model.digest, "epochs": last.epoch, "best_epoch": last.best_epoch,
         "validation_loss": last.best_loss, "history": [list(row) for row in last.history], "violated": violated,
         "foreign_violated": foreign, "where": where_violated(best, held_out, how),
     }  # fmt: skip
@@ -174,9 +171,9 @@ def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDe
     return decaying_range(loop, replace(usual, gain_low=low, gain_high=high))
 
 
-def free_plant(model: StructuredModel | Bench) -> Plant | None:
+def free_plant(model: Bench) -> Plant | None:
     """Return the plant of a bench file without its valve's overlap; None if it has none."""
-    free = without_overlap(model) if isinstance(model, Bench) else None
+    free = without_overlap(model)
     return None if free is None else AnalyticPlant(free)
 
 
@@ -246,13 +243,6 @@ def _train(
 def _told(rollouts: list[Rollout]) -> str:
     counts = Counter(rollout.label for rollout in rollouts)
     return f"{counts[STABLE]} rollouts are stable, {counts[UNSTABLE]} unstable, {counts[NEITHER]} neither"
-
-
-def _digest(model: StructuredModel | Bench) -> str:
-    """SHA-256 of the learned bench's constants and network, or a bench file's digest."""
-    if isinstance(model, Bench):
-        return model.digest
-    return sha256(np.concatenate((model.theta, model.flat)).tobytes()).hexdigest()
 
 
 def _say(sentence: str) -> None:

@@ -31,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--model",
         metavar="FILE",
-        help="the learned bench (weights), or a bench file with named effects (.yaml); the shipped weights by default",
+        help="bench file of the learned bench; the shipped one by default",
     )
     result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
     result.add_argument(

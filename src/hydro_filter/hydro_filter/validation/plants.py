@@ -14,7 +14,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.parameters import compile_parameters
 from hydro_sim.emulator.truth.plant import TruthPlant
-from hydro_sim.learned.any_model import make_plant
+from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.plant import Plant
 
 CHANGES: dict[str, dict[str, float]] = {
@@ -29,7 +29,7 @@ PLANTS = (*CHANGES, "sim")
 
 
 def plant_named(name: str, model: str | None = None) -> Plant:
-    """One of `PLANTS`; `model`: weights of the learned simulation, the shipped ones by default."""
+    """One of `PLANTS`; `model`: bench file of the learned simulation, the shipped one by default."""
     if name == "sim":
         return make_plant(model)
     if not CHANGES[name]:

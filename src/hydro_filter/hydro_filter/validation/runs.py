@@ -19,7 +19,7 @@ from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.validation.cases import CASES, Case
 from hydro_filter.validation.plants import plant_named
 from hydro_filter.validation.trial import Corrector, Gammas, Run, Trial, gammas, run
-from hydro_sim.learned.any_model import load_model
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 

@@ -107,9 +107,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--metric", metavar="METRIC", help="of `learn_metric`; the shipped one by default")
-    parser.add_argument(
-        "--model", metavar="FILE", help="the learned bench, weights or a bench file; default: the shipped one"
-    )
+    parser.add_argument("--model", metavar="FILE", help="bench file of the learned bench; default: the shipped one")
     parser.add_argument(
         "--bench", metavar="FILE", help="bench.yaml that box and filter believe; the nominal one by default"
     )

@@ -8,7 +8,7 @@ valve, friction, mass), sensor noise and transport delays. The box keeps assumin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -16,12 +16,8 @@ import numpy as np
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import ReferenceSignal
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant, Plant
-from hydro_sim.structured import constants as learned_constants
-from hydro_sim.structured.model import StructuredModel
+from hydro_sim.model.plant import AnalyticPlant
 
 REACH = 0.8
 """Share of the spring's largest force within the stroke that a reference may demand."""
@@ -75,7 +71,7 @@ class Randomisation:
 class RandomisedBench:
     """One randomised bench."""
 
-    plant: Plant
+    plant: AnalyticPlant
     spring: float
     """N/m."""
     gain_delay: int
@@ -88,7 +84,7 @@ class RandomisedBench:
         return replace(reference, amplitude=min(reference.amplitude, REACH * 0.5 * self.stroke * self.spring))
 
 
-def draw_bench(settings: Randomisation, source: Bench | Learned, seed: int) -> RandomisedBench:
+def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedBench:
     """Draw a bench around `source`."""
     rng = np.random.default_rng(seed)
     spring = math.exp(rng.uniform(math.log(settings.spring_min), math.log(settings.spring_max)))
@@ -96,16 +92,11 @@ def draw_bench(settings: Randomisation, source: Bench | Learned, seed: int) -> R
     factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _SPREAD.items()}
     noise = rng.uniform(settings.noise_min, settings.noise_max)
     delays = int(rng.integers(1, settings.gain_delay_max + 1)), int(rng.integers(0, settings.dead_time_max + 1))
-    if isinstance(source, Bench):
-        plant: Plant = AnalyticPlant(_analytic(source, spring, supply, factors), noise=noise)
-        stroke = source.stroke
-    else:
-        plant = LearnedPlant(replace(source, model=_learned(source.model, spring, supply, factors)), noise=noise)
-        stroke = source.model.bench.stroke
-    return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=stroke)
+    plant = AnalyticPlant(_drawn(source, spring, supply, factors), noise=noise)
+    return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=source.stroke)
 
 
-def _analytic(bench: Bench, spring: float, supply: float, factors: dict[str, float]) -> Bench:
+def _drawn(bench: Bench, spring: float, supply: float, factors: dict[str, float]) -> Bench:
     bandwidth = bench.load_cell_bandwidth
     return replace(
         bench,
@@ -127,22 +118,3 @@ def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping
         for name, value in effect["parameters"].items()
     }
     return {**effect, "parameters": parameters}
-
-
-def _learned(model: StructuredModel, spring: float, supply: float, factors: dict[str, float]) -> StructuredModel:
-    c, _ = learned_constants.values(model.table, model.theta)
-    theta, rest = model.theta.copy(), model.rest.copy()
-    absolute: dict[str, Callable[[float], float]] = {
-        "spring_stiffness": lambda old: spring,
-        "supply_pressure": lambda old: supply,
-    }
-    for index, entry in enumerate(model.table):
-        family = "valve_gain" if entry.name.startswith("valve_gain") else entry.name
-        factor = absolute[entry.name](c[index]) / c[index] if entry.name in absolute else factors.get(family, 1.0)
-        if entry.step is None:
-            theta[index] += math.log(factor)
-        else:
-            theta[index] += (factor - 1.0) * c[index] / entry.step
-        if entry.name == "supply_pressure":
-            rest[:2] *= factor
-    return replace(model, theta=theta, rest=rest)

@@ -63,7 +63,7 @@ def fleet_filter(kind: str, believed: Bench, count: int) -> FleetFilter:
 
 def loop_fleet_filter(parts: LoopParts, count: int) -> LearnedFilter:
     """Return the filter of a metric for `count` benches, under the law that it is made for."""
-    return LearnedFilter(True, parts, memories(parts.loop, count), loop_decision.workspace(parts))
+    return LearnedFilter(True, parts, memories(count), loop_decision.workspace(parts))
 
 
 def reset_memory(filters: FleetFilter, index: int) -> None:

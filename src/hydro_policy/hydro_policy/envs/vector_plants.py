@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plants of one kind as rows of arrays for compiled loops: analytic and structured models.
+"""Plants of one kind as rows of arrays for compiled loops: bench files, and kinds that a benchmark adds.
 
 A kind is a NamedTuple of arrays with two compiled functions, `advance` and `measurement`, dispatched on its type
 (numba's overloading). Plants are created and reset as usual; this module only stacks their memories.
@@ -17,14 +17,8 @@ from numba.core import types
 from numba.extending import overload
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.learned import plant as learned_plants
-from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model import plant as plants_of
 from hydro_sim.model.plant import AnalyticPlant, Plant
-from hydro_sim.neural import mlp
-from hydro_sim.structured import integration, rollout
-from hydro_sim.structured.model import StructuredModel
-from hydro_sim.structured.rollout import INPUTS, OUTPUTS
 
 Records = npt.NDArray[np.void]
 
@@ -35,24 +29,6 @@ class Analytic(NamedTuple):
     constants: Records
     sensors: Records
     state: Records
-
-
-class Structured(NamedTuple):
-    """Rows of `LearnedPlant` on a structured model; the network is the same for all."""
-
-    c: FloatArray
-    layers: mlp.Layers
-    center: FloatArray
-    scale: FloatArray
-    memories: FloatArray
-    sensors: Records
-    full: FloatArray
-    clean: FloatArray
-    error: FloatArray
-    last: Records
-    x: FloatArray
-    work: integration.Scratch
-    scratch: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass
@@ -73,16 +49,16 @@ def stack_plants(plants: Sequence[Plant]) -> PlantRows:
     ValueError
         The plants are of several kinds, or of a kind without compiled rows.
     """
-    if len({_kind(plant) for plant in plants}) != 1:
+    if len({type(plant) for plant in plants}) != 1:
         raise ValueError("a fleet needs plants of one kind")
     for known, (make, copy) in KINDS.items():
-        if _kind(plants[0]) is known:
+        if type(plants[0]) is known:
             result = PlantRows(list(plants), make(plants), copy)
             for index, plant in enumerate(plants):
                 copy(result.arrays, index, plant)
             return result
-    kind = _kind(plants[0]).__name__
-    raise ValueError(f"many benches at once are structured models or analytic ones, no {kind}")
+    kind = type(plants[0]).__name__
+    raise ValueError(f"many benches at once are those of bench files, no {kind}")
 
 
 def replace_plant(rows: PlantRows, index: int, plant: Plant) -> None:
@@ -128,19 +104,6 @@ def _advance(plants, i, noise, current):
             plants_of.advance(plants.constants[one], plants.sensors[one], plants.state[one], noise, current)
 
         return analytic
-    if getattr(plants, "instance_class", None) is Structured:
-
-        def model(plants, i, noise, current):
-            x, a1, a2, r = plants.scratch
-            rollout.advance_full(
-                plants.c[i], plants.layers, plants.center, plants.scale, plants.memories, plants.full[i], current,
-                plants.work, x, a1, a2, r, plants.clean[i],
-            )  # fmt: skip
-            one = slice(i, i + 1)
-            learned_plants.next_error(plants.sensors[one], noise, plants.clean[i], plants.last[one], plants.error[i])
-            plants.x[i] = plants.clean[i] + plants.error[i]
-
-        return model
     return None
 
 
@@ -153,10 +116,6 @@ def _measurement(plants, i):
     return None
 
 
-def _kind(plant: Plant) -> Any:
-    return type(plant.learned.model) if isinstance(plant, LearnedPlant) else type(plant)
-
-
 def _analytic(plants: Sequence[AnalyticPlant]) -> Analytic:
     return Analytic(*(np.concatenate([getattr(plant, name) for plant in plants]) for name in Analytic._fields))
 
@@ -166,34 +125,7 @@ def _copy_analytic(arrays: Analytic, index: int, plant: AnalyticPlant) -> None:
         getattr(arrays, name)[index] = getattr(plant, name)[0]
 
 
-def _structured(plants: Sequence[LearnedPlant]) -> Structured:
-    model, count = plants[0].learned.model, len(plants)
-    assert isinstance(model, StructuredModel)
-    c, layers, center, scale, memories = model.compiled
-    h1, h2 = model.hidden
-    return Structured(
-        np.tile(c, (count, 1)), layers, center, scale, memories, np.concatenate([plant.sensors for plant in plants]),
-        np.zeros((count, rollout.FULL)), np.zeros((count, 8)), np.zeros((count, 8)),
-        np.concatenate([plant._last for plant in plants]), np.zeros((count, 8)), integration.scratch(),
-        (np.empty(INPUTS), np.empty(h1), np.empty(h2), np.empty(OUTPUTS)),
-    )  # fmt: skip
-
-
-def _copy_structured(arrays: Structured, index: int, plant: LearnedPlant) -> None:
-    assert isinstance(plant.learned.model, StructuredModel)
-    arrays.c[index] = plant.learned.model.compiled[0]
-    arrays.full[index] = plant.state
-    _copy_readings(arrays, index, plant)
-
-
-def _copy_readings(arrays: Structured, index: int, plant: LearnedPlant) -> None:
-    arrays.sensors[index], arrays.last[index] = plant.sensors[0], plant._last[0]
-    arrays.clean[index], arrays.error[index] = plant.clean, plant.error
-    arrays.x[index] = plant.clean + plant.error
-
-
 KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
     AnalyticPlant: (_analytic, _copy_analytic),
-    StructuredModel: (_structured, _copy_structured),
 }
 """Kinds of plants, with the functions that stack them and write one into a row. A benchmark may add its own."""

@@ -17,7 +17,6 @@ from hydro_bridge.cli.console import add_json_argument, command, writable_folder
 from hydro_policy.envs import FILTERS
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_sim.box.box import Integral
-from hydro_sim.files.weights import WeightsError
 
 
 def parser() -> argparse.ArgumentParser:
@@ -37,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--model",
         metavar="shipped|analytic|FILE",
-        help="the learned bench that comes with hydro_sim, the analytic one, weights of `hydro_sim learn`, or a bench "
+        help="the learned bench that comes with hydro_sim, the analytic one, or a bench "
         "file, as --bench (default: shipped; with --bench: analytic)",
     )
     what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
@@ -73,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-@command(ValueError, WeightsError)
+@command(ValueError)
 def main() -> int:
     """Entry point."""
     options = parser().parse_args()

@@ -41,11 +41,10 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.task.cases import Case
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
-from hydro_sim.files import weights
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
+from hydro_sim.files import learned_bench
+from hydro_sim.files.learned_bench import is_bench_file
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched
 from hydro_sim.files.stamping import stamped
-from hydro_sim.learned.any_model import is_bench_file
-from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import BLUE, figure, legend
 
@@ -58,7 +57,7 @@ class SimulationSetup:
     """Simulated bench, model and filter; together with config.yaml all that `--resume` needs."""
 
     model: str
-    """shipped, analytic, a bench file, or a weights file of `hydro_sim learn`."""
+    """shipped, analytic, or a bench file."""
     bench: str | None = None
     """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
     box: str | None = None
@@ -71,13 +70,11 @@ class SimulationSetup:
     integral: Integral = "bumpless"
     """Form of the force law's integral, `BoxConfig.integral`."""
 
-    def simulated(self) -> Bench | Learned:
-        """Analytic bench or learned model."""
-        if is_bench_file(self.model):
-            return Bench.load(self.model)
+    def simulated(self) -> Bench:
+        """The bench that is simulated."""
         if self.model == "analytic":
             return Bench.load(self.bench) if self.bench else Bench.nominal()
-        return Learned.load(None if self.model == "shipped" else self.model)
+        return learned_bench.read(None if self.model == "shipped" else self.model)
 
     def believed(self) -> Bench:
         """Bench assumed by the box's force law."""
@@ -90,25 +87,17 @@ class SimulationSetup:
 
     def made_for(self) -> MadeFor:
         """Box that its policies are made for: the simulated one, whatever the plant."""
-        box, learned = self.box_config(), self.weights
+        box, model = self.box_config(), learned_bench.digest() if self.model == "shipped" else ""
         return MadeFor(
-            box=self.believed().digest, model=weights.digest(learned) if learned else "", base_kp=box.base_kp,
+            box=self.believed().digest, model=model, base_kp=box.base_kp,
             base_ki=box.base_ki, integral=box.integral, any_bench=self.randomise,
         )  # fmt: skip
 
-    @property
-    def weights(self) -> Path | None:
-        """File of the learned model; None: a bench file is simulated."""
-        if self.model == "analytic" or is_bench_file(self.model):
-            return None
-        return weights.shipped() if self.model == "shipped" else Path(self.model)
-
     def trouble(self) -> str:
         """Return why bench, model and filter do not belong together, in one sentence; empty if they do."""
-        box, learned = BoxIdentity.of_file(self.box), self.weights
+        box = BoxIdentity.of_file(self.box)
         remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --bench FILE --box FILE"
-        made = None if learned is None else Learned.load(learned).made
-        wrong = "" if learned is None else mismatch(f"the model {learned.name}", made, box, remedy)
+        wrong = learned_bench.box_mismatch(None, box, remedy) if self.model == "shipped" else ""
         if wrong or self.filter != "learned":
             return wrong
         return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()

@@ -38,8 +38,6 @@ from hydro_policy.sac.snapshot import dump, restore
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
 
@@ -147,7 +145,7 @@ def _within_reach(case: Case, bench: RandomisedBench) -> Case:
     return replace(case, signal=bench.within_reach(case.signal))
 
 
-Simulated = Bench | Learned | Callable[[], Plant]
+Simulated = Bench | Callable[[], Plant]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +177,7 @@ class Pretraining:
     settings
         See `PretrainSettings`.
     source
-        Simulated plant: a learned model, a bench by the analytic equations, or a factory of any other plant.
+        Simulated plant: a bench, or a factory of any other plant.
     believed
         Bench assumed by the box.
     """
@@ -284,8 +282,6 @@ class Pretraining:
         return VectorBench([self._believed] * count, plants, self.settings.box, filters)
 
     def _plant(self) -> Plant:
-        if isinstance(self._source, Learned):
-            return LearnedPlant(self._source)
         return AnalyticPlant(self._source) if isinstance(self._source, Bench) else self._source()
 
     def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
@@ -302,7 +298,7 @@ class Pretraining:
         return drawn.within_reach(reference)
 
     def _draw(self, seed: int) -> RandomisedBench:
-        assert isinstance(self._source, (Bench, Learned)), "only what has constants can be drawn"
+        assert isinstance(self._source, Bench), "only what has numbers can be drawn"
         assert self.settings.randomisation is not None
         return draw_bench(self.settings.randomisation, self._source, seed)
 

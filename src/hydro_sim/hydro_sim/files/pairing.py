@@ -4,7 +4,7 @@
 Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_for` of the JSON `hydro`::
 
     box        digest of the bench.yaml that the box believed: what the force law assumes, not what was simulated
-    model      digest of the learned bench's tensors, of a metric or of a policy trained on it; empty: none was used
+    model      digest of the learned bench that a metric or a policy was made on; empty: none was used
     base gains of the box, of policies and agents: their actions are changes to these
     integral   form of the law's integral, where it is known
 
@@ -38,7 +38,7 @@ class MadeFor:
     box: str
     """`Bench.digest` of what the box believed."""
     model: str = ""
-    """`weights.digest` of the learned bench that was used."""
+    """`Bench.digest` of the learned bench that was used."""
     base_kp: float | None = None
     """1/s, of the box; None: it does not matter."""
     base_ki: float | None = None

@@ -2,7 +2,7 @@
 """Stamps older model, metric, policy and agent files with the box that they were made for.
 
 ros2 run hydro_sim stamp FILE...                                       what they say
-ros2 run hydro_sim stamp FILE... --bench own.yaml [--model WEIGHTS]    write what they were made with
+ros2 run hydro_sim stamp FILE... --bench own.yaml [--model FILE]    write what they were made with
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
 from hydro_bridge.files.atomic import write_whole
-from hydro_sim.files import weights
+from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import MadeFor, made_for
 from hydro_sim.files.stamping import header_of, stamped
 from hydro_sim.model.bench import Bench
@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument("files", nargs="+", type=Path, metavar="FILE", help="safetensors files of ours")
     result.add_argument("--bench", metavar="FILE|nominal", help="bench.yaml that the box believed: write it into them")
-    result.add_argument("--model", metavar="FILE|shipped", help="weights of the learned bench that was used")
+    result.add_argument("--model", metavar="FILE|shipped", help="bench file of the learned bench that was used")
     result.add_argument(
         "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box; policies and agents have them"
     )
@@ -70,9 +70,13 @@ def _asked(options: argparse.Namespace) -> MadeFor | None:
             raise UserError("a stamp needs --bench: what the box believed")
         return None
     bench = Bench.nominal() if options.bench == "nominal" else Bench.load(options.bench)
-    model = weights.shipped() if options.model == "shipped" else options.model
     kp, ki = options.base_gains or (None, None)
     return MadeFor(
-        box=bench.digest, model=weights.digest(model) if model else "", base_kp=kp, base_ki=ki,
+        box=bench.digest, model=_digest(options.model), base_kp=kp, base_ki=ki,
         integral=options.integral,
     )  # fmt: skip
+
+
+def _digest(model: str | None) -> str:
+    """Digest of the learned bench that was used; empty: none was."""
+    return learned_bench.digest(None if model == "shipped" else model) if model else ""

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Weights on disk: a safetensors file of a few kB with a JSON header. Never pickle.
 
-The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state,
-normalization, region of training, `made_for` (`files.pairing`), and `training`: recordings with digests, command, seed,
-settings, code version, errors reached.
+The header's one entry `hydro` holds: format, structure, what the structure needs, `made_for` (`files.pairing`), and
+`training`: command, seed, settings, errors reached.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +15,6 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
-from hydro_bridge.files import bench_file
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_bridge.signals import FloatArray
@@ -29,7 +25,7 @@ Tensors = dict[str, FloatArray]
 
 
 class WeightsError(ValueError):
-    """A file that holds no weights of a learned bench; the message is one sentence."""
+    """A file that holds no weights; the message is one sentence."""
 
 
 def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
@@ -61,34 +57,11 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
         header = json.loads(metadata["hydro"])
         kind = (header["format"], header["structure"])
     except (KeyError, TypeError, ValueError) as error:
-        raise WeightsError(
-            f"{path} holds no weights of a learned bench: its header has no readable entry 'hydro'"
-        ) from error
+        raise WeightsError(f"{path} holds no weights: its header has no readable entry 'hydro'") from error
     if kind[0] != FORMAT:
-        raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: train the model anew")
+        raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: make it anew")
     try:
         check_numbers(tensors)
     except UnsoundError as error:
         raise WeightsError(f"{path} is damaged: {error}") from None
     return tensors, header
-
-
-def shipped() -> Path:
-    """Path of the weights shipped with this package."""
-    return Path(str(resources.files("hydro_sim") / "data" / "default_weights.safetensors"))
-
-
-def digest(path: str | Path) -> str:
-    """Return the first digits of the SHA-256 of a file's tensors; stamps and notes in the header do not change it.
-
-    Raises
-    ------
-    WeightsError
-        See `load`.
-    """
-    tensors, _ = load(path)
-    sha = hashlib.sha256()
-    for name in sorted(tensors):
-        sha.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
-        sha.update(np.ascontiguousarray(tensors[name]).tobytes())
-    return sha.hexdigest()[: bench_file.DIGITS]

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim import copies
@@ -15,9 +14,6 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.compiled_equations import equations
 from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.sensors import Sensors
-from hydro_sim.structured.integration import STATES
-from hydro_sim.structured.model import first_guess
-from hydro_sim.structured.rollout import differentiate, show
 
 
 def omitted_terms(bench: Bench) -> str:
@@ -33,7 +29,7 @@ def omitted_terms(bench: Bench) -> str:
 class AnalyticModel:
     """The equations with the bench file's values.
 
-    States are the structured model's, shape (n, 12), as far as they exist.
+    Starts of predictions are the textbook's states and the box's rates, shape (n, 9).
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -43,7 +39,7 @@ class AnalyticModel:
 
     def estimate(self, run: Run) -> FloatArray:
         """The measurements themselves."""
-        return first_guess(run, np.arange(len(run)))
+        return np.ascontiguousarray(run.x[:, [4, 5, 6, 7, 2, 3, 1, 3, 7]])
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """x, shape (n, H, 8), under currents [A], shape (n, H)."""
@@ -56,20 +52,30 @@ def _read(bench, y, reading):
     reading[1], reading[2], reading[3], reading[4] = y[4], y[0], y[1], y[2]
 
 
-@njit(parallel=True)
+@njit
+def _differentiate(memories, before, after, rates):
+    """The box's three rates a sample later (hydro_sim.model.sensors.condition, without noise)."""
+    force, velocity = memories[0], memories[1]
+    rates[0] = force * rates[0] + (1.0 - force) * (after[0] - before[0]) / SAMPLE_PERIOD
+    rates[1] = force * rates[1] + (1.0 - force) * (after[1] - before[1]) / SAMPLE_PERIOD
+    rates[2] = velocity * rates[2] + (1.0 - velocity) * (after[4] - before[4]) / SAMPLE_PERIOD
+
+
+@njit
 def _rollout(constants, memories, starts, currents):
     n, horizon = currents.shape
     measured = np.empty((n, horizon, 8))
-    for k in prange(n):
+    for k in range(n):
         y, before, after = np.empty(hydraulics.STATES), np.empty(5), np.empty(5)
-        copies.vector(y, starts[k, :4])
-        copies.vector(y[4:], starts[k, 6:8])
-        rates = starts[k, STATES:].copy()
+        copies.vector(y, starts[k, : hydraulics.STATES])
+        rates = starts[k, hydraulics.STATES :].copy()
         _read(constants[0], y, before)
         for h in range(horizon):
             hydraulics.advance(constants[0], y, currents[k, h], SAMPLE_PERIOD, hydraulics.SUBSTEPS)
             _read(constants[0], y, after)
-            differentiate(memories, before, after, rates)
-            show(after, rates, measured[k, h])
+            _differentiate(memories, before, after, rates)
+            measured[k, h, 0], measured[k, h, 2] = after[0], after[1]
+            measured[k, h, 4], measured[k, h, 5], measured[k, h, 6] = after[2], after[3], after[4]
+            measured[k, h, 1], measured[k, h, 3], measured[k, h, 7] = rates
             copies.vector(before, after)
     return measured

@@ -12,10 +12,10 @@ import yaml
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_sim.files import recordings
+from hydro_sim.files.learned_bench import BENCH_FILES, is_bench_file
 from hydro_sim.files.recordings import DataError
 from hydro_sim.identification import bench_learning
 from hydro_sim.identification.bench_learning import Result
-from hydro_sim.learned.any_model import BENCH_FILES, is_bench_file
 from hydro_sim.model.bench import Bench
 
 COLUMNS = {

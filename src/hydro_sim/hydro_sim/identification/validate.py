@@ -13,18 +13,14 @@ import numpy as np
 from hydro_bridge.cli.console import Table as ConsoleTable
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
-from hydro_sim.files import recordings
-from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
-from hydro_sim.files.weights import WeightsError, shipped
+from hydro_sim.files import learned_bench, recordings
+from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.identification import curves, evaluation
 from hydro_sim.identification.analytic import AnalyticModel, omitted_terms
 from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.bench_states import SETTLED
 from hydro_sim.identification.evaluation import Errors, Predictor, Scales, Scored
-from hydro_sim.learned.any_model import is_bench_file
-from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
-from hydro_sim.structured.model import StructuredModel
 
 COLUMNS = {
     "state": "entry of x (eq. state_def)",
@@ -42,11 +38,14 @@ LONGEST = 5000  # samples of the longest horizon
 BINS = 8
 
 
-@command(WeightsError, ValueError)
+@command(ValueError)
 def main() -> None:
     """Entry point."""
     options = _arguments()
-    model = _model(options)
+    learned_bench.require_match(
+        options.model, BoxIdentity.of_file(options.bench), "name the bench.yaml of its box by --bench"
+    )
+    model = learned_bench.read(options.model)
     scored = _scored(options.bags, options.noise_free)
     if options.horizon > (room := _longest(scored)):
         raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")
@@ -54,26 +53,14 @@ def main() -> None:
     if omitted_terms(bench):
         print(omitted_terms(bench), file=sys.stderr)
     runs = [item.run for item in scored]
-    learned: Predictor = BenchPrediction(model, runs) if isinstance(model, Bench) else model
+    learned = BenchPrediction(model, runs)
     states = [learned.estimate(item.run) for item in scored]
     analytic = AnalyticModel(bench)
-    same = isinstance(learned, StructuredModel)
-    analytic_states = states if same else [analytic.estimate(item.run) for item in scored]
+    analytic_states = [analytic.estimate(item.run) for item in scored]
     table = table_of(learned, states, analytic, analytic_states, scored, options.horizon, options.stride)
     table.show(options.json)
     _long(learned, states, analytic, analytic_states, scored, Path(options.plots) if options.plots else None)
-    if isinstance(learned, BenchPrediction):
-        print(f"{options.model}: {learned.quality.told()}")
-
-
-def _model(options: argparse.Namespace) -> Bench | StructuredModel:
-    """Load the model to validate; PairingError where weights are not of the box that --bench names."""
-    if is_bench_file(options.model):
-        return Bench.load(options.model)
-    learned, path = Learned.load(options.model), Path(options.model or shipped())
-    remedy = "name the bench.yaml of its box by --bench"
-    raise_if_mismatched(mismatch(f"the model {path.name}", learned.made, BoxIdentity.of_file(options.bench), remedy))
-    return learned.model
+    print(f"{options.model or learned_bench.shipped().name}: {learned.quality.told()}")
 
 
 def table_of(
@@ -182,7 +169,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="validate", description="Judge a learned bench on held-out recordings.")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings that it was not trained on")
     parser.add_argument(
-        "--model", metavar="FILE", help="weights of `learn`, or a bench file; the shipped weights by default"
+        "--model", metavar="FILE", help="bench file of `learn` or `diagnose`; the shipped learned bench by default"
     )
     parser.add_argument(
         "--noise-free", nargs="+", metavar="NPZ", help="the emulator's noise-free logs, for scoring only"

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // A sample, its Jacobian, and the gradient of a prediction: loops around what `hydro_sim.model.assembly` generates.
 //
+// Text of `bench_sample` and `bench_jacobian` is in a box, too (`source.embedded_source`).
+//
 // Above this text the generated part defines N (states), M (coefficients), P (parameters), SUBSTEPS, and
 //   once(theta, k)                    once_back(theta, gk, gtheta)             begin(k, y, out)
 //   enter(y, u, out)                  step(k, y, u, share, out)                read(k, y, z)
@@ -21,8 +23,8 @@ void bench_sample(const double *k, double *y, double u, double *z)
         spoilt += 0.0 * y[i];
     enter(y, u, next);
     for (int i = 0; i < SUBSTEPS; i += 2) {
-        step(k, next, u, i / (double)SUBSTEPS, y);
-        step(k, y, u, (i + 1) / (double)SUBSTEPS, next);
+        step(k, next, u, (double)i / SUBSTEPS, y);
+        step(k, y, u, (double)(i + 1) / SUBSTEPS, next);
     }
     for (int i = 0; i < N; i++)
         y[i] = next[i] + spoilt;
@@ -62,15 +64,14 @@ const long bench_coefficients = M, bench_parameters = P, bench_states = N;
 void bench_jacobian(const double *k, double *y, double u, double *z, double *dy, double *dz)
 {
     double next[N], moved[N * (N + 1)];
-    memset(dy, 0, sizeof moved);
-    for (int i = 0; i < N; i++)
-        dy[i * (N + 1) + i] = 1.0;
+    for (int i = 0; i < N * (N + 1); i++)
+        dy[i] = i % (N + 2) ? 0.0 : 1.0;
     enter(y, u, next);
     enter_tangent(dy, moved);
     memcpy(y, next, sizeof next);
     memcpy(dy, moved, sizeof moved);
     for (int i = 0; i < SUBSTEPS; i++) {
-        step_tangent(k, y, u, i / (double)SUBSTEPS, dy, next, moved);
+        step_tangent(k, y, u, (double)i / SUBSTEPS, dy, next, moved);
         memcpy(y, next, sizeof next);
         memcpy(dy, moved, sizeof moved);
     }

@@ -6,13 +6,14 @@ The source needs only a C99 compiler and its mathematics library, so that a box 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from importlib import resources
 
 import casadi
 from casadi import SX
 
-from hydro_sim.model.assembly import Functions
+from hydro_sim.model.assembly import READINGS, Functions
 
 Inputs = Sequence[tuple[str, SX]]
 Outputs = Sequence[tuple[str, SX]]
@@ -45,6 +46,52 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
     files = ["bench_model.c", *(["bench_sensitivities.c"] if sensitivities else [])]
     loops = "\n".join((resources.files("hydro_sim.model") / name).read_text(encoding="utf-8") for name in files)
     return f"#include <math.h>\n{head}\n{body}\n{loops}"
+
+
+def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: bool) -> str:
+    """Return `rates`, and a sample or its Jacobian, for a box in C (firmware/hydro/loop.h), each behind `prefix_`.
+
+    Raises
+    ------
+    ValueError
+        The model needs a mathematical function that a box does not have.
+    """
+    k, y = ("k", model.k), ("y", model.y)
+    at: Inputs = [k, y, ("u", model.current), ("share", model.share)]
+    functions: list[tuple[str, Inputs, Outputs]] = [
+        ("rates", at, [("out", model.rates)]), ("enter", [y, ("u", model.current)], [("out", model.enter)]),
+    ]  # fmt: skip
+    if jacobian:
+        functions += _tangents(model, at)
+    else:
+        functions += [("step", at, [("out", model.step)]), ("read", [k, y], [("z", model.read)])]
+    loops = (resources.files("hydro_sim.model") / "bench_model.c").read_text(encoding="utf-8")
+    loop = "jacobian" if jacobian else "sample"
+    wanted = re.search(rf"^void bench_{loop}.*?^}}\n", loops, re.MULTILINE | re.DOTALL)
+    assert wanted is not None
+    text = "\n".join([*(_function(*entry) for entry in functions), wanted[0].replace("void bench_", "static void ")])
+    numbers = {"N": model.y.numel(), "SUBSTEPS": substeps, "Z": len(READINGS)}
+    for name, number in numbers.items():
+        text = re.sub(rf"\b{name}\b", str(number), text)
+    names = [name for name, _, _ in functions] + [loop]
+    for pattern, becomes in (
+        (rf"\b({'|'.join(names)})\(", rf"{prefix}_\1("), (r"\bdouble\b", "hydro_real"),
+        (r"(?<![\w.])(\d+\.\d*(e[+-]?\d+)?|\d+e[+-]?\d+)", r"HYDRO_R(\1)"),
+        (r"= (a\d+ (<|<=|==|!=|&&|\|\|) a\d+|!a\d+);", r"= HYDRO_R(\1);"),
+        (r"= (\(a\d+ > \S+\) - \(a\d+ < \S+\));", r"= HYDRO_R(\1);"),
+        (r"\bmemcpy\(", "hydro_copy("), (r"\bsqrt\(", "HYDRO_SQRT("), (r"\bexp\(", "HYDRO_EXP("),
+        (r"\bfabs\(", "hydro_abs("), (r"\bcopysign\(", "hydro_copysign("),
+    ):  # fmt: skip
+        text = re.sub(pattern, becomes, text)
+    if missing := re.search(r"\b(log|pow|sin|cos|tanh|floor|log1p|expm1)\(", text):
+        raise ValueError(f"the model needs {missing[1]}(), which a box in C does not have")
+    return re.sub(r"(static void \w+\((.*?)\)\n\{\n)", _used, text, flags=re.DOTALL)
+
+
+def _used(head: re.Match[str]) -> str:
+    """The beginning of a function in which no argument is unused."""
+    names = [word.split()[-1].lstrip("*") for word in head[2].split(",")]
+    return head[1] + "".join(f"    (void){name};\n" for name in names)
 
 
 def _tangents(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated bench in place of emulator and bridge: same topics, types, rates and rules.
 
-ros2 run hydro_sim sim [--model WEIGHTS | shipped | analytic] [--bench FILE] [--box-bench FILE] [--speed S]
+ros2 run hydro_sim sim [--model FILE | shipped | analytic] [--bench FILE] [--box-bench FILE] [--speed S]
                        [--noise SCALE] [--seed N] [--realtime] [--ros-args ...]
 """
 
@@ -11,7 +11,6 @@ import argparse
 import threading
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 from rosgraph_msgs.msg import Clock
@@ -26,11 +25,8 @@ from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe
 from hydro_bridge.signals import Flag
 from hydro_sim.box.box import Box, BoxConfig, box_info
-from hydro_sim.files import weights
-from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
-from hydro_sim.learned.any_model import is_bench_file, make_plant
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.files import learned_bench
+from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.plant import AnalyticPlant, Plant
@@ -137,15 +133,10 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
         return AnalyticPlant(bench, noise=settings.noise)
-    if is_bench_file(name):
-        return make_plant(name, noise=settings.noise)
-    learned = Learned.load(None if name == "shipped" else name)
-    thing = f"the model {Path(weights.shipped() if name == 'shipped' else name).name}"
+    path = None if name == "shipped" else name
     remedy = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
-    raise_if_mismatched(
-        mismatch(thing, learned.made, BoxIdentity.of_file(settings.box_bench or settings.bench or None), remedy)
-    )
-    return LearnedPlant(learned, noise=settings.noise)
+    learned_bench.require_match(path, BoxIdentity.of_file(settings.box_bench or settings.bench or None), remedy)
+    return learned_bench.make_plant(path, noise=settings.noise)
 
 
 def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:

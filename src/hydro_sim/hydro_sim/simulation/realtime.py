@@ -41,7 +41,7 @@ class SimSettings:
     """Settings of the sim node."""
 
     model: str = ""
-    """Weights of a learned bench, `shipped` or `analytic`; empty: `analytic` if `bench` is given, `shipped` if not."""
+    """Bench file, `shipped` (learned bench) or `analytic`; empty: `analytic` if `bench` is given, `shipped` if not."""
     bench: str = ""
     """Path of a bench.yaml or a diagnosis' corrected.yaml; empty: the one that comes with hydro_sim."""
     box_bench: str = ""

@@ -25,7 +25,7 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_policy.nodes.graph.announcements import CompanionOutput
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange
-from hydro_sim.files.weights import shipped
+from hydro_sim.files.learned_bench import shipped
 
 if TYPE_CHECKING:
     from hydro_filter.controller.factory import FilterChoice, Settings
@@ -39,7 +39,7 @@ def bench_file(given: Path | None) -> Path:
 def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Path | None = None) -> list[str]:
     """Return key=value words: SHA-256 of the simulation's model and of each policy that the recording may contain.
 
-    The sim node runs the given model, else the analytic model of a bench file, else the weights shipped with it.
+    The sim node runs the given model, else the analytic model of a bench file, else the learned bench shipped with it.
     """
     words = [f"policy_sha256_{path.stem}={_digest(path)}" for path in policies if path.is_file()]
     if plant == "sim":
@@ -146,7 +146,7 @@ class PlantOptions:
     bench: Path | None = None
     """bench.yaml for box, simulation and filter; None: the nominal bench."""
     model: Path | None = None
-    """What is simulated in its place, a bench file or weights of `learn`; box and filter keep to `bench`."""
+    """What is simulated in its place, a bench file; box and filter keep to `bench`."""
     base_gains: Sequence[float] | None = None
     """K_p [1/s], K_i [1/s^2] of the box; None: the paper's. A simulated box gets them."""
     recording: Path | None = None

@@ -71,7 +71,7 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         "--model",
         type=Path,
         metavar="FILE",
-        help="what sim simulates, while the box keeps to --bench: a bench file, or weights of `learn`; the filter's is "
+        help="bench file that sim simulates, while the box keeps to --bench; the filter's is "
         'its own word: --filter="--model FILE --metric FILE"',
     )
     group.add_argument(

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled linearization of a bench file's loop over one sample, by the model's exact Jacobian (`bench_jacobian`)."""
+"""Compiled linearization of the loop over one sample, by the model's exact Jacobian (`bench_jacobian`)."""
 
 from __future__ import annotations
 
 import math
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_filter.model.bench_parts import NONE
-from hydro_filter.model.bench_states import hydraulic_slopes, model_state, set_opening
-from hydro_filter.model.loop_model import (
-    CLOSED,
+from hydro_filter.model.coordinates import (
     INPUT,
     LOOP,
     Q_BOX_VELOCITY,
@@ -22,6 +19,8 @@ from hydro_filter.model.loop_model import (
     Q_VELOCITY,
     law_feedback,
 )
+from hydro_filter.model.observer import hydraulic_slopes, model_state, set_opening
+from hydro_filter.model.parts import NONE
 from hydro_filter.model.state import (
     HYDRAULIC_FORCE,
     HYDRAULIC_FORCE_RATE,
@@ -35,6 +34,13 @@ from hydro_filter.model.state import (
 from hydro_sim import copies
 from hydro_sim.jit import njit
 from hydro_sim.model import machine_code
+
+CLOSED = 1e-9
+"""A: where the spool is taken to stand, still, in a sample in which it passes zero.
+
+g differs on both sides, and a sample with a part of each has the derivatives of neither: it is linearized on the side
+that the spool comes from.
+"""
 
 
 @njit
@@ -52,7 +58,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, scal
     _advance(p, step, opening, side, current)
     _state_rate(p, x, step)
     crossed = p.loop_spool != NONE and side * (step.after[p.loop_spool] + p.after) < 0.0
-    if crossed:  # see `loop_model.CLOSED`
+    if crossed:  # see CLOSED
         keeping = set_opening(p, step.before, p.loop_spool, p.loop_spool_rate, side * CLOSED)
         _advance(p, step, side * CLOSED, side, keeping)
     later = hydraulic_slopes(p, step.after, math.copysign(opening, side))[0]

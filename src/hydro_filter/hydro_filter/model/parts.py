@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data structures of a bench file's loop for compiled code: its two models, the box, the workspace of one sample.
 
-They are filled in by `bench_loop`.
+They are filled in by `loop.loop_of` and `loop.step_of`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hydro_sim.model.plant import STATES_MAX
 NONE = -1
 """Index that marks a state which the bench does not have."""
 
-BENCH_MEMORY_DTYPE = np.dtype(
+MEMORY_DTYPE = np.dtype(
     [("hidden", np.float64, (STATES_MAX + 2,)), ("reference_rate", np.float64), ("current", np.float64),
      ("running", np.bool_)], align=True,
 )  # fmt: skip
@@ -25,8 +25,8 @@ BENCH_MEMORY_DTYPE = np.dtype(
 the last f_r' [N/s]; the current [A] of the last sample; whether it ran."""
 
 
-class BenchParts(NamedTuple):
-    """Constants of the two models for compiled code; created by `bench_loop`."""
+class ModelParts(NamedTuple):
+    """Constants of the two models for compiled code; created by `loop.loop_of`."""
 
     sample_at: int
     rates_at: int
@@ -98,25 +98,31 @@ class BenchParts(NamedTuple):
     """Largest number of rates of either model."""
 
 
-class BenchLoop(NamedTuple):
-    """As `loop_model.LoopModel`, of a bench file."""
+class Loop(NamedTuple):
+    """A bench file's loop under a box, in the form of compiled code; created by `loop.loop_of`."""
 
-    model: BenchParts
+    model: ModelParts
     bench: npt.NDArray[np.void]
     """Constants assumed by the box's force law, shape (1,)."""
     gain_floor: float
+    """N/s/A, smallest g that the force law believes."""
     current_max: float
+    """A."""
     scale: FloatArray
     """Shape (n,): of the eight coordinates and of those added."""
 
 
-class BenchStep(NamedTuple):
-    """As `loop_model.LoopStep`, of a bench file."""
+class Step(NamedTuple):
+    """One sample of the loop, linearized, in units of `Loop.scale`, and scratch; created by `loop.step_of`."""
 
     transition: FloatArray
+    """F, shape (n, n) for n coordinates."""
     push: FloatArray
+    """G [1/A], shape (n,)."""
     feedback: FloatArray
+    """K [A], shape (n,)."""
     state_rate: FloatArray
+    """x' along the model's own motion [SI units per s], shape (8,)."""
     law: FloatArray
     whole: FloatArray
     before: FloatArray

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hydro_filter.model.bench_terms import follows_velocity
+from hydro_filter.model.terms import follows_velocity
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.grammar import remembers, uses

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_filter.model.bench_parts import NONE
+from hydro_filter.model.parts import NONE
 from hydro_filter.model.state import (
     LOAD_FORCE,
     LOAD_FORCE_RATE,
@@ -124,6 +124,13 @@ def hydraulic_slopes(p, state, opening):
     gain = (held_rates(p, y, side * size, False, slopes) - closed) / (side * size)
     stiffness = p.area * (soft_a + p.ratio * soft_b)
     return max(gain, p.least_gain), stiffness, closed + stiffness * y[3], soft_a, soft_b
+
+
+@njit
+def reset(memory):
+    """Reset at the start or after a gap; `memory`: one record of `parts.MEMORY_DTYPE`."""
+    memory.hidden[:] = 0.0
+    memory.reference_rate, memory.running = 0.0, False
 
 
 @njit

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.model.bench_parts import NONE
+from hydro_filter.model.parts import NONE
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK

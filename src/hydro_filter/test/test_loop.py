@@ -14,16 +14,13 @@ import yaml
 
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.model.bench_loop import effects_to_compile, rest_measurement
-from hydro_filter.model.loop import loop_of
+from hydro_filter.model.loop import effects_to_compile, loop_of, rest_measurement
 from hydro_sim.compilations import VARIABLE, read_compilations
-from hydro_sim.learned.any_model import load_model
-from hydro_sim.learned.model import Learned
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.grammar import LAWS
 from hydro_sim.model.laws import Law
-from hydro_sim.structured.model import StructuredModel
 
 Entry = dict[str, Any]
 LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
@@ -32,17 +29,6 @@ LEAK: Entry = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
 
 def of(*effects: dict[str, object]) -> Bench:
     return Bench.from_mapping(Bench.nominal().to_mapping() | {"effects": list(effects)})
-
-
-def test_the_still_loop_is_that_of_the_structured_model_with_the_same_physics(bench: Bench) -> None:
-    learned = Learned.load().model
-    assert isinstance(learned, StructuredModel)
-    ours = rest_loop(loop_of(of(LAG, LEAK), bench), 60.0)
-    theirs = rest_loop(loop_of(learned, bench), 60.0)
-    assert np.allclose(ours[0], theirs[0], atol=0.12)  # the spool's damping and bandwidth are the learned ones' about
-    assert np.allclose(ours[2], theirs[2], rtol=0.01, atol=1e-4)
-    radii = [np.abs(np.linalg.eigvals(f + np.outer(g, k))).max() for f, g, k in (ours, theirs)]
-    assert radii[0] == pytest.approx(radii[1], abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -98,13 +84,14 @@ def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
     assert effects_to_compile(of(*other)) == ""
     loop_of(of(*other), replace(bench, spring_stiffness=3e4))
     assert "compiling" not in capfd.readouterr().err
+    loop_of(load_model(), bench)
+    assert FilterChoice(bench=bench).uncompiled == ""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     assert effects_to_compile(of(LAG, LEAK)) == "valve_lag, leakage_internal"
     file = tmp_path / "bench.yaml"
     file.write_text(yaml.safe_dump(of(LAG, LEAK).to_mapping()), encoding="utf-8")
     choice = FilterChoice(bench=bench, model=file)
     assert choice.uncompiled == "the model of a bench with valve_lag, leakage_internal"
-    assert FilterChoice(bench=bench).uncompiled == "", "the shipped model is compiled by set-up"
 
 
 @pytest.mark.slow
@@ -118,13 +105,3 @@ def test_the_filter_on_a_bench_file_as_set_up_compiles_it_compiles_nothing(tmp_p
     environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert read_compilations(tmp_path / "log") == [] and done.stderr == ""
-
-
-def test_a_model_is_read_by_the_kind_of_its_file(tmp_path: Path) -> None:
-    file = tmp_path / "corrected.yaml"
-    entries = Bench.nominal().to_mapping() | {"spring_stiffness": 3e4}
-    file.write_text("".join(f"{key}: {value}\n" for key, value in entries.items()), encoding="utf-8")
-    found = load_model(file)
-    assert isinstance(found, Bench)
-    assert found.spring_stiffness == 3e4
-    assert isinstance(load_model(None), StructuredModel)
