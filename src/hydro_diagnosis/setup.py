@@ -7,9 +7,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={
-        name: ["py.typed", "data/*", "report/templates/*", "growing/templates/*", "blind_benchmark/templates/*"]
-    },
+    package_data={name: ["py.typed", "data/*", "report/templates/*", "blind_benchmark/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import keyword
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,11 +22,11 @@ def parser() -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(
         prog="diagnose",
         usage="diagnose --grow REPORT... --id NAME [--law FORM] [--out FOLDER] [--json FILE]",
-        description="A law that was found on several benches becomes a named effect: its module and its test.",
+        description="A law that was found on several benches becomes a named effect.",
     )
     add_options(options, required=True)
-    options.add_argument("--out", type=writable_folder, metavar="FOLDER", help="where module and test go (default: "
-                         "the source tree in a checkout, else ~/.local/share/hydro/effects)")  # fmt: skip
+    options.add_argument("--out", type=writable_folder, metavar="FOLDER", help="where its file goes (default: the "
+                         "source tree in a checkout, else ~/.local/share/hydro/effects)")  # fmt: skip
     return options
 
 
@@ -35,30 +34,30 @@ def add_options(options: argparse.ArgumentParser | argparse._ArgumentGroup, *, r
     """Add the options of `--grow`; `diagnose` lists them in its own help, where none is required."""
     options.add_argument(FLAG, nargs="+", required=required, metavar="REPORT", dest="reports",
                          help="report.json of two benches or more, or the folders that hold them: the law that they "
-                         "share becomes a named effect, its module and its test")  # fmt: skip
+                         "share becomes a named effect")  # fmt: skip
     options.add_argument("--id", required=required, metavar="NAME", help="of the effect, for instance port_drag")
     options.add_argument("--law", metavar="FORM", help="which one, where the reports have several laws in common")
     options.add_argument("--json", type=writable, metavar="FILE", help="also write the table of the law's numbers")
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Compare the reports, write the effect and its test, say what was found."""
+    """Compare the reports, write the effect, say what was found."""
     chosen = parser().parse_args(arguments)
-    from hydro_diagnosis.growing.sightings import agreements, paths, sightings, written
+    from hydro_diagnosis.growing.sightings import agreements, sightings, written
     from hydro_sim.model.effects import grown
 
     folder = chosen.out or grown.folder()
-    tests = grown.tests_folder(folder)
-    _refuse_id(chosen.id, paths(chosen.id, folder, tests))
+    path = folder / f"{chosen.id}.yaml"
+    _refuse_id(chosen.id, path)
     found = sightings(chosen.reports, chosen.law)
     agreed = agreements(found)
-    made = written(chosen.id, found, agreed, folder, tests)
+    written(found, agreed, path)
     law = found[0].law
     side_by_side(found).show(chosen.json)
     print(f"\n{chosen.id}: {law.sentence}")
     for one in agreed:
         print(f"  {one.sentence}")
-    print(f"{made[0]} is the effect, {made[1]} its test: python -m pytest {made[1]}")
+    print(f"{path} is the effect")
     if not grown.is_read(folder):
         print(f"bench files may name it where {grown.VARIABLE}={folder} is set")
     return 0
@@ -82,16 +81,15 @@ def side_by_side(found: Sequence[Sighting]) -> Table:
     return made
 
 
-def _refuse_id(name: str, made: Sequence[Path]) -> None:
-    """Refuse an id that is no name of a module, or is taken."""
+def _refuse_id(name: str, path: Path) -> None:
+    """Refuse an id that is no name, or is taken."""
     from hydro_diagnosis.effects import CANDIDATES
     from hydro_sim.model.effects.catalogue import KINDS
 
-    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or keyword.iskeyword(name) or name.startswith("test_"):
+    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name):
         raise UserError(f"--id {name!r}: lower-case words joined by _ are meant, for instance port_drag")
     taken = {one.split()[0] for one in KINDS} | {one.id for one in CANDIDATES}
     if name in taken:
         raise UserError(f"--id {name}: an effect of this id exists: choose another name")
-    for path in made:
-        if path.exists():
-            raise UserError(f"{path} exists: choose another --id")
+    if path.exists():
+        raise UserError(f"{path} exists: choose another --id")

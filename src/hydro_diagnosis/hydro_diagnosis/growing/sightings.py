@@ -8,21 +8,18 @@ equal values it follows chi-squared. Source: Cochran 1954, The combination of es
 from __future__ import annotations
 
 import json
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+import yaml
 from scipy.stats import chi2
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.files.atomic import write_whole
-from hydro_diagnosis.effects.closure import closure
 from hydro_sim.model import grammar
-from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
 
 LEVEL = 0.05
@@ -216,58 +213,29 @@ def _told(laws: _Laws) -> str:
     return f"{next(iter(laws.values())).report} has {names}"
 
 
-# --- the effect's module and its test ---------------------------------------------------------------------------------
+# --- the effect -------------------------------------------------------------------------------------------------------
 
 REACH = 10.0
 """Bounds of a parameter, over the largest and under the smallest value that was seen."""
-_WIDTH = 120
 
 
-def written(name: str, found: Sequence[Sighting], agreed: Sequence[Agreement], folder: Path, tests: Path) -> list[Path]:
-    """Write the module of the effect `name` and its test, and return both paths."""
-    about = _about(name, found, agreed)
-    made = []
-    for template, path in zip(("effect", "test_effect"), paths(name, folder, tests), strict=True):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, _templates().get_template(f"{template}.py.jinja").render(about).encode())
-        made.append(path)
-    return made
-
-
-def paths(name: str, folder: Path, tests: Path) -> tuple[Path, Path]:
-    """Module and test of an effect."""
-    return folder / f"{name}.py", tests / f"test_{name}.py"
-
-
-def _templates() -> Environment:
-    return Environment(
-        loader=PackageLoader("hydro_diagnosis", "growing/templates"), undefined=StrictUndefined, trim_blocks=True,
-        keep_trailing_newline=True,
-    )  # fmt: skip
-
-
-def _about(name: str, found: Sequence[Sighting], agreed: Sequence[Agreement]) -> Mapping[str, Any]:
+def written(found: Sequence[Sighting], agreed: Sequence[Agreement], path: Path) -> None:
+    """Write the effect as `hydro_sim.model.effects.grown` reads it."""
     law = found[0].law
-    common = {one.name: _short(one.common) for one in agreed}
-    return {
-        "id": name,
-        "law": law,
-        "found": found,
-        "title": textwrap.fill(law.sentence, _WIDTH, initial_indent="   ").strip(),
-        "sentence": _wrapped(law.sentence),
-        "table": textwrap.indent(table(found), "    "),
-        "sentences": "\n".join(textwrap.fill(one.sentence, _WIDTH) for one in agreed),
-        "typical": abs(common["coefficient"]),
-        "numbers": _tuple([f'Number("{one.name}", "{one.unit}", ({common[one.name]},))' for one in law.numbers]),
-        "bounds": {one.name: _bounds(one.name, found) for one in agreed},
-        "seen": common,
-        "equations": _tuple([f'"{one}"' for one in closure(law, Bench.nominal()).equations]),
-        "amplitude": 560.0 if "from A to B" in law.form else 260.0,
-    }
+    about = [f'Grown by `diagnose --grow` from the law "{law.form}" ({law.equation}), found on {len(found)} benches:',
+             "", *(f"    {row}" for row in table(found)), "", *(one.sentence for one in agreed)]  # fmt: skip
+    numbers = {}
+    for one in agreed:
+        low, high = _bounds(one.name, found)
+        numbers[one.name] = {"seen": _short(one.common), "low": low, "high": high}
+    content = {"law": {"equation": law.equation, "form": law.form}, "sentence": law.sentence, "parameters": numbers}
+    text = "".join(f"# {line}".rstrip() + "\n" for line in about)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, (text + yaml.safe_dump(content, sort_keys=False, width=110)).encode())
 
 
-def table(found: Sequence[Sighting]) -> str:
-    """The numbers side by side with their 95 % intervals; reports by the last two folders of their paths."""
+def table(found: Sequence[Sighting]) -> list[str]:
+    """Rows of the numbers side by side with their 95 % intervals; reports by the last two folders of their paths."""
     rows = []
     for name, unit in units(found[0].law).items():
         for one in found:
@@ -276,7 +244,7 @@ def table(found: Sequence[Sighting]) -> str:
             interval = f"95 % {estimate.low:.4g} to {estimate.high:.4g}" if known else "not identified"
             rows.append((_place(one.report), f"{name} = {estimate.value:.4g} {unit}", interval))
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
 def _place(report: str) -> str:
@@ -303,15 +271,3 @@ def _ends(one: Sighting, name: str) -> list[float]:
 def _short(value: float) -> float:
     """Four digits: more were not seen."""
     return float(f"{value:.4g}") + 0.0
-
-
-def _tuple(items: Sequence[str]) -> str:
-    return f"({items[0]},)" if len(items) == 1 else f"({', '.join(items)})"
-
-
-def _wrapped(sentence: str) -> str:
-    """A text as Python source, over several lines if it is long."""
-    if len(sentence) <= _WIDTH - 20:
-        return f'"{sentence}"'
-    lines = textwrap.wrap(sentence, _WIDTH - 14, drop_whitespace=False)
-    return "(\n" + "".join(f'            "{line}"\n' for line in lines) + "        )"

@@ -1,19 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grown effects: laws that `diagnose --grow` gave an id, one module each, in its `EFFECT`.
+"""Grown effects: laws that `diagnose --grow` gave an id, one file each.
 
-Modules are read from this folder, where a checkout keeps them under version control, and from the user's own: the
+Of `<id>.yaml`::
+
+    law: {equation: motion, form: quadratic drag}      a row of `model.grammar`
+    sentence: ...                                      for a person at the bench
+    parameters:
+      coefficient: {seen: 880.0, low: 0.0, high: 8890.0}
+
+Files are read from this folder, where a checkout keeps them under version control, and from the user's own: the
 folder that the environment variable HYDRO_EFFECTS names, else `~/.local/share/hydro/effects`.
 """
 
 from __future__ import annotations
 
 import os
-from importlib import import_module
+from dataclasses import replace
 from pathlib import Path
-from pkgutil import iter_modules
+
+import yaml
 
 from hydro_bridge.errors import UserError
+from hydro_sim.model import grammar
 from hydro_sim.model.effects.closure import NamedLaw
+from hydro_sim.model.laws import Law, Number
 
 VARIABLE = "HYDRO_EFFECTS"
 HERE = Path(__file__).resolve().parent
@@ -33,46 +43,35 @@ def folder() -> Path:
     return HERE if in_checkout and not os.environ.get(VARIABLE) else users_folder()
 
 
-def tests_folder(effects: Path) -> Path:
-    """Where the test of an effect in this folder goes: the diagnosis' tests in a checkout, else beside it."""
-    return _CHECKOUT.parent / "hydro_diagnosis" / "test" if effects.resolve() == HERE else effects
-
-
 def is_read(place: Path) -> bool:
     """Return whether bench files may name the effects in a folder."""
-    return place.resolve() in (Path(one).resolve() for one in __path__)
-
-
-def _read() -> tuple[NamedLaw, ...]:
-    names = sorted({module.name for module in iter_modules(__path__) if not module.name.startswith("test_")})
-    return tuple(map(_effect, names))
-
-
-def _effect(name: str) -> NamedLaw:
-    try:
-        found = import_module(f"{__name__}.{name}").EFFECT
-    except Exception as error:
-        why = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise UserError(
-            f"{_file(name)}: this grown effect cannot be read ({why}): mend the file or remove it"
-        ) from error
-    if not isinstance(found, NamedLaw):
-        raise UserError(f"{_file(name)}: its EFFECT is no NamedLaw: mend the file or remove it")
-    return found
-
-
-def _file(name: str) -> Path:
-    places = [Path(one) / name for one in __path__]
-    found = [path for place in places for path in (place.with_suffix(".py"), place) if path.exists()]
-    return found[0] if found else Path(name)
+    return place.resolve() in (HERE, users_folder().resolve())
 
 
 def sources() -> list[Path]:
     """Files of the effects."""
-    return sorted(file for place in __path__ for file in Path(place).glob("*.py") if not file.name.startswith("test_"))
+    return sorted({path for place in (HERE, users_folder()) for path in place.glob("*.yaml")})
 
 
-__path__.append(str(users_folder()))
-EFFECTS: tuple[NamedLaw, ...] = _read()
+def _effect(path: Path) -> NamedLaw:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        row, seen = content["law"], content["parameters"]
+        law = grammar.ALL[row["equation"], row["form"]]
+        if not isinstance(law, Law):
+            raise ValueError("a table of numbers is no effect")
+        numbers = tuple(Number(one.name, one.unit, (float(seen[one.name]["seen"]),)) for one in law.numbers)
+        typical = abs(float(seen["coefficient"]["seen"]))
+        return NamedLaw(
+            id=path.stem,
+            law=replace(law, typical=typical, sentence=str(content["sentence"]), numbers=numbers),
+            bounds={name: (float(one["low"]), float(one["high"])) for name, one in seen.items()},
+        )
+    except Exception as error:
+        why = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise UserError(f"{path}: this grown effect cannot be read ({why}): mend the file or remove it") from error
+
+
+EFFECTS: tuple[NamedLaw, ...] = tuple(map(_effect, sources()))
 """Grown effects, by id."""
 IDS = frozenset(one.id for one in EFFECTS)
