@@ -183,7 +183,8 @@ files = []
 for seed, waveform in enumerate((Waveform.MULTISINE, Waveform.SINE, Waveform.SMOOTH_STEP), 1):
     states = driven(values, seed, waveform)
     files.append(folder / f"run{seed}.csv")
-    pd.DataFrame({"time": states["time"], **{name: states[name] for name in STATE_FIELDS}}).to_csv(files[-1], index=False)
+    columns = {name: states[name] for name in STATE_FIELDS}
+    pd.DataFrame({"time": states["time"], **columns}).to_csv(files[-1], index=False)
 report = diagnose(files[:2], holdout=files[2:]).report
 (found,) = report.effects
 print(json.dumps([report.verdict, found.id, {name: one.value for name, one in found.parameters.items()}]))
