@@ -8,6 +8,7 @@ is an unnamed cause, with what it resembles.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 from hydro_diagnosis.effects.base import HYDRAULIC, MOTION, PRESSURE, Effect, FitParameter, Values, changed
 from hydro_sim.model.bench import Bench
@@ -15,69 +16,63 @@ from hydro_sim.model.bench import Bench
 _RATIO = FitParameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
 
 
-class SupplyPressure(Effect):
+class _Times(Effect):
+    """A number of the bench file times a ratio."""
+
+    number: ClassVar[str]
+    """In bench.yaml."""
+    words: ClassVar[str]
+    parameters = (_RATIO,)
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return changed(bench, **{self.number: getattr(bench, self.number) * values["ratio"]})
+
+    def sentence(self, values: Values) -> str:
+        return f"The {self.words} is {values['ratio']:.4g} times what the bench file says."
+
+
+class SupplyPressure(_Times):
     """p_s times a ratio."""
 
     id = "supply_pressure"
     equations = ("actuation",)
     blocks = frozenset({PRESSURE})
-    parameters = (_RATIO,)
-
-    def bench(self, bench: Bench, values: Values) -> Bench:
-        return changed(bench, supply_pressure=bench.supply_pressure * values["ratio"])
-
-    def sentence(self, values: Values) -> str:
-        return f"The supply pressure is {values['ratio']:.4g} times what the bench file says."
+    number, words = "supply_pressure", "supply pressure"
 
 
-class PistonArea(Effect):
+class PistonArea(_Times):
     """A_p times a ratio: of both chambers, since A_b = alpha A_p."""
 
     id = "piston_area"
     equations = ("pressure_a", "pressure_b")
     blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
-    parameters = (_RATIO,)
-
-    def bench(self, bench: Bench, values: Values) -> Bench:
-        return changed(bench, piston_area=bench.piston_area * values["ratio"])
-
-    def sentence(self, values: Values) -> str:
-        return f"The piston area is {values['ratio']:.4g} times what the bench file says."
+    number, words = "piston_area", "piston area"
 
 
-class AreaRatio(Effect):
+class AreaRatio(_Times):
     """alpha times a ratio."""
 
     id = "area_ratio"
     equations = ("pressure_b",)
     blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
-    parameters = (_RATIO,)
-
-    def bench(self, bench: Bench, values: Values) -> Bench:
-        return changed(bench, area_ratio=bench.area_ratio * values["ratio"])
-
-    def sentence(self, values: Values) -> str:
-        return f"The ratio of the piston areas is {values['ratio']:.4g} times what the bench file says."
+    number, words = "area_ratio", "ratio of the piston areas"
 
 
-class DeadVolume(Effect):
-    """V_dead of one chamber times a ratio."""
+class DeadVolumeA(_Times):
+    """V_dead of chamber A times a ratio."""
 
     id = "dead_volume"
+    equations = ("pressure_a",)
     blocks = frozenset({PRESSURE})
     parameters = (replace(_RATIO, low=0.1, high=10.0, smallest=0.004),)
+    number, words = "dead_volume_a", "dead volume of chamber A"
 
-    @property
-    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
-        return ("pressure_" + self.options["chamber"],)
 
-    def bench(self, bench: Bench, values: Values) -> Bench:
-        name = "dead_volume_" + self.options["chamber"]
-        return changed(bench, **{name: getattr(bench, name) * values["ratio"]})
+class DeadVolumeB(DeadVolumeA):
+    """V_dead of chamber B times a ratio."""
 
-    def sentence(self, values: Values) -> str:
-        chamber = self.options["chamber"].upper()
-        return f"The dead volume of chamber {chamber} is {values['ratio']:.4g} times what the bench file says."
+    equations = ("pressure_b",)
+    number, words = "dead_volume_b", "dead volume of chamber B"
 
 
 class TankPressure(Effect):
@@ -89,12 +84,9 @@ class TankPressure(Effect):
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
-        probe = self.reference + 2e5
-        return (
-            FitParameter(
-                name="pressure", unit="Pa", low=0.0, high=5e6, neutral=self.reference, probes=(probe,), smallest=1e4
-            ),
-        )
+        true = self.reference
+        return (FitParameter(name="pressure", unit="Pa", low=0.0, high=5e6, neutral=true, probes=(true + 2e5,),
+                             smallest=1e4),)  # fmt: skip
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, reference=bench.tank_pressure)
@@ -110,8 +102,8 @@ EFFECTS: tuple[Effect, ...] = (
     SupplyPressure(),
     PistonArea(),
     AreaRatio(),
-    DeadVolume({"chamber": "a"}),
-    DeadVolume({"chamber": "b"}),
+    DeadVolumeA({"chamber": "a"}),
+    DeadVolumeB({"chamber": "b"}),
     TankPressure(),
 )
 
