@@ -106,14 +106,3 @@ def test_the_box_for_linux_keeps_the_protocol_over_a_port(linux_box: End) -> Non
     results = run(cases, lambda: Host(linux_box), numbers, moving=False)
     assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
     assert sum(result.outcome == PASS for result in results) >= 18
-
-
-def test_two_starts_of_the_box_for_linux_have_two_epochs(configured: Path) -> None:
-    text = (FIRMWARE / "examples" / "linux_serial.c").read_text().replace('"../hydro/box.h"', '"hydro/box.h"')
-    source = configured / "epochs.c"
-    source.write_text(
-        text.replace("int main(", "int box(") + 'int main(void) { return printf("%u", drawn_epoch()) < 0; }'
-    )
-    program = compiled(configured, source)
-    found = {subprocess.run([str(program)], capture_output=True, check=True).stdout for _ in range(3)}
-    assert len(found) == 3 and b"0" not in found

@@ -8,12 +8,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import CORRECTION, STATE
 from hydro_bridge.signals import Flag
@@ -82,29 +80,6 @@ def test_a_second_filter_and_trainer_are_told_and_leave_the_first_alone(graph: D
         graph.drive(3.0)
         assert told in process.text and process.process.poll() is None
     assert all(state.flags & Flag.ARMED for _, state in graph.probe.heard[STATE]), graph.text[-40:]
-
-
-@pytest.mark.study
-def test_of_two_recorders_and_two_live_pages_each_tells_of_the_other_and_both_have_every_sample(
-    graph: Defended, tmp_path: Path
-) -> None:
-    graph.arm()
-    graph.probe.forget()
-    bags = [tmp_path / "first", tmp_path / "second"]
-    with ExitStack() as stack:
-        recorders = [said_by(stack, "hydro_bridge", "recorder", "--out", str(bag)) for bag in bags]
-        pages = [said_by(stack, "hydro_bridge", "dashboard", "--port", "0") for _ in range(2)]
-        for outputs, sentence in ((recorders, "another recorder"), (pages, "another live page")):
-            everywhere = lambda outputs=outputs, sentence=sentence: all(  # noqa: E731
-                sentence in output.getvalue() for output in outputs
-            )
-            graph.drive(PATIENCE, until=everywhere)
-            assert everywhere(), sentence
-        graph.drive(3.0)
-    first, second = (read_bag(bag).state["sequence"] for bag in bags)
-    both = np.intersect1d(first, second)
-    assert len(both) > 2000 and len(both) > 0.99 * (both[-1] - both[0] + 1)
-    assert all(state.flags & Flag.ARMED for _, state in graph.probe.heard[STATE])
 
 
 def test_a_second_plant_disarms_the_first_which_says_why(graph: Defended) -> None:

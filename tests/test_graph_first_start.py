@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -53,15 +52,6 @@ def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> 
     assert run(words, tmp_path, *SHORT) == set()
     words = f"hydro_policy evaluate --plant {plant} --runs {{out}}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
     assert run(words, tmp_path) == set()
-
-
-@pytest.mark.slow
-def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
-    """Without this the tests here could not fail."""
-    code = "import hydro_sim, numba; numba.njit(lambda x: x + 1)(1)"
-    environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
-    assert [line["function"] for line in read_compilations(tmp_path / "log")] == ["__main__.<lambda>"]
 
 
 @pytest.mark.slow

@@ -97,15 +97,6 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield bag
 
 
-def test_topics_are_listed_with_types_and_counted(graph: Path) -> None:
-    names = ros2("topic", "list").split()
-    assert {"/hydro/state", "/hydro/box", "/hydro/authority", "/diagnostics", "/rosout"} <= set(names)
-    assert names == sorted(names)
-    assert "/hydro/state [hydro_msgs/msg/BenchState]\n" in ros2("topic", "list", "-t")
-    assert int(ros2("topic", "list", "-c")) == len(names)
-    assert ros2("topic", "type", "/hydro/state") == "hydro_msgs/msg/BenchState\n"
-
-
 def test_a_message_is_shown_as_yaml_and_a_latched_one_though_it_was_said_before(graph: Path) -> None:
     state = yaml.safe_load(ros2("topic", "echo", "/hydro/state", "--once").removesuffix("---\n"))
     assert state["header"]["frame_id"] == "bench" and isinstance(state["load_force"], float) and not state["flags"] & 1
@@ -125,15 +116,6 @@ def test_the_rate_of_samples_is_told_each_second_until_an_interrupt(graph: Path)
     rate = float(re.findall(r"average rate: ([\d.]+)", said)[-1])
     assert 800.0 < rate < 1050.0
     assert "Traceback" not in rest
-
-
-def test_nodes_are_listed_and_told_of(graph: Path) -> None:
-    assert ros2("node", "list").split() == ["/bridge", "/recorder"]
-    assert int(ros2("node", "list", "-a", "-c")) == 3, "the visitor itself"
-    said = ros2("node", "info", "/bridge")
-    assert said.startswith("/bridge\n  Subscribers:\n")
-    assert "    /hydro/state: hydro_msgs/msg/BenchState\n" in said.partition("Publishers:")[2]
-    assert "    /hydro/claim: hydro_msgs/srv/Claim\n" in said.partition("Service Servers:")[2]
 
 
 def test_parameters_are_listed_and_read(graph: Path) -> None:
@@ -164,12 +146,7 @@ def test_a_recording_is_told_of_while_it_grows(graph: Path) -> None:
     assert "was not finished" in said
 
 
-def test_what_is_not_there_is_a_sentence(graph: Path) -> None:
-    assert "nobody publishes or hears /nothing" in refused("topic", "echo", "/nothing", "--once")
-    wrong = refused("service", "call", "/hydro/arm", "std_srvs/srv/Trigger")
-    assert "is of type std_srvs/srv/SetBool" in wrong
-
-
+@pytest.mark.study
 def test_the_graph_of_a_training_is_launched_and_ends_in_order_on_an_interrupt(tmp_path: Path) -> None:
     run = tmp_path / "launched"
     environment = {**os.environ, "HYDRO_DASHBOARD": "off"}

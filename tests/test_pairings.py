@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +20,6 @@ import yaml
 pytest.importorskip("rclpy")
 
 from hydro_filter.metric import learned as learned_metric
-from hydro_filter.nodes.options import arguments
 from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
 from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
@@ -163,21 +162,6 @@ def test_a_wrong_pairing_is_one_sentence_and_status_2_and_leaves_nothing(
         assert set(files.rglob("*")) == before, "nothing is left behind"
 
     each([(command, *row) for command, rows in WRONG.items() for row in rows], check)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        (),
-        ("--metric", "constant"),
-        ("--bench", "@own.yaml", "--metric", "constant"),
-        ("--bench", "@own.yaml", "--model", "@own_model.safetensors", "--metric", "@own_metric.safetensors"),
-        ("--model", "@other_model.safetensors", "--metric", "@other_metric.safetensors"),
-    ],
-)
-def test_a_filter_of_one_bench_throughout_is_taken(words: Sequence[str], files: Path) -> None:
-    choice, _, _ = arguments([word.replace("@", f"{files}/") for word in words])
-    assert choice.trouble() == ""
 
 
 def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path) -> None:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,8 +13,6 @@ from zlib import crc32
 import pytest
 from cobs import cobs
 
-from hydro_bridge.conformance.reference import faded, floor, nominal_current, shape
-from hydro_bridge.files import bench_file
 from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.protocol import (
     BoxDetails,
@@ -133,29 +129,6 @@ def stated(sentence: str) -> list[float]:
     return [float(number) for number in ([found] if isinstance(found, str) else found)]
 
 
-def test_the_law_of_the_page_gives_its_numbers() -> None:
-    bench = bench_file.read_numbers(Path(str(bench_file.shipped())))
-    assert stated(r"g_min (1\.[\d.e]+) N/s/A") == pytest.approx([floor(bench)], rel=1e-6)
-    values = {
-        "load_force": -2.25, "reference_force": -2.0, "proportional_gain": 15.0, "pressure_a": 4e6, "pressure_b": 6e6,
-        "piston_position": 0.0625,
-    }  # fmt: skip
-    numbers = stated(r"f_r' 100 N/s u_nom is (\S+) A; with -0.01 m/s and -100 N/s it is (\S+) A")
-    for number, sign in zip(numbers, (1.0, -1.0), strict=True):
-        moving = values | {"piston_velocity": 0.01 * sign, "reference_force_rate": 100.0 * sign}
-        assert number == pytest.approx(nominal_current(bench, moving, 2.0, "load_force"), rel=1e-6)
-
-
-@pytest.mark.parametrize("waveform", [Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP])
-def test_the_references_of_the_page_give_its_numbers(waveform: Waveform) -> None:
-    name = waveform.name.lower().replace("_", " ")
-    pair = r"(\S+), (\S+)"
-    numbers = stated(rf"\| {int(waveform)} {name} \| {pair} \| {pair} \| {pair} \|")
-    signal = ReferenceSignal(waveform=waveform, amplitude=100.0, offset=-20.0, frequency=2.0, phase=0.5)
-    right = [each for time in (0.0, 0.01, 0.3) for each in faded((12.5, 0.0), shape(signal, time), time)]
-    assert numbers == pytest.approx(right, abs=6e-6)
-
-
 def test_the_lengths_and_rates_of_the_line_are_those_of_its_frames() -> None:
     assert [len(MADE[4]), len(MADE[6])] == stated(r"STATE has (\d+) bytes on the line, a COMMAND (\d+)")
     assert [len(MADE[5]), len(MADE[7])] == stated(r"version 2 they have (\d+) and (\d+)")
@@ -173,15 +146,6 @@ def test_the_ranges_of_the_page_are_those_of_the_box() -> None:
     wanted = [force, rate, force, rate, high * 1e6, high * 1e6, far * 1e-3, velocity]
     assert record["high"] == pytest.approx(wanted)
     assert record["low"] == pytest.approx([-force, -rate, -force, -rate, low * 1e6, low * 1e6, near * 1e-3, -velocity])
-
-
-def test_the_digest_of_the_page_is_that_of_the_nominal_bench() -> None:
-    (beginning, digest) = re.findall(
-        r"begins with `(.*?)` and has the digest (\w+)\.", " ".join(PAGE.read_text(encoding="utf-8").split())
-    )[0]
-    text = json.dumps(Bench.nominal().to_mapping(), sort_keys=True)
-    assert text.startswith(beginning)
-    assert digest == Bench.nominal().digest == hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:

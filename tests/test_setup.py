@@ -3,33 +3,18 @@
 
 from __future__ import annotations
 
-import ast
 import json
-import os
 import resource
 import subprocess
 import sys
-import venv as python_venv
 from pathlib import Path
 
 import pytest
 
-from setup import bootstrap, compile_kernels, host, kernels, plan, stamp, venv, wheels
+from setup import bootstrap, compile_kernels, host, kernels, plan, stamp, venv
 from setup.layout import Layout
-from setup.progress import SetupError, run_logged
 
 ROOT = Path(__file__).resolve().parent.parent
-EXPORT = 'INTERFACE_INCLUDE_DIRECTORIES "{root}/include/{name};{root}/lib/{name}/site-packages/numpy/_core/include"'
-
-
-@pytest.mark.parametrize(("tag", "name"), [("cp310-cp310", "python3.10"), ("cp313-cp313", "python3.13")])
-def test_stale_include_paths_are_repaired_once(tmp_path: Path, tag: str, name: str) -> None:
-    export = tmp_path / "share" / "std_msgs" / "cmake" / "export.cmake"
-    export.parent.mkdir(parents=True)
-    export.write_text(EXPORT.format(root=f"/opt/python/{tag}", name=name))
-    assert wheels.repair_include_paths(tmp_path, r"/a\1/include", "/b/numpy") == 1
-    assert r'INTERFACE_INCLUDE_DIRECTORIES "/a\1/include;/b/numpy"' in export.read_text()
-    assert wheels.repair_include_paths(tmp_path, r"/a\1/include", "/b/numpy") == 0
 
 
 def fake_ros(prefix: Path, distribution: str) -> dict[str, str]:
@@ -52,34 +37,14 @@ def test_sourced_jazzy_is_used(tmp_path: Path) -> None:
     assert names == ["requirements.txt", "requirements-dev.txt"]
 
 
-def test_other_distribution_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match="ROS 2 humble is sourced"):
-        host.sourced_ros(fake_ros(tmp_path / "humble", "humble"), tmp_path / ".venv")
-
-
 def test_stand_in_is_not_taken_for_a_sourced_ros(tmp_path: Path) -> None:
     assert host.sourced_ros(fake_ros(tmp_path / ".venv", "jazzy"), tmp_path / ".venv") is None
     assert host.sourced_ros({"PATH": "/usr/bin"}, tmp_path / ".venv") is None
 
 
-@pytest.mark.parametrize("missing", ["compiler", "make"])
-def test_missing_tool_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
-    for name in {"compiler": ["make"], "make": ["c++"]}[missing]:
-        (tmp_path / name).write_text("#!/bin/sh\n")
-        (tmp_path / name).chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CXX", raising=False)
-    with pytest.raises(SetupError, match={"compiler": "apt install g", "make": "apt install make"}[missing]):
-        host.require_tools(tmp_path)
-
-
 @pytest.mark.parametrize("version", [(2, 7, 18), (3, 9, 18), (3, 14, 0)])
 def test_unsuitable_python_is_told_so(version: tuple[int, int, int]) -> None:
     assert f"Python {version[0]}.{version[1]} found, but 3.10 to 3.13 is needed" in bootstrap.python_complaint(version)
-
-
-def test_bootstrap_parses_on_old_pythons() -> None:
-    ast.parse((ROOT / "setup" / "bootstrap.py").read_text(), feature_version=(3, 6))
 
 
 def make_package(source: Path) -> Path:
@@ -141,22 +106,6 @@ def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
     assert sources
     compiled = {package.partition(".")[0] for package in compile_kernels.PACKAGES}
     assert compiled == {path.relative_to(ROOT / "src").parts[0] for path in sources}
-
-
-def test_environment_cut_short_or_moved_is_not_usable(tmp_path: Path) -> None:
-    layout = Layout(root=tmp_path / "here")
-    assert not venv.is_usable(layout, system_packages=False)
-    python_venv.create(layout.venv, with_pip=False, symlinks=True)
-    assert not venv.is_usable(layout, system_packages=False)
-
-
-def test_failing_command_is_reported_with_its_error_and_log(tmp_path: Path) -> None:
-    log = tmp_path / "log" / "wheels.log"
-    with pytest.raises(SetupError) as raised:
-        run_logged(["sh", "-c", "echo fine; echo ERROR: no such wheel.; echo bye; exit 3"], log, os.environ)
-    assert str(raised.value).startswith("`sh -c ")
-    assert f"failed: ERROR: no such wheel. The whole output is in {log}." in str(raised.value)
-    assert log.read_text() == "fine\nERROR: no such wheel.\nbye\n"
 
 
 def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture[str]) -> None:

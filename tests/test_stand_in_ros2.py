@@ -87,31 +87,3 @@ def test_before_the_graph_is_asked_what_is_wrong_is_a_sentence(words: tuple[str,
     assert (answer.returncode, answer.stdout) == (2, "")
     assert sentence in answer.stderr
     assert answer.stderr.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        ("from launch.actions import TimerAction", "needs a full ROS 2 Jazzy: cannot import name 'TimerAction'"),
-        (
-            "from launch_ros.actions import Node\ndef generate_launch_description(): Node(package='a', executable='b', "
-            "remappings=[])",
-            "unexpected keyword argument 'remappings'",
-        ),
-        ("def generate_launch_description(): return 1", "describes nothing to launch"),
-    ],
-)
-def test_a_launch_file_that_uses_more_is_refused_by_name(tmp_path: Path, content: str, sentence: str) -> None:
-    (tmp_path / "x.launch.py").write_text(content)
-    answer = ros2(dict(os.environ), "launch", str(tmp_path / "x.launch.py"))
-    assert answer.returncode == 2
-    assert sentence in answer.stderr
-    assert answer.stderr.count("\n") == 1
-
-
-def test_verbs_without_the_workspace_say_what_to_source(environment: dict[str, str]) -> None:
-    bare = {name: value for name, value in environment.items() if name != "PYTHONPATH"}
-    answer = ros2(bare, "topic", "list")
-    assert answer.returncode == 2
-    assert "`ros2 topic` is part of this workspace: source install/setup.bash" in answer.stderr
-    assert answer.stderr.count("\n") == 1

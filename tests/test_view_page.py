@@ -58,14 +58,3 @@ def test_the_slider_shows_state_and_figures_of_its_time(page: Page) -> None:
     assert force == pytest.approx(115.0, abs=1.0)
     slide(page, 25.0)
     page.wait("document.getElementById('state').textContent == 'TRIPPED'")
-
-
-def test_a_press_on_what_happened_leads_there(page: Page) -> None:
-    slide(page, 0.0)
-    texts = page.run("return [...document.querySelectorAll('#marks button')].map((one) => one.textContent)")
-    assert len(texts) == 2 and "armed" in texts[0] and "tripped: force limit" in texts[1]
-    page.run("document.querySelectorAll('#marks button')[1].click()")
-    page.wait("document.getElementById('state').textContent == 'TRIPPED'")
-    assert float(page.run("return document.getElementById('time').value")) == pytest.approx(20.0, abs=0.02)
-    page.run("dispatchEvent(new KeyboardEvent('keydown', {key: 'p'}))")
-    page.wait("document.getElementById('state').textContent == 'ARMED'")

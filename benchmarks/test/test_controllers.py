@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.compensated_law import law_with
 from benchmarks.controllers import compensated, load_cases, load_cell, run_one
 from hydro_sim.emulator.truth.config import profile
 
@@ -27,13 +26,3 @@ def test_with_a_known_cell_the_force_on_the_specimen_follows() -> None:
     config = profile("default")
     (plain,), (known,) = compensated(config, CASES), compensated(config, CASES, cell=load_cell(config))
     assert known["true_rmse"] < 0.2 * plain["true_rmse"] and known["true_rmse"] < 2.0 * plain["rmse"]
-
-
-def test_a_valve_that_is_late_and_another_law_change_the_run() -> None:
-    config = profile("default")
-    rows = [
-        compensated(config, CASES),
-        compensated(config, CASES, dead_time=4),
-        compensated(config, CASES, law_with((100.0, 15.0, 0.0))),
-    ]
-    assert len({one[0]["rmse"] for one in rows}) == 3

@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.diagnosis_peers import main, said
 from benchmarks.peers import terms
 from benchmarks.peers.run import Corrected, held_out, signals
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
@@ -61,20 +58,3 @@ def test_no_correction_leaves_the_diagnosis_own_held_out_error(nominal: SegmentM
     assert plain == pytest.approx(nothing, rel=1e-10)  # compiled, and in steps: another order of operations
     assert 0.9 < plain < 1.1
     assert leaking > 2.0 * plain
-
-
-def test_a_term_that_two_causes_share_counts_for_either() -> None:
-    assert said({"load_force": ["load_cell_gain|spring_stiffness"]}, {"spring_stiffness"}) == (True, 0)
-    assert said({"load_force": ["load_cell_gain|spring_stiffness"]}, {"moving_mass"}) == (False, 1)
-    assert said({"pressure_a": ["valve_deadband@0.001", "valve_deadband@5e-05"]}, {"valve_deadband"}) == (True, 0)
-    assert said({"velocity": ["moving_mass"]}, set()) == (True, 1)
-
-
-def test_folder_that_is_no_proof_is_one_sentence(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["diagnosis_peers", "--proof", str(tmp_path / "nowhere")])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert "no folder of `prove`" in capsys.readouterr().err

@@ -13,7 +13,6 @@ import pytest
 import yaml
 
 from benchmarks.real_recordings import __main__ as real
-from hydro_bridge.cli.console import UserError
 from hydro_diagnosis import Diagnosis
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.findings import EffectReport, ParameterEstimate
@@ -52,22 +51,6 @@ def test_a_rig_says_where_it_is_from_and_what_is_right(name: str) -> None:
     assert np.isfinite(np.ravel(answer.get("curve", [0.0]))).all() and set(answer["verdict"]) <= VERDICTS
 
 
-def test_files_are_read_into_signals(tmp_path: Path) -> None:
-    np.savez(tmp_path / "log.npz", t=np.arange(3) / 10, q=np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), gain=2.0)
-    rig: dict[str, Any] = {"signals": {"time": "t", "piston_position": "q_1 / 10", "hydraulic_force": "q_0 * gain"}}
-    table = real.recording([tmp_path / "log.npz"], rig)
-    assert table["piston_position"].tolist() == [0.2, 0.4, 0.6]
-    assert table["hydraulic_force"].tolist() == [2.0, 6.0, 10.0]
-    for name in ("a.txt", "b.txt"):
-        (tmp_path / name).write_text("1\n2\n3\n" if name == "a.txt" else "7\n8\n9\n")
-    beside = {
-        "read": {"header": None, "names": ["c"]},
-        "signals": {"time": "row * 0.5", "hydraulic_force": "c_1 - c_0"},
-    }
-    table = real.recording([tmp_path / "a.txt", tmp_path / "b.txt"], beside)
-    assert table["time"].tolist() == [0.0, 0.5, 1.0] and table["hydraulic_force"].tolist() == [6.0, 6.0, 6.0]
-
-
 def test_claims_are_held_against_the_answer() -> None:
     rig: dict[str, Any] = {"answer": {
         "verdict": ["explained"], "named": ["friction_coulomb", "friction_viscous"], "possible": ["friction_stribeck"],
@@ -88,36 +71,6 @@ def test_claims_are_held_against_the_answer() -> None:
     assert score.allowed and [one[-1] for one in score.curve] == [True, False]
     wrong = real.scored("rig", rig, found("explained", effect("friction_coulomb", force_positive=25.0)))
     assert wrong.agree == [] and "answer 20" in wrong.contradict[0]
-
-
-def test_force_at_a_steady_speed_is_what_the_claims_make() -> None:
-    claims = [
-        effect("friction_coulomb", force_positive=20.0, force_negative=30.0),
-        effect("friction_viscous", coefficient=100.0),
-        effect("friction_stribeck", breakaway_force=5.0, velocity=0.1),
-        effect("force_offset", force=2.0),
-    ]
-    assert real.force(claims, 0.1) == pytest.approx(20.0 + 10.0 + 5.0 / np.e - 2.0)
-    assert real.force(claims, -0.1) == pytest.approx(-30.0 - 10.0 - 5.0 / np.e - 2.0)
-
-
-def test_what_moves_without_a_recording_is_told() -> None:
-    whole = [effect("friction_coulomb", force=20.0), effect("force_offset", force=3.0)]
-    assert real.moved(whole, [effect("friction_coulomb", force=24.0), effect("force_offset", force=2.8)]) == []
-    assert real.moved(whole, [effect("friction_coulomb", force=26.0)]) == [
-        "friction_coulomb.force",
-        "force_offset.force",
-    ]
-
-
-def test_a_file_with_another_digest_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    origin = tmp_path / "origin"
-    origin.mkdir()
-    (origin / "HangingLoad.csv").write_text("0,0,0,0\n")
-    monkeypatch.setattr(real, "ORIGIN", f"file://{origin}/HangingLoad.csv")
-    assert not real.ready("hanging_load", tmp_path / "data", fetch=False)
-    with pytest.raises(UserError, match="digest"):
-        real.ready("hanging_load", tmp_path / "data", fetch=True)
 
 
 @pytest.mark.slow

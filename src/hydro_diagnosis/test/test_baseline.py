@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from hydro_diagnosis import InputError, Report, diagnose
+from hydro_diagnosis import Report, diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.stages.reading import baseline
@@ -38,35 +38,6 @@ def test_learned_constants_become_the_bench_and_its_effects() -> None:
     assert claims["valve_lag"]["bandwidth"] == pytest.approx(109.2, rel=1e-2)
     assert claims["friction_coulomb"]["force"] == pytest.approx(HEALTHY_FRICTION, rel=1e-2)
     assert claims["sensor_lag"] == pytest.approx({"bandwidth": 25.0, "damping": 0.55}, rel=5e-3)
-
-
-def test_bench_and_weights_together_are_refused() -> None:
-    with pytest.raises(InputError, match="not both"):
-        baseline(Bench.nominal(), shipped())
-
-
-def test_missing_weights_are_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no such file"):
-        baseline(None, tmp_path / "none.safetensors")
-
-
-@pytest.mark.study
-def test_healthy_bench_matches_the_model_that_was_learned_on_it(tmp_path: Path) -> None:
-    bags = recorded({}, tmp_path)
-    report = diagnose(bags[:2], holdout=bags[2:], model=shipped()).report
-    assert report.verdict == "no_mismatch"
-    assert report.baseline["model"] == "learned default_weights.safetensors"
-
-
-@pytest.mark.study
-def test_overlap_and_air_are_named_relative_to_the_learned_model(tmp_path: Path) -> None:
-    bags = recorded(
-        {"valve_deadband": {"half_width": 3e-4}, "entrained_air": {"volume_fraction": 5e-3}},
-        tmp_path,
-    )
-    report = diagnose(bags[:2], holdout=bags[2:], model=shipped()).report
-    assert report.verdict == "explained"
-    assert values(report) == pytest.approx({"valve_deadband": 3e-4, "entrained_air": 5e-3}, rel=0.02)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.io.column_map import UNITS, ColumnMap, source_of
+from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError
@@ -54,13 +54,6 @@ def test_every_form_of_a_map_gives_the_same_fields(form: str, tmp_path: Path) ->
         "mapping": dict(part.split("=") for part in text.split(",")),
     }[form]
     same(read_table(path, ColumnMap.load(given)), TRUE)
-
-
-def test_quoted_names_may_hold_anything(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    frame = pd.DataFrame({"clock": [0, 1, 2], "pos": [50, 40, 30], "p a [bar]": [80, 81, 82], "vir": [35, 70, -35]})
-    frame.to_csv(path, index=False)
-    same(read_table(path, ColumnMap.load(MAP.replace("*gtau", ""))), TRUE)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
@@ -116,15 +109,6 @@ def test_wrong_map_is_one_sentence_that_helps(given: object, said: str, tmp_path
     assert "\n" not in str(raised.value)
 
 
-def test_damaged_matlab_73_file_is_one_sentence(tmp_path: Path) -> None:
-    path = tmp_path / "new.mat"
-    header = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
-    path.write_bytes(header.ljust(512, b"\x00") + b"\x89HDF\r\n\x1a\n")
-    with pytest.raises(InputError, match=r"new.mat: .") as raised:
-        read_table(path)
-    assert "\n" not in str(raised.value)
-
-
 def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     pd.DataFrame({"time": [0, 1, 2], "load_force": [1, 2, 3], "pressure_a": [4, 5, 6], "pressure_b": [7, 8, 9]}).to_csv(
@@ -135,13 +119,6 @@ def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Pat
     same(read_table(path, columns), {"time": [0, 1, 2], "load_force": [-1, -2, -3], "pressure_b": [7, 8, 9]})
 
 
-@pytest.mark.parametrize("text", ["p_a=pressure_a", "'p a [bar]'[bar]*2-1", "out.p.0[kPa]@20ms", "pos[mm]-40+0.5*gtau"])
-def test_source_is_written_as_it_is_read(text: str) -> None:
-    text = text.split("=")[0]
-    source = source_of("pressure_a", text)
-    assert source_of("pressure_a", str(source)) == source
-
-
 def test_damaged_matlab_file_is_one_sentence(tmp_path: Path) -> None:
     whole = file(tmp_path).read_bytes()
     for length in (0, 60, 130, 300):
@@ -149,10 +126,6 @@ def test_damaged_matlab_file_is_one_sentence(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"cut.mat: .") as raised:
             read_table(tmp_path / "cut.mat")
         assert "\n" not in str(raised.value)
-
-
-def test_every_unit_is_a_number_of_si() -> None:
-    assert UNITS["bar"] == 1e5 and UNITS["mm"] == 1e-3 and UNITS["psi"] == pytest.approx(6894.757, rel=1e-6)
 
 
 def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:

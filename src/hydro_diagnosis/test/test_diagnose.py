@@ -12,15 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_bridge.process.endings import Ended
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
-from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
+from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_sim.model.bench import Bench
 
 Record = Callable[..., StateArray]
@@ -50,20 +48,6 @@ def test_second_diagnosis_with_the_corrected_bench_finds_nothing(worn: list[Path
     assert corrected.spring_stiffness == pytest.approx(18500.0, rel=2e-3)
     again = diagnose([worn[2]], bench=corrected)
     assert again.report.verdict == "no_mismatch"
-
-
-def test_effects_survive_the_corrected_bench(tmp_path: Path) -> None:
-    bench = Bench.nominal()
-    claims = [
-        Claim(effect.adapted(bench), {one.name: one.probes[0] for one in effect.parameters})
-        for effect in LIBRARY
-        if effect.id in ("friction_coulomb", "valve_lag", "leakage_external", "sensor_lag")
-        and effect.options.get("form") is None
-    ]
-    back = claims_of(corrected_bench(bench, claims))
-    assert [(claim.effect.label, dict(claim.values)) for claim in back] == [
-        (claim.effect.label, dict(claim.values)) for claim in claims
-    ]
 
 
 def test_wrong_modulus_and_valve_gain_become_numbers_of_the_bench(problem: Problem) -> None:
@@ -142,30 +126,6 @@ def test_bad_input_ends_in_one_sentence_and_status_2(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists(), "nothing is left behind"
 
 
-def test_place_that_cannot_be_written_is_found_before_anything_is_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    for place, told in (("file/x", "is no folder: choose another place"), ("file", "is a file: name a folder")):
-        with pytest.raises(SystemExit) as ended:
-            run(["none.mcap", "--out", str(tmp_path / place)])
-        error = capsys.readouterr().err.splitlines()[-1]
-        assert ended.value.code == 2 and told in error and "Errno" not in error
-
-
-@pytest.mark.parametrize(("interruption", "status"), [(Ended(15), 143), (Ended(1), 129), (KeyboardInterrupt(), 130)])
-def test_a_signal_while_recordings_are_read_is_the_status(
-    interruption: KeyboardInterrupt, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    def ended(*_: object, **__: object) -> None:
-        raise interruption
-
-    monkeypatch.setattr("hydro_diagnosis.pipeline.diagnose", ended)
-    assert run([str(tmp_path / "none.mcap"), "--out", str(tmp_path / "out")]) == status
-    assert capsys.readouterr().err == "interrupted while reading: nothing was written\n"
-
-
 def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> None:
     """Ctrl-C when the search has begun; a terminal sends it to the whole process group, here to the one process."""
     started = [sys.executable, "-c", INTERRUPTED_RUN, str(worn[0]), str(worn[1]), "--out", str(tmp_path / "out")]
@@ -193,9 +153,3 @@ def interrupted(self, *words):
 search.Search._swap = interrupted
 cli.main()
 """
-
-
-def test_python_returns_what_the_command_writes(csv: Path, nominal: StateArray) -> None:
-    found = diagnose([csv])
-    assert found.report.verdict == "no_mismatch"
-    assert json.loads(found.report.to_json())["effects"] == []

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import ndtr
 
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, finish
@@ -76,43 +74,3 @@ def test_friction_is_averaged_over_the_velocities_within_the_test_function() -> 
     true = (strength * np.sign(velocity) * np.exp(-((velocity / width) ** 2))) @ bell / bell.sum()
     np.testing.assert_allclose(got[50:350], true[50:350], atol=0.06 * strength)
     assert np.abs(got - true)[204:212].max() < 0.03 * strength  # where it is told from Coulomb friction
-
-
-def reversing(acceleration: float, force: float) -> tuple[SegmentModel, FloatArray]:
-    """A piston that dry friction alone makes turn round with a kink, and its true velocity."""
-    time = (np.arange(400) - 200.3) * STEP
-    jump = 2.0 * force / BENCH.moving_mass
-    slope = np.where(time < 0.0, -acceleration - 0.5 * jump, -acceleration + 0.5 * jump)
-    channels = {"piston_position": 0.04 + 0.5 * slope * time**2}
-    return SegmentModel(Segment("reversing", 0.0, STEP, channels), BENCH), slope * time
-
-
-def test_kink_of_a_velocity_is_misplaced_by_as_much_as_its_doubt_says() -> None:
-    model, true = reversing(25.0, FORCE)
-    doubt = model.velocity_kink([claim("friction_coulomb", force=FORCE)])
-    off = np.abs(model.v - true)
-    u = np.abs(np.arange(400) - 200.3)  # the first Gaussian is a sample wide
-    kink = 2.0 * FORCE / BENCH.moving_mass * STEP * (np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi) - u * ndtr(-u))
-    np.testing.assert_allclose(off[10:390], kink[10:390], atol=1e-4)
-    assert np.all(doubt[10:390] >= off[10:390] - 1e-4)
-    assert doubt[200] < 2.0 * off[200] and doubt[190] < 1e-5 and doubt[210] < 1e-5
-    moving = SegmentModel(Segment("moving", 0.0, STEP, {"piston_position": 0.01 + 0.1 * STEP * np.arange(400)}), BENCH)
-    assert moving.reversals == 0
-    np.testing.assert_allclose(moving.velocity_kink([claim("friction_coulomb", force=FORCE)]), 0.0, atol=1e-12)
-
-
-def test_rise_near_standstill_is_not_read_off_reversals() -> None:
-    """There friction is misread alike each time: a doubt that averaged out over them would be too small."""
-    model, _ = reversing(25.0, FORCE)
-    constant, rise = (
-        claim("friction_coulomb", force=8.0),
-        claim("friction_stribeck", breakaway_force=6.0, velocity=0.02),
-    )
-    assert model.reversals == 1
-    once, often = (model.friction_uncertainty([constant, rise], count) for count in (1, 100))
-    assert often[200] > 2.0 * once[200]
-    np.testing.assert_allclose(often[:185], once[:185], atol=1e-3)
-    level_alone = [model.friction_uncertainty([constant], count) for count in (1, 100)]  # known from every other sample
-    np.testing.assert_allclose(*level_alone)
-    bristled = [constant, rise, claim("friction_presliding", stiffness=2e5)]  # force that builds up: nothing jumps
-    np.testing.assert_allclose(*(model.friction_uncertainty(bristled, count) for count in (1, 100)))

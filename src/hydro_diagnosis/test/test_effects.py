@@ -5,11 +5,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.fluid import EntrainedAir
-from hydro_diagnosis.effects.valve import TransportDelay, ValveLag, ValveLagFirstOrder
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_sim.model.bench import Bench
@@ -36,18 +34,6 @@ def test_library_holds_every_id_of_the_table() -> None:
     assert {effect.id for effect in LIBRARY} == TABLE | grown.IDS
 
 
-def test_labels_are_unique() -> None:
-    labels = [effect.label for effect in CANDIDATES]
-    assert len(labels) == len(set(labels))
-
-
-def test_probes_lie_inside_the_bounds() -> None:
-    for effect in ADAPTED:
-        for one in effect.parameters:
-            assert one.low <= one.neutral <= one.high, effect.label
-            assert all(one.low < probe < one.high for probe in one.probes), effect.label
-
-
 def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(problem: Problem, each: Callable[..., None]) -> None:
     nothing = problem.residual([])
 
@@ -70,42 +56,12 @@ def test_effect_vanishes_at_its_neutral_value(problem: Problem) -> None:
             assert np.max(np.abs(change)) < 1e-6, effect.label
 
 
-def test_delay_of_whole_samples_is_a_shift() -> None:
-    current = np.repeat(np.random.default_rng(1).normal(size=100)[:, None], 4, axis=1)
-    late = TransportDelay().command(current, 2.5e-4, {"time": 3e-3})
-    assert np.allclose(late[3:], current[:-3])
-
-
-@pytest.mark.parametrize("spool, values", [
-    (ValveLag(), {"bandwidth": 90.0, "damping": 0.7}),
-    (ValveLagFirstOrder(), {"bandwidth": 90.0}),
-])  # fmt: skip
-def test_spool_follows_a_step_as_its_closed_form_says(spool: Effect, values: dict[str, float]) -> None:
-    step = 1e-4
-    current = np.zeros((400, 1))
-    current[200:] = 1.0
-    moved = spool.command(current, step, values)[200:, 0]
-    at = (np.arange(200) + 0.5) * step
-    omega = 2.0 * np.pi * 90.0
-    if "damping" in values:
-        fast = omega * np.sqrt(1.0 - 0.49)
-        expected = 1.0 - np.exp(-0.7 * omega * at) * (np.cos(fast * at) + 0.7 * omega / fast * np.sin(fast * at))
-    else:
-        expected = 1.0 - np.exp(-omega * at)
-    assert np.allclose(moved, expected, atol=1e-3)
-
-
 def test_air_in_rigid_oil_is_a_polytropic_gas() -> None:
     pressure = np.array([2e5, 1e6, 1e7])
     share, absolute = 0.01, pressure + 101325.0
     gas = share * (101325.0 / absolute) ** (1.0 / 1.4)
     soft = EntrainedAir().stiffness(np.full(3, 1e15), pressure, {"volume_fraction": share})
     assert np.allclose(soft, 1.4 * absolute * (1.0 - share + gas) / gas, rtol=1e-4)
-
-
-def test_without_air_oil_keeps_its_modulus() -> None:
-    oil = np.full(3, 1.34e9)
-    assert np.allclose(EntrainedAir().stiffness(oil, np.array([2e5, 1e6, 1e7]), {"volume_fraction": 0.0}), oil)
 
 
 def test_effects_stay_within_what_a_bench_allows() -> None:

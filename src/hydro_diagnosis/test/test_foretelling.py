@@ -8,10 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
-import scipy.signal
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.cli import run
@@ -76,24 +74,6 @@ def test_a_held_out_channel_that_is_made_worse_is_said() -> None:
     assert not made_worse_in_all({"holdout": {"load_force": error(2e-6, 4e-6), "pressure_a": error(6e-6, 4e-6)}})
 
 
-@pytest.mark.study
-def test_what_is_not_foretold_is_said_in_the_terminal(
-    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    drag = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 1500.0}}
-    dry = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
-    bench = replace(BENCH, effects=(dry,), closures=(drag,))
-    for name, seed, size in (("slow", 1, SLOW), ("fast", 2, FAST)):
-        frame(record(bench, seed, amplitude=size)).to_csv(tmp_path / f"{name}.csv", index=False)
-    words = [str(tmp_path / "slow.csv"), "--holdout", str(tmp_path / "fast.csv"), "--quiet", "--out", str(tmp_path)]
-    assert run(words) == 0
-    notes = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["data_quality"]
-    said = capsys.readouterr().out
-    told = [note for note in notes if note.startswith("the held-out recordings")]
-    assert told and all(f"  note: {note}\n" in said for note in told)
-
-
 @pytest.mark.slow
 def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_are_not_claimed(
     record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
@@ -114,25 +94,3 @@ def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_ar
         assert ("  note: friction_viscous would explain" in capsys.readouterr().out) == (held == "without")
         errors = report["fit"]["holdout"].values()
         assert all(error["rmse_after"] <= 1.1 * error["rmse_before"] + error["noise_floor"] for error in errors)
-
-
-@pytest.mark.study
-def test_names_that_explain_a_part_and_predict_the_held_out_recordings_worse_are_not_claimed_either(
-    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    """A drag that was there in one recording and not in the other, and a cell that picks up what nothing tells."""
-    dragged = replace(BENCH, effects=({"id": "friction_viscous", "parameters": {"coefficient": 300.0}},))
-    for name, bench, seed in (("with", dragged, 1), ("without", BENCH, 2), ("again", dragged, 3)):
-        table = frame(record(bench, seed))
-        disturbed = np.random.default_rng(seed).standard_normal(len(table))
-        slow = scipy.signal.sosfilt(scipy.signal.butter(2, 3.0, fs=1000.0, output="sos"), disturbed)
-        table["load_force"] += 6.0 * slow / slow.std()
-        table.to_csv(tmp_path / f"{name}.csv", index=False)
-    for held, verdict, names in (("without", "unknown", []), ("again", "partly_explained", ["friction_viscous"])):
-        words = [str(tmp_path / "with.csv"), "--holdout", str(tmp_path / f"{held}.csv"), "--quiet"]
-        assert run([*words, "--out", str(tmp_path / held)]) == 0
-        report = json.loads((tmp_path / held / "report.json").read_text(encoding="utf-8"))
-        assert (report["verdict"], [effect["id"] for effect in report["effects"]]) == (verdict, names)
-        said = "  note: friction_viscous would explain a part of" in capsys.readouterr().out
-        assert said == (held == "without")

@@ -26,14 +26,6 @@ def test_recordings_read_side_by_side_are_the_same(backend: str, worn: list[Path
         np.testing.assert_array_equal(one.channels["load_force"], other.channels["load_force"])
 
 
-def test_missing_recording_is_one_sentence_from_a_worker_too(worn: list[Path], tmp_path: Path) -> None:
-    with (
-        joblib.parallel_config(backend="loky", n_jobs=2),
-        pytest.raises(InputError, match="there is no such recording"),
-    ):
-        load_dataset([worn[0], tmp_path / "nowhere"], [], BENCH)
-
-
 def tripped(recording: Path, folder: Path, moving: float) -> Path:
     """The recording, as it would be had the box tripped after `moving` s: the piston stands from then on."""
     data = pd.read_csv(recording)
@@ -55,16 +47,6 @@ def test_too_little_motion_is_refused_and_the_remedy_is_named(worn: list[Path], 
         load_dataset(short, [worn[2]], BENCH)
 
 
-def test_refusal_for_too_little_motion_says_what_was_discarded(worn: list[Path], tmp_path: Path) -> None:
-    data = pd.read_csv(worn[0])
-    late = data["time"] > 1.65
-    data.loc[late, "pressure_b"] = np.random.default_rng(8).normal(0.0, 6e3, late.sum())
-    data.to_csv(tmp_path / "low.csv", index=False)
-    with pytest.raises(InputError, match=r"moves for 1\.5 s.*low\S*: \d{4} samples .* cavitate.*; record it") as error:
-        load_dataset([tmp_path / "low.csv"], [worn[2]], BENCH)
-    assert str(error.value).count("lower gains") == 1
-
-
 def test_just_enough_motion_is_taken(worn: list[Path], tmp_path: Path) -> None:
     fitted, _, _ = load_dataset([tripped(recording, tmp_path, ENOUGH) for recording in worn[:2]], [worn[2]], BENCH)
     assert len(fitted) == 2
@@ -77,16 +59,6 @@ def test_held_out_recording_that_shows_nothing_is_replaced_and_listed(worn: list
     assert {one.recording for one in held} == {"run1"}
     assert any(still.stem in note and "left out" in note for note in notes)
     assert any("run1 was held back" in note for note in notes)
-
-
-def test_bench_that_only_swings_from_stop_to_stop_is_refused_with_the_remedy(worn: list[Path], tmp_path: Path) -> None:
-    data = pd.read_csv(worn[0])
-    swing = np.sin(40.0 * data["time"].to_numpy())
-    data["piston_position"] = np.clip(0.04 + 0.06 * swing, 0.0, BENCH.stroke)
-    path = tmp_path / "swings.csv"
-    data.to_csv(path, index=False)
-    with pytest.raises(InputError, match=r"end stop.*give the box"):
-        load_dataset([path], [], BENCH)
 
 
 def test_held_out_recording_that_is_fitted_too_is_refused(worn: list[Path]) -> None:

@@ -41,18 +41,6 @@ def test_bristle_by_steps_equals_bristle_over_a_record() -> None:
     assert np.max(np.abs(whole)) <= 12.0
 
 
-def test_play_follows_only_beyond_its_gap() -> None:
-    position = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, 0.0, 50)])
-    dragged = RecordMemory(1e-3).play("p", position, 0.2)
-    assert np.isclose(dragged[49], 0.9)
-    assert np.isclose(dragged[-1], 0.1)
-
-
-def test_lead_has_no_offset() -> None:
-    memory = RecordMemory(1e-3)
-    assert np.allclose(memory.lead(np.full(500, 8e6), 3e-3, 1e-5), 8e6, rtol=1e-12)
-
-
 def test_kinematics_are_exact_on_parabolas() -> None:
     time = np.arange(200) * 1e-3
     x, v, a = kinematics(0.04 + 0.3 * time - 2.0 * time**2, 1e-3)

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from hydro_bridge.signals import StateArray
 from hydro_diagnosis import InputError
 from hydro_diagnosis.bench_numbers import (
     NONE,
-    Guarded,
     PartialBench,
     applies,
     completed,
@@ -29,9 +27,7 @@ from hydro_diagnosis.bench_numbers import (
 )
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.wiring import doubts
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -96,12 +92,6 @@ def test_all_that_is_missing_is_asked_for_at_once() -> None:
     assert "piston_area" not in sentence and "bulk_modulus" not in sentence
 
 
-def test_half_a_spring_is_asked_for() -> None:
-    bench = completed({"moving_mass": 1.0, "spring_stiffness": 1e4})
-    with pytest.raises(InputError, match="spring_rest_position"):
-        refuse_missing(RIGS["force"], bench)
-
-
 def test_pressures_without_force_cell_need_no_mass() -> None:
     known = {name: getattr(BENCH, name) for name in numbers() if name not in ("moving_mass", *NONE)}
     bench = completed(known)
@@ -150,18 +140,3 @@ def test_causes_that_need_what_is_not_known_are_not_tried() -> None:
     acting = {effect.id for effect in LIBRARY if applies(effect, bench)}
     assert {"friction_coulomb", "friction_viscous", "moving_mass", "force_offset"} <= acting
     assert not acting & {"end_cushion", "spring_rest", "spring_stiffness", "backlash"}
-
-
-def test_wiring_is_checked_as_far_as_the_bench_is_known(nominal: StateArray) -> None:
-    columns = {"piston_position": 1e3 * nominal["piston_position"].astype(np.float64)}
-    table = RawTable("run", nominal["time"].astype(np.float64), None, columns)
-    assert doubts(table, completed({"moving_mass": 1.0})) == []
-    (doubt,) = doubts(table, completed({"moving_mass": 1.0, "stroke": 0.08}))
-    assert "piston_position is in mm" in [repair.sentence for repair in doubt]
-
-
-def test_guard_tells_what_is_not_known() -> None:
-    bench = cast(Bench, Guarded(BENCH, frozenset({"valve_nominal_flow"})))
-    assert bench.stroke == 0.08
-    with pytest.raises(Exception, match="valve_gain"):
-        _ = bench.valve_gain

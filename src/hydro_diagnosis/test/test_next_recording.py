@@ -47,11 +47,3 @@ def test_the_proposed_recording_settles_more_than_a_random_one(undecided: Proble
     proposed = told_apart(best, 11)
     assert proposed > np.median([told_apart(references[k], 11) for k in others])
     assert proposed > 10.0
-
-
-def test_a_still_bench_tells_nothing(undecided: Problem) -> None:
-    true, rival = fits(undecided)
-    hold = ReferenceSignal(waveform=Waveform.HOLD, offset=0.0)
-    assert expected_gain(undecided, hold, true, rival) < max(
-        expected_gain(undecided, reference, true, rival) for reference in list(catalog())[:3]
-    )

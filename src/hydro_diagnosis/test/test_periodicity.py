@@ -53,15 +53,3 @@ def test_a_line_is_told_with_frequency_and_share_whatever_its_phase(frequency: f
 )
 def test_a_line_that_not_every_recording_has_is_not_told(held: FloatArray) -> None:
     assert line_of((part(noise(1) + wave(20.0, 0.3)), part(held)), "load") is None
-
-
-def test_what_repeats_slowly_may_be_the_reference() -> None:
-    assert line_of((part(noise(1) + wave(2.0, 0.3)), part(noise(2) + wave(2.0, 0.3))), "load") is None
-
-
-def test_nothing_is_told_of_a_short_or_absent_channel() -> None:
-    layout, residual = part(noise(1) + wave(20.0, 0.3))
-    few = slice(0, 200)
-    short = Layout(layout.channel[few], layout.segment[few], layout.time[few]), residual[few]
-    assert line_of((short,), "load") is None
-    assert line_of(((layout, residual),), "motion") is None

@@ -14,9 +14,8 @@ from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.problem import sensor_noise
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.validation import HORIZON, MOST, Comparison, Known, compare
+from hydro_diagnosis.validation import HORIZON, MOST, Comparison, compare
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -66,18 +65,3 @@ def test_nothing_is_left_out_where_nothing_sticks(nominal: StateArray) -> None:
     for error in found.channels.values():
         np.testing.assert_equal((error.rmse_before, error.rmse_after), (error.rmse_before_all, error.rmse_after_all))
     assert worst(found, "rmse_after") > 2.0
-
-
-def test_what_has_been_simulated_is_not_simulated_again(held: SegmentModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    known: Known = {}
-
-    def again(claims: list[Claim]) -> Comparison:
-        noise = sensor_noise([held])
-        return compare([held], (), claims, noise, seconds=HORIZON, windows=2, shooting=False, known=known)
-
-    first = again([stribeck()])
-    assert len(known) == 2
-    again([stribeck(breakaway_force=2.0)])
-    assert len(known) == 3
-    monkeypatch.delattr(Plant, "run")
-    assert again([stribeck()]) == first

@@ -17,7 +17,6 @@ from hydro_diagnosis import diagnose
 from hydro_diagnosis.findings import Report
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.listing import proposed
-from hydro_diagnosis.io.measurement_files import NEEDED
 from hydro_diagnosis.io.table import columns_of, read_columns, read_table
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import SUFFIXES, InputError
@@ -102,10 +101,6 @@ def test_every_format_is_diagnosed_as_the_bag(
     assert effect.parameters["force"].value == pytest.approx(same.parameters["force"].value, rel=1e-3)
 
 
-def test_fields_without_a_quantity_are_proposed_by_their_own_names(csv: Path) -> None:
-    assert {"reference_force_rate", "proportional_gain"} <= set(proposed(columns_of(csv), BENCH).sources)
-
-
 def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, states: StateArray) -> None:
     path = loggers.control_desk_csv(tmp_path, states[:3000])
     command = [sys.executable, "-m", "hydro_diagnosis.io.listing", str(path), "--write", str(tmp_path / "map.yaml")]
@@ -119,18 +114,6 @@ def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, states: St
     line = next(line for line in shown.splitlines() if "proposed, to be checked" in line)
     again = read_table(path, ColumnMap.load(line.split('--columns "')[1].rstrip('"')))
     np.testing.assert_array_equal(again.columns["pressure_a"], table.columns["pressure_a"])
-
-
-@pytest.mark.parametrize("decimal", [",", "."])
-def test_decimal_sign_is_found(decimal: str, tmp_path: Path, states: StateArray) -> None:
-    path = loggers.control_desk_csv(tmp_path, states[:500], decimal=decimal)
-    np.testing.assert_allclose(read_columns(path).series["Model Root/x/Out1"], 1e3 * states["piston_position"][:500])
-
-
-def test_units_that_the_file_states_are_listed(tmp_path: Path, states: StateArray) -> None:
-    path = loggers.mdf(tmp_path, states[:3000])
-    recording = checked(read_table(path, ColumnMap.load(loggers.MAP)), BENCH)
-    assert any("pressure_a is in bar, as the file says of 'pA'" in note for note in recording.quality)
 
 
 def test_messages_without_a_time_are_listed(tmp_path: Path, states: StateArray) -> None:
@@ -170,11 +153,6 @@ def test_delay_of_a_column_is_undone(tmp_path: Path, states: StateArray) -> None
     columns = "time=fast.time,pressure_a=fast.pA@20ms,pressure_b=fast.pB,piston_position=fast.x"
     table = read_table(path, ColumnMap.load(columns))
     np.testing.assert_allclose(table.columns["pressure_a"][:1900], states["pressure_a"][20:1920], rtol=1e-9)
-
-
-def test_mdf_library_that_is_named_is_the_one_that_is_tested() -> None:
-    pins = Path(__file__).resolve().parents[3] / "requirements-dev.txt"
-    assert NEEDED in pins.read_text().splitlines()
 
 
 def test_mdf_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

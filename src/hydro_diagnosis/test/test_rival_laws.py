@@ -78,8 +78,3 @@ def test_once_the_proposed_recording_is_made_no_other_law_comes_near() -> None:
     steps = ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=260.0, frequency=0.8)
     wide = problem_of(driven(sine(260.0), 3), driven(steps, 4))
     assert next_for_law(wide, fit(wide, [law("quadratic drag", DRAG)])) is None
-
-
-def test_a_fit_without_a_law_needs_none() -> None:
-    narrow = problem_of(driven(sine(260.0), 3))
-    assert next_for_law(narrow, fit(narrow, ())) is None

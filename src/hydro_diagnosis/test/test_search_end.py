@@ -10,7 +10,7 @@ import pytest
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
+from hydro_diagnosis.selection.outcome import SearchSettings
 from hydro_diagnosis.selection.search import Search, removes_little
 from hydro_sim.model.bench import Bench
 
@@ -33,15 +33,6 @@ def worn(problem_of: Callable[..., Problem]) -> Problem:
     return problem_of(**WORN)
 
 
-@pytest.mark.study
-def test_eight_causes_are_found(worn: Problem) -> None:
-    outcome = Search(worn, ADAPTED, NAMES).run()
-    assert {claim.effect.id for claim in outcome.fit.claims} == {*WORN} - {"dead_volume_a", "viscous_friction",
-        "spring_rest_position"} | {"dead_volume", "friction_viscous", "spring_rest"}  # fmt: skip
-    assert not outcome.cut_short
-    assert not noticeable(worn, outcome.fit.residual)
-
-
 @pytest.mark.parametrize("settings, why", [({"most": 2}, "2 causes at most"), ({"effort": 150}, "150 evaluations")])
 def test_a_search_that_ends_early_says_why(worn: Problem, settings: dict[str, int], why: str) -> None:
     outcome = Search(worn, ADAPTED, SearchSettings(restarts=1, **settings)).run()
@@ -54,9 +45,3 @@ def test_a_claim_nibbles_that_removes_little_where_it_acts(worn: Problem, ratio:
     effect = next(one for one in ADAPTED if one.id == "spring_stiffness")
     found = fit(worn, (Claim(effect, {"ratio": ratio}),), iterations=0)
     assert removes_little(worn, fit(worn, ()), found) is little
-
-
-def test_patience_ends_a_search(worn: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hydro_diagnosis.selection.search.removes_little", lambda *given: True)
-    outcome = Search(worn, ADAPTED, SearchSettings(patience=2, restarts=1)).run()
-    assert len(outcome.fit.claims) == 2

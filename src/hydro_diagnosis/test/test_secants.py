@@ -11,8 +11,6 @@ import pytest
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import Fit, fit, pack, with_one_more, without_one
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.score_test import Signatures, screen
-from hydro_diagnosis.selection.search import Search
 from hydro_sim.model.bench import Bench
 
 ADAPTED = [effect.adapted(Bench.nominal()) for effect in LIBRARY]
@@ -53,20 +51,3 @@ def test_one_claim_less_is_fitted_like_all_anew(worn: Problem, found: Fit) -> No
     assert [one.effect.id for one in less.claims] == ["spring_stiffness", "bulk_modulus"]
     assert less.deviance == pytest.approx(anew.deviance, abs=0.5)
     assert few < many
-
-
-def test_signatures_are_computed_once(worn: Problem, found: Fit) -> None:
-    kept = Signatures()
-    first, many = worn.evaluations, screen(worn, found, ADAPTED, kept)
-    once = worn.evaluations - first
-    again = screen(worn, found, ADAPTED, kept)
-    assert worn.evaluations - first == once > 50
-    assert [one.claim.effect.label for one in again[:5]] == [one.claim.effect.label for one in many[:5]]
-    np.testing.assert_allclose([one.gain for one in again], [one.gain for one in many], rtol=1e-3, atol=0.1)
-
-
-def test_every_claim_has_rivals_though_none_promised_much(worn: Problem) -> None:
-    outcome = Search(worn, ADAPTED).run()
-    names = {one.effect.id for one in outcome.fit.claims}
-    assert names == {"spring_stiffness", "moving_mass", "bulk_modulus"}
-    assert all(outcome.rivals[one.effect.label] for one in outcome.fit.claims)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.io.table import read_table
 from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.preprocessing.streaming import Visits, read_bag_within, select_informative_windows
@@ -69,22 +69,6 @@ def test_windows_of_a_long_bag_are_what_it_holds(
         assert one.channels["pressure_a"].base is None  # no view that holds a stretch in memory
 
 
-@pytest.mark.parametrize("thinned", [1, 4])
-def test_windows_of_a_long_table_are_what_it_holds(
-    thinned: int, minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = read_table(minute[0])
-    columns = {name: values[::thinned] for name, values in whole.columns.items()}
-    table = RawTable("long", whole.time[::thinned], None, columns, ("read by hand",))
-    monkeypatch.setattr(streaming, "STRETCH", 5_000)
-    monkeypatch.setattr(streaming, "WHOLE", 2)
-    monkeypatch.setattr(streaming, "WINDOW", 2.0)
-    kept = streaming.table_within(table, BENCH)
-    assert len(kept.segments) == streaming.FITTED + streaming.HELD
-    assert any("read by hand" in note for note in kept.quality)
-    assert all(one.channels["pressure_a"].base is None for one in kept.segments)
-
-
 def test_long_bag_in_which_nothing_moves_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "s.yaml").write_text(
         yaml.safe_dump({"segments": [{"seconds": 12, "waveform": "hold", "amplitude": 0}]})
@@ -109,17 +93,6 @@ def test_windows_that_visit_other_places_are_preferred(minute: tuple[Path, Recor
     assert "still" not in {kinds[k] for k in select_informative_windows(visits, 3)}
     assert select_informative_windows(visits, 100) == list(range(12))
     assert select_informative_windows(visits, 1, [1, 5]) in ([1], [5])
-
-
-def test_last_third_is_held_out_over_gaps(minute: tuple[Path, Recording]) -> None:
-    segment = minute[1].segments[0]
-    pieces = [segment.cut(0, 20_000), segment.cut(21_000, 31_000), segment.cut(32_000, 47_000)]
-    first, last = loading._parted(pieces)
-    assert [len(one) for one in first] == [20_000, 10_000]
-    assert [len(one) for one in last] == [15_000]
-    first, last = loading._parted([segment.cut(0, 30_000)])
-    assert [len(one) for one in (*first, *last)] == [20_000, 10_000]
-    assert last[0].start == pytest.approx(first[0].start + 20.0)
 
 
 @pytest.mark.study

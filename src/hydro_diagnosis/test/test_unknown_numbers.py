@@ -19,7 +19,6 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.unknown_numbers import estimable
 from hydro_sim.model.bench import Bench
 
-RIG = {"hydraulic_force": "force", "piston_position": "x"}
 MASS, DRY, VISCOUS, REST = 37.0, 9.0, 40.0, 0.08
 
 
@@ -79,14 +78,6 @@ def test_unknown_mass_is_estimated_beside_hidden_dry_friction(tmp_path: Path) ->
     assert (estimated.unit, estimated.given) == ("kg", None)
     assert found.corrected.moving_mass == estimated.value
     assert found.corrected.to_mapping().keys() == {"moving_mass", "viscous_friction", "effects"}
-
-
-def test_roughly_known_number_is_estimated_too(tmp_path: Path) -> None:
-    bench = {"moving_mass": 5.0}
-    found = diagnose([drive(tmp_path / "run.csv")], bench=bench, estimate=["moving_mass", "viscous_friction"])
-    assert causes(found) == {"friction_coulomb": pytest.approx(DRY, rel=0.02)}
-    assert holds(found, "moving_mass", MASS) and holds(found, "viscous_friction", VISCOUS)
-    assert found.report.estimated[0].given == 5.0
 
 
 def test_rotary_actuator_is_diagnosed_in_its_units(tmp_path: Path) -> None:
@@ -150,12 +141,3 @@ def test_unknown_numbers_of_a_cylinder_beside_a_hidden_leak(record: Record, fram
     assert causes(found) == {"leakage_internal": pytest.approx(1e-12, rel=0.02, abs=0.0)}
     assert holds(found, "dead_volume_a", 2.6e-4) and holds(found, "moving_mass", 1.5)
     assert type(Bench.from_mapping(found.corrected.to_mapping())) is Bench
-
-
-@pytest.mark.study
-def test_double_rod_cylinder(record: Record, frame: Frame, tmp_path: Path) -> None:
-    dry = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
-    believed = replace(Bench.nominal(), area_ratio=1.0)
-    frame(record(replace(believed, effects=(dry,)), 8)).to_csv(tmp_path / "run.csv", index=False)
-    found = diagnose([tmp_path / "run.csv"], bench=believed)
-    assert causes(found) == {"friction_coulomb": pytest.approx(8.0, rel=0.05)}

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,15 +16,12 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import EffectReport, ParameterEstimate
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked, counted, uneven
-from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, smooth
 from hydro_diagnosis.recording import Recording
-from hydro_diagnosis.selection.outcome import SearchSettings
 from hydro_diagnosis.selection.search import all_significant
-from hydro_diagnosis.stages.reporting import current_is_early, undetectable_causes
+from hydro_diagnosis.stages.reporting import current_is_early
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
-THRESHOLD = SearchSettings().threshold
 MASS = next(effect for effect in CANDIDATES if effect.id == "moving_mass")
 FRICTION = next(effect for effect in CANDIDATES if effect.id == "friction_coulomb" and not effect.options)
 
@@ -35,13 +31,6 @@ def logged(states: StateArray, rows: object = slice(None), time: np.ndarray | No
     columns = {name: states[name][rows].copy() for name in STATE_FIELDS}
     stamps = (states["time"] if time is None else time)[rows].copy()
     return checked(RawTable("run", stamps, None, columns), BENCH)
-
-
-def test_rate_of_the_box_is_left_alone(nominal: StateArray) -> None:
-    (segment,) = logged(nominal).segments
-    assert segment.spacing == 1 and segment.measured is None and segment.thinner is None
-    for name in STATE_FIELDS:
-        assert np.array_equal(segment.channels[name], nominal[name])
 
 
 @pytest.mark.parametrize("late", [0, 1])
@@ -132,22 +121,6 @@ def test_claim_whose_interval_holds_nothing_is_none(problem: Problem) -> None:
     assert without_insignificant(problem, found)[0].claims == ()
 
 
-def test_what_a_rate_hides_is_said(nominal: StateArray) -> None:
-    slow = Problem(logged(nominal, slice(None, None, 20)).segments, BENCH)
-    note = undetectable_causes(slow, fit(slow, ()), [effect.adapted(BENCH) for effect in CANDIDATES], THRESHOLD)
-    assert note is not None and "entrained_air under" in note
-    whole = Problem(logged(nominal).segments, BENCH)
-    assert undetectable_causes(whole, fit(whole, ()), CANDIDATES, THRESHOLD) is None
-
-
-def test_recordings_of_two_rates_have_each_its_own_noise(nominal: StateArray) -> None:
-    whole, slow = logged(nominal).segments[0], logged(nominal, slice(None, None, 5)).segments[0]
-    problem = Problem([replace(slow, recording="slow"), whole], BENCH)
-    assert problem.sensor_noise == Problem([whole], BENCH).sensor_noise
-    assert np.max(problem.deviation("motion", 0)) != np.max(problem.deviation("motion", 1))
-    assert max(mean_squares(problem, problem.residual(())).values()) < 1.35
-
-
 @pytest.mark.parametrize("time, said", [(1e-3, True), (1.7e-3, False)])
 def test_dead_time_of_one_row_is_said_to_look_like_an_early_current(problem: Problem, time: float, said: bool) -> None:
     parameters: Mapping[str, ParameterEstimate] = {
@@ -158,12 +131,3 @@ def test_dead_time_of_one_row_is_said_to_look_like_an_early_current(problem: Pro
         rivals=[], look_alikes=[],
     )  # fmt: skip
     assert (current_is_early(problem, [effect]) is not None) == said
-
-
-def test_wide_test_function_is_the_same_by_either_convolution() -> None:
-    signal = np.cumsum(np.random.default_rng(5).standard_normal(3000))
-    wide = smooth(signal, 10)
-    at = np.arange(-76, 77)
-    bell = np.exp(-0.5 * (at / (10.0 * TOTAL_WIDTH)) ** 2)
-    direct = np.convolve(np.pad(signal, 76, mode="edge"), bell / bell.sum(), mode="valid")
-    assert np.allclose(wide, direct, atol=1e-9)

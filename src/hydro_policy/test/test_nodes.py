@@ -119,7 +119,7 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
     figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
     files = ("--json", str(figures), "--plot", str(plot), "--runs", str(tmp_path / "runs"), "--name", "a")
-    done = run("evaluate", *words, "--frequencies", "2", *files)
+    done = run("evaluate", *words, "--frequencies", "2", "--settle", "1", *files)
     assert done.returncode == 0, done.stderr
     told = (
         f"policy {policy}: weights {load_policy(policy)[0].digest()}, SHA-256 {sha256(policy.read_bytes()).hexdigest()}"
@@ -199,7 +199,7 @@ def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
     newcomer: tuple[SmallPlant, GraphNode], capfd: pytest.CaptureFixture[str]
 ) -> None:
     plant, node = newcomer
-    plant.gives, session, before, began = True, Counted(), list[int](), time.monotonic()
+    plant.gives, session, before, begun, began = True, Counted(), list[int](), list[float](), time.monotonic()
 
     def each_tick() -> None:
         plant.tick()
@@ -207,9 +207,10 @@ def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
         if len(plant.states) == 1 and session.samples > 5:
             plant.states.append(create_publisher(plant.node, STATE))
             before.append(session.samples)
+            begun.append(now)
         for _ in range(20 if before else 0):
             plant.states[-1].publish(BenchState(flags=int(Flag.TRIPPED)))
-        session.finished = now > 6.0
+        session.finished = now > 20.0 or bool(begun and now > begun[0] + 2.5)
 
     node.run_session(session, each_tick)  # type: ignore[arg-type]
     assert before and session.samples <= before[0] + 3, "those that came before the second was found"

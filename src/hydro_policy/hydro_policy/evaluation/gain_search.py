@@ -129,12 +129,6 @@ class GridSearch:
         return min(scores, key=scores.__getitem__)
 
     @property
-    def best_each(self) -> list[Gains]:
-        """Best pair for each reference, an upper bound on any single pair."""
-        pairs = list(self.tried)
-        return [pairs[int(index)] for index in np.argmin(list(self.tried.values()), axis=0)]
-
-    @property
     def _best_score(self) -> float:
         return min(self.scores.values())
 

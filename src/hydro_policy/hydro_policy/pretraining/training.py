@@ -245,12 +245,6 @@ class Pretraining:
             "random_state": self.rng.bit_generator.state,
         }  # fmt: skip
 
-    def start_from(self, agent: bytes) -> None:
-        """Start from this agent (`snapshot.dump`) instead of a new one; its updates do not count."""
-        restore(self.sac, agent)
-        self.sac.updates = 0
-        self._take_weights()
-
     def restore(self, checkpoint: Checkpoint, best: bytes | None) -> None:
         """Resume from a checkpoint of `state`, the agent and the replay buffer; `best` is the best agent until then."""
         restore(self.sac, checkpoint.learner)
