@@ -20,7 +20,7 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.grammar.parts import divided
+from hydro_sim.model.grammar.composition import divided
 
 BENCH = Bench.nominal()
 

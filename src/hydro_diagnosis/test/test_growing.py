@@ -16,14 +16,10 @@ import pytest
 
 from hydro_bridge.errors import UserError
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.growing.files import shape_text
 from hydro_diagnosis.growing.sightings import agreements, sightings
 from hydro_sim.model import grammar
-from hydro_sim.model.bench import Bench
-from hydro_sim.model.law_signals import Signals
 from hydro_sim.model.laws import Law
 
-SIGNALS = Signals(0.03, 0.1, 5e6, -4e6, 1e-3, 100.0, 2e6, memory=0.3, number=0.5, second=0.4)
 DRAG = ("motion", "quadratic drag")
 Numbers = Mapping[str, tuple[float, float, float]]
 """Value and ends of the interval, by a law's parameter."""
@@ -70,14 +66,6 @@ SMOOTH = {"equation": "load", "form": "smooth", "expression": "f(position)", "te
 
 def title(law: Law) -> str:
     return f"{law.equation} {law.form}"
-
-
-def test_the_written_shape_is_the_laws(each: Callable[..., None]) -> None:
-    def check(law: Law) -> None:
-        shape = eval(f"lambda at, n: {shape_text(law)}", {"np": np})
-        assert shape(SIGNALS, Bench.nominal()) == pytest.approx(law.shape(SIGNALS, Bench.nominal()), rel=1e-14)
-
-    each(EVERY, check, title)
 
 
 def test_a_report_says_which_law_it_holds(each: Callable[..., None], tmp_path: Path) -> None:

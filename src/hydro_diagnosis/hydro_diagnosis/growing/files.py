@@ -1,89 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The effect's module and its test, written from the sightings of a law.
-
-The source text of a law's shape is traced: the shape is called once with values that record the operations.
-"""
+"""The effect's module and its test, written from the sightings of a law."""
 
 from __future__ import annotations
 
-import ast
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hydro_bridge.files.atomic import write_whole
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.growing.sightings import Agreement, Sighting, units
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.law_signals import Signals
-from hydro_sim.model.laws import Law
-
-_OPERATORS: dict[str, type[ast.operator]] = {
-    "add": ast.Add, "sub": ast.Sub, "mul": ast.Mult, "truediv": ast.Div, "pow": ast.Pow,
-}  # fmt: skip
-_UFUNCS: dict[str, type[ast.operator]] = {
-    "add": ast.Add, "subtract": ast.Sub, "multiply": ast.Mult, "divide": ast.Div, "power": ast.Pow,
-}  # fmt: skip
-"""numpy's names of the operators, which a number of numpy's on the left calls."""
-
-
-class Traced:
-    """A value as the expression that gives it."""
-
-    def __init__(self, node: ast.expr) -> None:
-        self.node = node
-
-    def __neg__(self) -> Traced:
-        return Traced(ast.UnaryOp(ast.USub(), self.node))
-
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *given: Any, **_: Any) -> Traced:
-        nodes = [_node(one) for one in given]
-        if ufunc.__name__ in _UFUNCS:
-            return Traced(ast.BinOp(nodes[0], _UFUNCS[ufunc.__name__](), nodes[1]))
-        name = {"absolute": "abs", "negative": "negative"}.get(ufunc.__name__, ufunc.__name__)
-        return Traced(ast.Call(ast.Attribute(ast.Name("np"), name), nodes, []))
-
-
-def _operator(kind: type[ast.operator], *, swapped: bool) -> Callable[[Traced, Any], Traced]:
-    def applied(self: Traced, other: Any) -> Traced:
-        left, right = (_node(other), self.node) if swapped else (self.node, _node(other))
-        return Traced(ast.BinOp(left, kind(), right))
-
-    return applied
-
-
-for _name, _kind in _OPERATORS.items():
-    setattr(Traced, f"__{_name}__", _operator(_kind, swapped=False))
-    setattr(Traced, f"__r{_name}__", _operator(_kind, swapped=True))
-
-
-def _node(value: Any) -> ast.expr:
-    return value.node if isinstance(value, Traced) else ast.Constant(float(value))
-
-
-class _Numbers:
-    """The bench's numbers, each by its name."""
-
-    def __getattr__(self, name: str) -> Traced:
-        return Traced(ast.Attribute(ast.Name("n"), name))
-
-
-def shape_text(law: Law) -> str:
-    """The law's shape as a Python expression of `at` (`Signals`) and `n` (the bench's numbers).
-
-    Raises
-    ------
-    TypeError
-        The shape does more than arithmetic and numpy's functions of single values.
-    """
-    at = Signals(**{one.name: Traced(ast.Attribute(ast.Name("at"), one.name)) for one in fields(Signals)})
-    return ast.unparse(_node(law.shape(at, _Numbers())))
-
 
 REACH = 10.0
 """Bounds of a parameter, over the largest and under the smallest value that was seen."""
@@ -121,11 +51,9 @@ def _about(name: str, found: Sequence[Sighting], agreed: Sequence[Agreement]) ->
         "law": law,
         "found": found,
         "title": textwrap.fill(law.sentence, _WIDTH, initial_indent="   ").strip(),
-        "summary": f"`{law.text}`.",
         "sentence": _wrapped(law.sentence),
         "table": textwrap.indent(table(found), "    "),
         "sentences": "\n".join(textwrap.fill(one.sentence, _WIDTH) for one in agreed),
-        "shape": shape_text(law),
         "typical": abs(common["coefficient"]),
         "numbers": _tuple([f'Number("{one.name}", "{one.unit}", ({common[one.name]},))' for one in law.numbers]),
         "bounds": {one.name: _bounds(one.name, found) for one in agreed},

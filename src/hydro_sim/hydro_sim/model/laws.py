@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws: terms of one equation, written once for arrays and symbols.
+"""Laws: terms of one equation as data, written once for arrays and symbols.
 
 Terms are linear in their amplitudes. What one gives acts in its equation::
 
@@ -26,11 +26,15 @@ moves no path::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
-from hydro_sim.model.equations import Symbol
+import numpy as np
+
+from hydro_sim.model.equations import LAMINAR, Symbol
 from hydro_sim.model.law_signals import SIGN_VELOCITY, Signals
 
 WIDEST = 1e9
@@ -81,22 +85,40 @@ _UNITS = {
 }
 
 
+_SIGNALS = {
+    "x": "at.position", "v": "at.velocity", "a": "at.acceleration", "u": "at.current", "f": "at.force",
+    "w": "at.memory",
+    "p_a": "at.pressure_a", "p_b": "at.pressure_b", "across": "at.pressure_difference", "sign_v": "at.direction",
+    "turn": "at.turn", "drop": "at.drop", "both": "at.both", "opened": "at.opened", "feeds": "at.feeds",
+    "K": "n.valve_gain", "L": "n.stroke", "x_rest": "n.spring_rest_position", "A_p": "n.piston_area",
+    "alpha": "n.area_ratio", "p_s": "n.supply_pressure", "p_t": "n.tank_pressure", "laminar": repr(LAMINAR),
+    "one": "(1.0 + 0.0 * (at.position + at.pressure_a + at.pressure_b + at.current + at.force))",
+}  # fmt: skip
+"""Signals of a formula (`law_signals`) and the bench's numbers; `one`: 1 of their shape."""
+_FUNCTIONS = {
+    "abs": np.abs, "exp": np.exp, "sqrt": np.sqrt, "sin": np.sin, "tanh": np.tanh, "max": np.fmax, "pi": np.pi,
+    "root": lambda pressure: pressure / np.sqrt(np.abs(pressure) + 100.0),
+    "within": lambda signal, most: np.fmax(np.fmin(signal, most), -most),
+}  # fmt: skip
+"""`root`: of a pressure drop [Pa], odd; `within`: a signal, held where it is further from 0 than a threshold."""
+
+
 @dataclass(frozen=True)
 class Law:
-    """One term: `coefficient` times `shape`."""
+    """One term: `coefficient` times the formula."""
 
     equation: str
     form: str
     unit: str
-    """Unit of the coefficient; with that of the shape it gives that of the equation."""
+    """Unit of the coefficient; with that of the formula it gives that of the equation."""
     text: str
-    """The shape as an equation."""
-    sentence: str
-    """Usual physical meaning of such a term."""
+    """The formula as it is written in a report, with its memory."""
+    formula: str
+    """Expression of signals, bench numbers (`_SIGNALS`) and the law's further numbers, by their names."""
     typical: float
     """A coefficient at which it is noticeable."""
-    shape: Callable[[Signals, Any], Symbol]
-    """The shape as a function of signals and the bench's numbers."""
+    sentence: str
+    """Usual physical meaning of such a term."""
     element: Element | None = None
     numbers: tuple[Number, ...] = ()
     """Its further numbers."""
@@ -128,6 +150,14 @@ class Law:
     def names(self) -> tuple[str, ...]:
         """Names of its parameters."""
         return ("coefficient", *(number.name for number in self.numbers))
+
+    @cached_property
+    def shape(self) -> Any:
+        """The formula as a function of signals and the bench's numbers."""
+        places = zip((one.name for one in self.numbers), ("at.number", "at.second"), strict=False)
+        names = {**_SIGNALS, **{name: place for name, place in places if name != "turn"}}
+        python = re.sub(r"[A-Za-z_]\w*", lambda found: names.get(found[0], found[0]), self.formula)
+        return eval(f"lambda at, n: {python}", _FUNCTIONS)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """Value of the term, in the unit of its equation."""

@@ -1,27 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grammar of closures: the laws and tables that are tried where no named effect explains the residual.
 
-`forces`, `flows`, `valve` and `sensors` hold the laws that have names, `words` what they are made of. All others are
-`compositions` of a carrier (`force_carriers`, `flow_carriers`, `valve_carriers`, `sensor_carriers`) and a modulation
-(`modulations`, `pasts`).
+`named` holds the laws that have names. All others are compositions of one of the `carriers` and one of the
+`modulations`: those whose signals stand in the carrier's equation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from hydro_sim.model.grammar import flows, forces, sensors, valve
-from hydro_sim.model.grammar.compositions import compositions
+from hydro_sim.model.grammar import carriers as c
+from hydro_sim.model.grammar import modulations as m
+from hydro_sim.model.grammar.composition import Carrier, Modulation, composed
+from hydro_sim.model.grammar.named import LAWS as LAWS
 from hydro_sim.model.laws import Law, rounded
 from hydro_sim.model.tables import Factor, Table
 
-LAWS: tuple[Law, ...] = (*forces.LAWS, *flows.LAWS, *valve.LAWS, *sensors.LAWS)
-"""Laws that have names."""
-COMPOSITIONS: tuple[Law, ...] = compositions(LAWS)
-"""Laws that are compositions, without those that have names."""
+_FORCES = (*m.BY_MOTION, *m.BY_PRESSURE, *m.BEYOND_PLACE, *m.BEYOND_PRESSURE, m.AT_PLACE, m.BY_MOTION_PAST,
+           m.BY_LOADING, m.BY_TIME, m.FADING, m.REVERSED)  # fmt: skip
+_LOADS = (*m.BY_MOTION, *m.BEYOND_PLACE, m.AT_PLACE, m.BY_MOTION_PAST, m.BY_TIME, m.FADING, m.REVERSED)
+_FLOWS = (*m.BY_MOTION, *m.BY_PRESSURE, *m.BY_SIDE, *m.BEYOND_PLACE, *m.BEYOND_SPEED, *m.BEYOND_PRESSURE, m.AT_PLACE,
+          m.BY_MOTION_PAST, m.BY_THROTTLING, m.BY_HEATING, m.BY_LOADING, m.BY_TIME, m.FADING, m.REVERSED,
+          m.SEATED)  # fmt: skip
+_SPOOL = (*m.BY_SIDE, m.BY_THROTTLING, m.BY_HEATING, m.BY_TIME, m.FADING)
+_FED = (m.BY_THROTTLING, m.BY_TIME, m.FADING)
+_EDGES = (m.ALWAYS, *m.BY_EDGE, *m.BY_SIDE)
+_DRIFTS = (m.BY_TIME, m.BY_MOTION_PAST, m.FADING)
+_PRESSING = (m.BY_P_A, m.BY_P_B, m.BY_ACROSS)
+_GAPS = (m.BY_BEND, m.BY_STROKE, m.BY_SPEED, m.BY_OPENING)
+_READINGS = {
+    **{cell: (*m.of_reading(cell, symbol, "f", "N", (3.0, 10.0, 30.0, 100.0), -100.0, -30.0, 0.0, 30.0, 100.0),
+              *m.of_sides(cell, symbol))
+       for cell, symbol in (("hydraulic_force", "f_h"), ("load_force", "f_l"))},
+    **{f"pressure_{gauge}": m.of_reading(f"pressure_{gauge}", f"p_{gauge}", f"p_{gauge}", "Pa", (3e4, 1e5, 3e5, 1e6),
+                                         *m.LEVELS)
+       for gauge in "ab"},
+    "piston_position": (*m.of_reading("piston_position", "x", "x", "m", (1e-4, 3e-4, 1e-3, 3e-3)), *m.BENT),
+}  # fmt: skip
 
-ROUNDED: tuple[Law, ...] = tuple(rounded(law) for law in (*LAWS, *COMPOSITIONS) if law.reverses)
+
+def _product(carriers: Iterable[Carrier], modulations: Sequence[Modulation]) -> list[Law]:
+    return [composed(carrier, modulation) for carrier in carriers for modulation in modulations]
+
+
+_PRODUCTS: tuple[Law, ...] = (
+    *_product((c.DRY,), (*_FORCES, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
+    *_product((c.VISCOUS,), (*_FORCES, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
+    *_product((c.SQUARE, c.ROOT, *c.BY_PRESSURE, c.BY_DIFFERENCE), _FORCES),
+    *_product((c.STIFFNESS,), (m.ALWAYS, *_LOADS)),
+    *_product((c.CONSTANT_FORCE,), (*_FORCES, *m.BEYOND_SPEED, m.FILM)),
+    *_product((c.LOAD_DRY, c.LOAD_VISCOUS), (m.ALWAYS, *_LOADS, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
+    *_product((c.LOAD_SQUARE, c.LOAD_RUBBING), (m.ALWAYS, *_LOADS)),
+    *_product((c.LOAD_SPRING, c.LOAD_CONSTANT), _LOADS),
+    *_product((c.LOAD_INERTIA,), (m.ALWAYS, *m.BEYOND_PLACE)),
+    *_product((c.LEAK, c.HOLE), _FLOWS),
+    *_product(c.CHAMBERS, (m.ALWAYS, *_FLOWS)),
+    *_product(c.FED, (m.ALWAYS, *_FED)),
+    *_product((c.NULL,), (*m.BEYOND_OPENING, *_SPOOL)),
+    *_product((c.GAIN, c.CURVE), _SPOOL),
+    *_product((c.THROTTLE, c.NARROWED, c.JETS), _EDGES),
+    *_product(c.PRESSED, (m.ALWAYS,)),
+    *_product((c.CHOKED,), (m.ALWAYS, *m.BY_EDGE)),
+    *_product((c.DRY,), (m.BY_BEND,)),
+    *_product((c.VISCOUS,), (m.BY_BEND, *_PRESSING)),
+    *_product((c.STIFFNESS,), (*_PRESSING, m.BY_SPEED)),
+    *_product((c.LOAD_SPRING,), (m.BY_SPEED,)),
+    *_product(c.CONSTANT, (m.BY_TIME, m.FADING)),
+    *_product(c.PORTS, m.BEYOND_PLACE),
+    *_product((*c.BY_PRESSURE, c.BY_DIFFERENCE), (m.RESTED,)),
+    *_product(c.PRESSING, (m.PRESLIDING,)),
+    *_product((c.CONSTANT_FORCE, c.LOAD_CONSTANT), (m.RIPPLE, m.BY_SPEED)),
+    *_product((c.CONSTANT_FORCE, c.STIFFNESS), (m.BY_BEND,)),
+    *_product((c.CONSTANT_FORCE,), (m.BY_P_A, m.BY_P_B)),
+    *_product((c.DRY, c.VISCOUS, c.LEAK), (m.WAVES,)),
+    *_product((c.DRY, c.VISCOUS), m.RISING),
+    *_product((c.LOAD_VISCOUS, c.LOAD_SQUARE), (m.BY_BEND,)),
+    *_product((c.BENDING,), (m.PRESLIDING,)),
+    *_product((c.LEAK, c.HOLE), (*_GAPS, m.RESTED, m.WIPED)),
+    *_product(c.OF_PORT, (m.ALWAYS,)),
+    *_product(c.CHAMBERS, _GAPS),
+    *_product(c.CARRIED, (m.BY_P_A, m.BY_P_B)),
+    *(composed(one, m.STORING[one.equation]) for one in c.CHAMBERS if one.name == "leak"),
+    *_product((*c.PICKED, c.BENT_BY_LOAD), (m.ALWAYS,)),
+    *_product((one for one in c.PICKED if one.text == "u"), m.BY_SIDE),
+    *_product(c.DRIFTING, _DRIFTS),
+    *_product(c.GAINS_OF.values(), (m.BY_OPENING, m.BY_CURRENT, m.BY_SPEED, m.BY_PLACE)),
+    *_product((c.GAINS_OF["pressure_a"],), (m.BY_P_B,)),
+    *_product((c.GAINS_OF["pressure_b"],), (m.BY_P_A,)),
+    composed(c.READ["piston_position"], m.RIPPLE),
+    *_product((one for one in c.DRIFTING if one.uses and not one.where.endswith("force")), (m.ALWAYS,)),
+    *(composed(c.READ[channel], one) for channel, own in _READINGS.items() for one in own),
+)
+_KNOWN = {(law.equation, law.where, law.text) for law in LAWS}
+COMPOSITIONS = tuple(law for law in _PRODUCTS if (law.equation, law.where, law.text) not in _KNOWN)
+"""Laws that are compositions, without those that have names."""
+ROUNDED = tuple(rounded(law) for law in (*LAWS, *COMPOSITIONS) if law.reverses)
 """Laws that follow the sign of the velocity, with that over which they reverse as a number."""
 
 _VELOCITY = Factor("velocity", "v", lambda at: at.velocity)

@@ -3,27 +3,27 @@
 
 A carrier is a quantity that a textbook would put into an equation; a modulation says where, when and how much it
 counts. The unit of the coefficient follows from the equation's, the carrier's and the modulation's: dimensions hold
-by construction. Text and sentence are put together from the parts.
+by construction. Formula, text and sentence are put together from the parts.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-from hydro_sim.model.equations import Symbol
-from hydro_sim.model.law_signals import Signals
 from hydro_sim.model.laws import Element, Law, Number
 
-EQUATION_UNITS = {
-    "motion": "N", "load": "N", "pressure": "m3/s", "pressure_a": "m3/s", "pressure_b": "m3/s", "actuation": "A",
-    }  # fmt: skip
-"""Unit of an equation's terms."""
+_UNITS = {"motion": "N", "load": "N", "pressure": "m3/s", "pressure_a": "m3/s", "pressure_b": "m3/s", "actuation": "A",
+          "hydraulic_force": "N", "load_force": "N", "piston_position": "m", "edges": "-"}  # fmt: skip
+"""Unit of the terms of an equation or a place: of the valve's edges a term is a share of their flow."""
+_SIZES = {"motion": 5.0, "load": 5.0, "pressure": 3e-7, "pressure_a": 3e-7, "pressure_b": 3e-7, "actuation": 1e-4,
+          "hydraulic_force": 5.0, "load_force": 5.0, "piston_position": 1e-5, "edges": 1.0, "across": 5e-5}  # fmt: skip
+"""Typical size of the same terms, in that unit."""
+_GAUGE = ("Pa", 5e4)
+"""Unit and typical size of a pressure sensor's terms."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Carrier:
     """A quantity of an equation."""
 
@@ -31,35 +31,43 @@ class Carrier:
     name: str
     unit: str
     text: str
+    formula: str
     phrase: str
     """Beginning of the sentence."""
-    size: float
-    """Typical size of the equation's term [SI unit]."""
-    scale: float = 1.0
+    scale: float
     """Typical size of the quantity [SI unit]."""
-    shape: Callable[[Signals, Any], Symbol]
-    uses: str = ""
+    uses: str
     """Signals that it is made of."""
-    degree: float = 0.0
+    degree: float
     """Total power of the signals in it."""
     where: str = ""
     numbers: tuple[Number, ...] = ()
+    size: float = 0.0
+    """Typical size of the term, if it is another than its equation's."""
+
+    @property
+    def term(self) -> tuple[str, float]:
+        """Unit and typical size of its term."""
+        if self.equation == "sensor" and self.where.startswith("pressure"):
+            return _GAUGE
+        place = self.where if self.equation == "sensor" or self.where == "edges" else self.equation
+        return _UNITS[place], self.size or _SIZES.get(self.where) or _SIZES[place]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Modulation:
     """A factor of a carrier."""
 
     name: str
     text: str
     """With the carrier in place of `{}`."""
+    formula: str
     phrase: str
     """End of the sentence."""
-    factor: Callable[[Signals, Any], Symbol]
+    uses: str = ""
     unit: str = "-"
     scale: float = 1.0
     """Typical size of the factor [SI unit]."""
-    uses: str = ""
     degree: float = 0.0
     element: Element | None = None
     numbers: tuple[Number, ...] = ()
@@ -69,15 +77,16 @@ class Modulation:
 
 def composed(carrier: Carrier, modulation: Modulation) -> Law:
     """The law of a carrier and a modulation."""
-    of = _unit_of(carrier)
+    unit, size = carrier.term
+    plain = modulation.text == "{}"
     return Law(
         carrier.equation,
         f"{carrier.name}, {modulation.name}" if modulation.name else carrier.name,
-        divided(of, carrier.unit, modulation.unit),
-        modulation.text.format(carrier.text).removeprefix("1 " if modulation.name and modulation.text != "{}" else ""),
+        divided(unit, carrier.unit, modulation.unit),
+        modulation.text.format(carrier.text).removeprefix("" if plain else "1 "),
+        f"({carrier.formula}) * ({modulation.formula})",
+        size / (carrier.scale * modulation.scale),
         f"{carrier.phrase}{modulation.phrase}.",
-        carrier.size / (carrier.scale * modulation.scale),
-        lambda at, n: carrier.shape(at, n) * modulation.factor(at, n),
         modulation.element,
         (*carrier.numbers, *modulation.numbers),
         carrier.where,
@@ -87,22 +96,13 @@ def composed(carrier: Carrier, modulation: Modulation) -> Law:
     )
 
 
-def _unit_of(carrier: Carrier) -> str:
-    """Unit of a carrier's equation; of the valve's edges a term is a share of their flow."""
-    if carrier.equation == "sensor":
-        units = {"hydraulic_force": "N", "load_force": "N", "piston_position": "m"}
-        return units.get(carrier.where, "Pa")
-    return "-" if carrier.where == "edges" else EQUATION_UNITS[carrier.equation]
-
-
-_POWER = re.compile(r"(sqrt\(Pa\)|sqrt\(m/s\)|[A-Za-z]+)(\d*)")
+_SYMBOL = r"sqrt\([^)]*\)|[A-Za-z]+"
 
 
 def _powers(unit: str) -> dict[str, int]:
     """Exponents of a unit such as "N s/m2": each slash divides by the symbol behind it."""
     found: dict[str, int] = {}
-    for sign, part in re.findall(r"(^|[ /])(sqrt\([^)]*\)|[A-Za-z]+\d*)", unit):
-        name, power = _POWER.fullmatch(part).groups()  # type: ignore[union-attr]
+    for sign, name, power in re.findall(rf"(^|[ /])({_SYMBOL})(\d*)", unit):
         found[name] = found.get(name, 0) + (-1 if sign == "/" else 1) * int(power or 1)
     return found
 
