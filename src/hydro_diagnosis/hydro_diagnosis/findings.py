@@ -145,6 +145,9 @@ class Report:
     """Terms that model what no name explains; empty where names do, or no term holds on held-out recordings."""
     estimated: list[NumberEstimate] = field(default_factory=list)
     """Numbers of the bench that were to be estimated; they are no causes."""
+    checks: dict[str, Any] = field(default_factory=dict)
+    """Checks by simple physics: `curves` (`steady_motion.Point`s by name), `explained` (share of each equation's
+    held-out mismatch), `moved` (claims that move without one of the recordings), `objections` (sentences)."""
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]

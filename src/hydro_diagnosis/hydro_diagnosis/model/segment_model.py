@@ -33,6 +33,8 @@ from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 VELOCITY_UNCERTAINTY = 1e-3
 """Uncertainty [m/s] of the velocity's zero."""
+SLIDING = 3.0 * VELOCITY_UNCERTAINTY
+"""Speed [m/s] from which on the direction of motion is known."""
 _FAST = 1.0
 """Velocity [m/s] beyond which friction is that of sliding."""
 _GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))

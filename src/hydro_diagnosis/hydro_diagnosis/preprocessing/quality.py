@@ -19,6 +19,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.bench_numbers import knows
@@ -199,6 +200,8 @@ STOP_MARGIN = 5e-4
 """Margin [m] from an end stop."""
 CAVITATION = 5e4
 """Pressure [Pa] below which the oil cavitates."""
+BEYOND_NOISE = 3.0
+"""Standard deviations of the sensor's noise by which a pressure must be lower."""
 EVENT_MARGIN = 100
 """Samples before and after such an event that are left out."""
 STILL = 1e-5
@@ -339,7 +342,7 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
             outside |= (position < STOP_MARGIN) | (position > bench.stroke - STOP_MARGIN)
     for name in ("pressure_a", "pressure_b"):
         if name in columns:
-            outside |= columns[name] < CAVITATION
+            outside |= _cavitates(columns[name])
     if not outside.any():
         return outside
     notes.append(
@@ -347,6 +350,16 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
     )
     wide: Mask = np.convolve(outside, np.ones(2 * EVENT_MARGIN + 1), mode="same") > 0.5
     return wide
+
+
+def _cavitates(pressure: FloatArray) -> Mask:
+    """Samples whose pressure is too low, alone or in the mean around them, by more than its noise would make it."""
+    known = np.isfinite(pressure)
+    noise, pressure = white_noise(pressure[known]), np.where(known, pressure, np.median(pressure[known]))
+    found = np.zeros(len(pressure), dtype=bool)
+    for count in (1, AVERAGED):
+        found |= uniform_filter1d(pressure, count) < CAVITATION - BEYOND_NOISE * noise / count**0.5
+    return found
 
 
 def _segments(

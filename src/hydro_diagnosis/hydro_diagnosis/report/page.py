@@ -46,6 +46,7 @@ def write_page(found: Diagnosis, path: Path) -> None:
         held_out=_held_out(report),
         equations=_equations(report),
         location_plot=location_plot(found) if report.location else "",
+        curves=plots.curves_plot(found) if any(report.checks.get("curves", {}).values()) else "",
         residual_plot=plots.residual_plot(found),
         evidence_plot=plots.evidence_plot(found) if found.outcome.steps else "",
     )  # fmt: skip

@@ -118,6 +118,36 @@ def evidence_plot(found: Diagnosis) -> str:
     return svg(1, (7.0, 0.8 + 0.32 * len(steps)), draw)
 
 
+_CURVES = {
+    "friction": ("force over\nsteady speed [N]", 1.0, "velocity"),
+    "valve_flow": ("flow at steady\nspeed [l/min]", 6e4, "current"),
+    "leak_at_rest": ("flow into A\nat rest [l/min]", 6e4, "pressure_difference"),
+}
+
+
+def curves_plot(found: Diagnosis) -> str:
+    """Plot what is read off the recordings at steady speed and at rest, and what the model says there."""
+    curves = found.report.checks["curves"]
+
+    def draw(axes: Any) -> None:
+        for axis, (name, points) in zip(axes, curves.items(), strict=True):
+            words, factor, variable = _CURVES[name]
+            label, units = _VARIABLES[variable]
+            at = [point["at"] * units for point in points]
+            measured, before, after, error = (
+                [point[key] * factor for point in points] for key in ("measured", "before", "model", "uncertainty")
+            )
+            axis.errorbar(at, measured, [2.0 * one for one in error], fmt="o", color=GRAY, markersize=3,
+                          label="recorded")  # fmt: skip
+            axis.plot(at, before, color=ORANGE, linewidth=0.8, label="before")
+            axis.plot(at, after, color=BLUE, linewidth=0.8, label="after")
+            axis.set_xlabel(label)
+            axis.set_ylabel(words)
+        legend(axes[0])
+
+    return svg(len(curves), (8.0, 2.6 * len(curves)), draw)
+
+
 _OF_GROWN = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
 
 

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What speaks against claims that fit: a reason each why a verdict of `explained` does not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.estimation.fit import NOTICEABLE, Fit, fit
+from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.selection.steady_motion import FRICTION, Point, missed
+
+MOVED = 0.25
+"""Share of its size by which a number may move when one recording is left out."""
+LEFT = 0.25
+"""Share of the bench file's error that may be left on held-out recordings where everything is explained."""
+_CONFIRMING = 4
+"""Steps of the fit without a recording: it begins where the fit with all of them ended."""
+
+
+def moved(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]:
+    """Named claims whose size moves by more than `MOVED`, and out of its interval, without one of the recordings.
+
+    `bounds`: of the parameters of all claims, in their order.
+    """
+    names = list(dict.fromkeys(model.segment.recording for model in problem.models))
+    labels: list[str] = []
+    for name in names if len(names) > 1 and found.judged else []:
+        others = [model.segment for model in problem.models if model.segment.recording != name]
+        fewer = Problem(
+            others, problem.bench, problem.baseline, noise=problem.sensor_noise, estimated=problem.estimated
+        ).weighed(found.claims)
+        again, k = fit(fewer, found.claims, iterations=_CONFIRMING), 0
+        for claim, other in zip(found.claims, again.claims, strict=True):
+            own = bounds[k : k + len(claim.effect.parameters)]
+            k += len(own)
+            if claim.effect.named and not claim.effect.estimated and _moves(claim, other, own):
+                labels.append(claim.effect.label)
+    return list(dict.fromkeys(labels))
+
+
+def _moves(claim: Claim, other: Claim, bounds: Sequence[Interval]) -> bool:
+    for parameter, bound in zip(claim.effect.parameters, bounds, strict=True):
+        value, moved_to = claim.values[parameter.name], other.values[parameter.name]
+        outside = not bound.low <= moved_to <= bound.high
+        if parameter.smallest > 0.0 and outside and abs(moved_to - value) > MOVED * abs(value - parameter.neutral):
+            return True
+    return False
+
+
+def explained_shares(proof: Mapping[str, Any]) -> dict[str, float]:
+    """Share of each equation's held-out mean square beyond the noise, as the bench file leaves it, that claims remove.
+
+    `proof`: `fit` of report.json. Without equations whose mismatch is noise.
+    """
+    shares = {}
+    for name, one in proof.get("equations", {}).items():
+        before, after = (max(one[key] ** 2 - one["noise_floor"] ** 2, 0.0) for key in ("rmse_before", "rmse_after"))
+        if before > NOTICEABLE * one["noise_floor"] ** 2:
+            shares[name] = 1.0 - after / before
+    return shares
+
+
+def doubted(verdict: str, doubts: Sequence[str], *, named: bool) -> str:
+    """Return the verdict with `objections`: what is not all of it is no `explained`, nor `modelled`."""
+    if verdict not in ("explained", "modelled") or not doubts:
+        return verdict
+    return "partly_explained" if named else "unknown"
+
+
+def objections(
+    found: Fit,
+    bounds: Sequence[Interval],
+    proof: Mapping[str, Any],
+    curves: Mapping[str, Sequence[Point]],
+    unsteady: Sequence[str],
+) -> list[str]:
+    """Sentences on why claims do not explain everything, though they leave no more than the noise that they allow.
+
+    Parameters
+    ----------
+    found, bounds
+        The claims, and the intervals of their parameters.
+    proof
+        `fit` of report.json.
+    curves
+        What is read off the recordings (`steady_motion.curves`).
+    unsteady
+        Labels of claims that move without one of the recordings (`moved`).
+    """
+    owners = [(claim, one) for claim in found.claims for one in claim.effect.parameters]
+    vague = [
+        f"{claim.effect.id}: {one.name}"
+        for (claim, one), bound in zip(owners, bounds, strict=True)
+        if claim.effect.named and not claim.effect.estimated and one.smallest > 0.0 and not bound.identifiable
+    ]
+    said = [f"not identifiable from these recordings, or at its bound: {', '.join(vague)}"] if vague else []
+    if unsteady:
+        said.append(
+            f"without one of the recordings these move by more than a quarter, or go: {', '.join(unsteady)}: the "
+            "recordings do not agree on them"
+        )
+    for name, one in proof.get("equations", {}).items():
+        before, after, floor = one["rmse_before"], one["rmse_after"], one["noise_floor"]
+        if after > LEFT * before and after**2 > (1.0 + NOTICEABLE) * floor**2:
+            said.append(
+                f"{100.0 * after / before:.0f} % of the bench file's error in {name} is left on what was held out, "
+                f"{after / floor:.3g} times the sensors' noise"
+            )
+    off = missed(curves.get(FRICTION, ())) if found.judged else []
+    if off:
+        worst = max(off, key=lambda point: abs(point.measured - point.model))
+        said.append(
+            f"force over steady speed is missed at {len(off)} of {len(curves[FRICTION])} speeds, by "
+            f"{abs(worst.measured - worst.model):.3g} N of {abs(worst.measured):.3g} N at {worst.at * 1e3:.3g} mm/s"
+        )
+    return said

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is read off at steady speed is the truth's, and each objection takes `explained` away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hydro_diagnosis.bench_numbers import completed
+from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.selection.reliability import doubted, explained_shares, moved, objections
+from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
+from hydro_sim.model.bench import Bench
+
+DRY = next(effect for effect in LIBRARY if effect.label == "friction_coulomb")
+BENCH = completed({"moving_mass": 1.0}, frozenset())
+SPEEDS = (0.02, 0.05, 0.12)
+
+
+def strokes(force: float, name: str, noise: float = 0.1) -> RawTable:
+    """A piston pushed out and back at constant speeds against 10 N and 20 N s/m, the cell reads `force` beside."""
+    rng, velocity = np.random.default_rng(len(name)), np.repeat([s * v for v in SPEEDS for s in (1.0, -1.0)], 1500)
+    position = 0.02 + np.cumsum(velocity) * 1e-3
+    time = 1e-3 * np.arange(len(velocity), dtype=np.float64)
+    balance = np.sign(velocity) * 10.0 + 20.0 * velocity + force
+    columns = {"piston_position": position, "hydraulic_force": balance + noise * rng.standard_normal(len(time))}
+    return RawTable(name, time, None, columns)
+
+
+def problem(*forces: float) -> Problem:
+    tables = [strokes(force, f"run{k}") for k, force in enumerate(forces)]
+    return Problem([checked(table, BENCH).segments[0] for table in tables], BENCH)
+
+
+def proof(before: float, after: float, floor: float = 1.0) -> dict[str, Any]:
+    return {"equations": {"motion": {"rmse_before": before, "rmse_after": after, "noise_floor": floor}}}
+
+
+def test_force_over_steady_speed_is_that_of_the_truth() -> None:
+    points = curves(problem(0.0), ())[FRICTION]
+    assert len(points) == 2 * len(SPEEDS)
+    for point in points:
+        assert point.measured == pytest.approx(np.sign(point.at) * 10.0 + 20.0 * point.at, abs=0.1)
+        assert point.before == point.model == 0.0
+
+
+def test_a_claim_that_misses_the_points_is_told() -> None:
+    judged = problem(0.0)
+    right, wrong = (curves(judged, [Claim(DRY, {"force": size})])[FRICTION] for size in (11.0, 5.0))
+    assert missed(right) == [] and len(missed(wrong)) == 6
+    said = objections(fit(judged, (Claim(DRY, {"force": 5.0}),), iterations=0),
+                      [Interval(5.0, 4.9, 5.1, True)], proof(10.0, 0.5), {FRICTION: wrong}, [])  # fmt: skip
+    assert len(said) == 1 and "missed at 6 of 6 speeds" in said[0]
+
+
+def test_claims_on_which_the_recordings_do_not_agree_are_told() -> None:
+    offset = next(effect for effect in LIBRARY if effect.label == "force_offset")
+    for forces, told in (((4.0, 4.0), []), ((4.0, 0.0), ["force_offset"])):
+        judged = problem(*forces)
+        found = fit(judged, (Claim(DRY, {"force": 10.0}), Claim(offset, {"force": 2.0})))
+        bounds = [Interval(one, one - 0.1, one + 0.1, True) for claim in found.claims for one in claim.values.values()]
+        assert moved(judged, found, bounds) == told
+
+
+def test_what_is_left_and_what_is_not_identified_are_objections() -> None:
+    found = fit(problem(0.0), (Claim(DRY, {"force": 11.0}),), iterations=0)
+    sure, vague = (Interval(11.0, 10.0, 12.0, identified) for identified in (True, False))
+    assert objections(found, [sure], proof(10.0, 2.0), {}, []) == []
+    assert "43 %" in objections(found, [sure], proof(10.0, 4.3), {}, [])[0]
+    assert objections(found, [sure], proof(1.3, 1.1), {}, []) == []
+    assert "friction_coulomb: force" in objections(found, [vague], proof(10.0, 1.0), {}, [])[0]
+    assert explained_shares(proof(10.0, 1.0)) == {"motion": 1.0} and explained_shares(proof(1.1, 1.0)) == {}
+
+
+@pytest.mark.parametrize("verdict, named, says", [
+    ("explained", True, "partly_explained"), ("modelled", False, "unknown"), ("no_mismatch", False, "no_mismatch"),
+])  # fmt: skip
+def test_with_an_objection_nothing_is_fully_explained(verdict: str, named: bool, says: str) -> None:
+    assert doubted(verdict, ["that"], named=named) == says
+    assert doubted(verdict, [], named=named) == verdict
+
+
+def test_a_point_is_missed_beyond_chance_alone() -> None:
+    point = Point(at=0.1, measured=10.0, before=0.0, model=8.0, uncertainty=1.0)
+    assert missed([point]) == [] and missed([replace(point, uncertainty=0.1)]) == [replace(point, uncertainty=0.1)]
+
+
+@pytest.mark.parametrize("noise, level, cut", [(2e5, 5e5, False), (2e5, 0.0, True), (1e3, 2e4, True)])
+def test_cavitation_is_what_noise_does_not_make(
+    noise: float, level: float, cut: bool, frame: Callable[[Any], pd.DataFrame], nominal: Any
+) -> None:
+    """A return line at 5 bar whose sensor has 2 bar of noise does not cavitate."""
+    columns = {name: frame(nominal)[name].to_numpy().copy() for name in ("piston_position", "pressure_a")}
+    columns["pressure_a"][:] = 5e5
+    columns["pressure_a"][4000:5000] = level
+    columns["pressure_a"] += noise * np.random.default_rng(1).standard_normal(len(columns["pressure_a"]))
+    table = RawTable("run", 1e-3 * np.arange(len(columns["pressure_a"]), dtype=np.float64), None, columns)
+    assert any("cavitate" in note for note in checked(table, Bench.nominal()).quality) == cut
