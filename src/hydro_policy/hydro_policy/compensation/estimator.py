@@ -45,7 +45,6 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
-from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -61,8 +60,8 @@ SETTLED = 0.2
 LEAD = 0.01
 """Time [s] from the last sample to that whose f_r' the valve's terms take."""
 
-_NEUTRAL = np.array((*NEUTRAL, 0.0, 0.0))
-_TERMS = len(_NEUTRAL)
+NEUTRAL_TERMS = np.array((*NEUTRAL, 0.0, 0.0))
+"""a_0 to a_3, b_0, b_1 that change nothing."""
 
 ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
 """Flags of which ARMED alone must be set for samples to count."""
@@ -196,6 +195,9 @@ class Compensator:
         law: BoxLaw | None = None,
         cell: LoadCell | None = None,
     ) -> None:
+        from hydro_policy.compensation import kernel  # numba: not needed to read the settings
+
+        self._take = kernel.take
         self.settings, limits = settings or CompensatorSettings(), law or BoxLaw()
         self._low, self._high = np.array(limits.coefficient_min), np.array(limits.coefficient_max)
         omega, level = 2.0 * math.pi, 1.0 / self.settings.force_scale  # 1 Hz
@@ -222,11 +224,11 @@ class Compensator:
         count = len(self.coefficients)
         self.coefficients[:] = NEUTRAL
         self._memory = _Memory(
-            found=np.tile(_NEUTRAL, (count, 1)),
+            found=np.tile(NEUTRAL_TERMS, (count, 1)),
             states=np.zeros((count, 4, ORDER)),
             last=np.zeros((count, 4)),
-            matrix=np.zeros((count, _TERMS, _TERMS)),
-            vector=np.zeros((count, _TERMS)),
+            matrix=np.zeros((count, *2 * NEUTRAL_TERMS.shape)),
+            vector=np.zeros((count, *NEUTRAL_TERMS.shape)),
             steps=np.zeros(count, np.int64),
             excitation=np.zeros(count),
         )
@@ -267,76 +269,13 @@ class Compensator:
         signals[:, 0], signals[:, 1] = commanded, measured
         signals[:, 2], signals[:, 3] = np.tanh(rate / self.settings.reversal), np.abs(rate)
         self.counted = np.empty(len(signals), np.bool_)
-        _take(self._numbers, self._constants, self._memory, signals, active, self.frozen, self.counted)
+        self._take(self._numbers, self._constants, self._memory, signals, active, self.frozen, self.counted)
         found, ahead = self._memory.found, rate[:, -1] + (rate[:, -1] - rate[:, 0]) * LEAD / (STEP - SAMPLE_PERIOD)
         level = found[:, 3] + found[:, 4] * np.tanh(ahead / self.settings.reversal) + found[:, 5] * np.abs(ahead)
         self.coefficients[:, :3] = found[:, :3]
         self.coefficients[:, 3] = np.where(np.isfinite(level), level, self.coefficients[:, 3])
         np.clip(self.coefficients, self._low, self._high, out=self.coefficients)
         return self.coefficients.copy()
-
-
-@njit
-def _take(settings, constants, memory, signals, active, frozen, counted):
-    """Take the four signals of a policy step, shape (n, 4, 10); learn on the benches that count."""
-    for i in range(len(signals)):
-        counted[i] = active[i] and np.isfinite(signals[i]).all() and _plausible(settings[0], memory, signals, i)
-        if not counted[i]:
-            memory.steps[i] = 0
-            continue
-        for channel in range(4):
-            state, now = memory.states[i, channel], signals[i, channel]
-            if memory.steps[i] == 0:
-                state[:], memory.last[i, channel] = 0.0, now[0]
-                state[0] = now[0]
-            state[:] = constants.transition @ state + constants.inputs[0] * memory.last[i, channel]
-            for k in range(SAMPLES_PER_STEP):
-                state += constants.inputs[k + 1] * now[k]
-            memory.last[i, channel] = now[-1]
-        memory.steps[i] += 1
-        if memory.steps[i] * STEP > SETTLED and not frozen[i]:
-            _learn(settings[0], constants, memory, i)
-
-
-@njit
-def _plausible(settings, memory, signals, i):
-    """Whether the load cell shows what a bench can do."""
-    commanded, measured = signals[i, 0], signals[i, 1]
-    before = memory.last[i, 1] if memory.steps[i] > 0 else measured[0]
-    scale, least = settings.force_scale, settings.no_load * settings.force_scale
-    stuck, loose, last = np.ptp(commanded) > 1e-3 * scale, True, before
-    for k in range(SAMPLES_PER_STEP):
-        if abs(measured[k] - last) > settings.jump * scale:
-            return False
-        last = measured[k]
-        stuck = stuck and last == before
-        loose = loose and abs(last) < least and abs(commanded[k]) > 10.0 * least
-    return not (stuck or loose)
-
-
-@njit
-def _learn(settings, constants, memory, i):
-    """Update fit and coefficients."""
-    share, states, found = STEP / settings.memory, memory.states[i], memory.found[i]
-    phi = np.ones(_TERMS)
-    phi[:3] = constants.regressors @ states[1]
-    phi[4:] = states[2:, 0] / constants.scale[4:] / settings.force_scale
-    target = states[0, 0] / settings.force_scale
-    memory.excitation[i] += share * (2.0 * phi[1] ** 2 - memory.excitation[i])
-    excitation = memory.excitation[i]
-    missed = target - np.sum(phi * found * constants.scale)
-    haste = min(1.0 + (missed / settings.surprise) ** 2, settings.haste)
-    kept = 1.0 - share * haste * min(excitation / settings.good_excitation, 1.0)
-    memory.matrix[i] = kept * memory.matrix[i] + STEP * np.outer(phi, phi)
-    memory.vector[i] = kept * memory.vector[i] + STEP * phi * target
-    if excitation >= settings.least_excitation:
-        matrix = memory.matrix[i] + np.diag(constants.weights)
-        fit = np.linalg.solve(matrix, memory.vector[i] + constants.weights * _NEUTRAL) / constants.scale
-        fit = np.minimum(np.maximum(fit, constants.least), constants.most)
-    else:
-        fit = found.copy()
-        fit[0], fit[3] = 1.0, 0.0
-    found += (fit - found) * STEP / settings.settling
 
 
 def _regressors(cell: LoadCell | None) -> FloatArray:

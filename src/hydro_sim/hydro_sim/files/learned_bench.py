@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
+
+if TYPE_CHECKING:
+    from hydro_sim.model.plant import AnalyticPlant
 
 BENCH_FILES = (".yaml", ".yml")
 
@@ -60,6 +63,8 @@ def load_model(path: str | Path | None = None) -> Bench:
 
 def make_plant(path: str | Path | None = None, *, noise: float = 1.0) -> AnalyticPlant:
     """Return a plant of a learned bench (raises as `read`)."""
+    from hydro_sim.model.plant import AnalyticPlant  # numba: not needed to find a file
+
     return AnalyticPlant(read(path), noise=noise)
 
 
