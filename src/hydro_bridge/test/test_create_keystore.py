@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.nodes import create_keystore
-from hydro_bridge.ros.companion import executable_path
+from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.keys import (
     ENABLE,
     KEYSTORE,
@@ -165,3 +165,14 @@ def test_a_node_that_cannot_use_its_keys_ends_with_a_sentence(made: bool, tmp_pa
     assert answer.returncode == 2
     assert f"error: ROS does not start with keys ({KEYSTORE}: {keystore})" in answer.stderr
     assert "Traceback" not in answer.stderr
+
+
+def test_what_is_started_beside_a_node_does_not_inherit_the_enclave_that_its_user_chose(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/hydro/watch")
+    monkeypatch.setenv("HYDRO_INHERITED", "yes")
+    with Companion("hydro_bridge", "bridge", ["--port", "/nowhere/port"]) as companion:
+        environment = Path(f"/proc/{companion.process.pid}/environ").read_bytes()
+    assert b"HYDRO_INHERITED=yes" in environment
+    assert b"ENCLAVE_OVERRIDE" not in environment

@@ -108,3 +108,21 @@ main()
     assert process.wait(10.0) == 128 + signal.SIGHUP
     assert os.read(read, 100) == b"put in order"
     os.close(read)
+
+
+def test_an_exception_that_compiled_code_drops_comes_again_but_not_into_the_clean_up() -> None:
+    ended = run("""
+@command()
+def main():
+    try:
+        try:
+            me(signal.SIGTERM)  # as PyObject_HasAttr and PyDict_GetItem do with an exception of Python code below them
+        except endings.Ended:
+            pass
+        time.sleep(10)
+    finally:
+        time.sleep(1.2)
+        print("put in order")
+main()
+""")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "put in order\n", "")

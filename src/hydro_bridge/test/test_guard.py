@@ -383,3 +383,16 @@ def test_every_box_and_every_holder_begins_with_the_papers_law():
         guard.set_arm(False)
         forget(guard)
         assert guard.command(0.01) == Command()
+
+
+def test_before_anything_came_the_command_is_the_safe_one_and_nothing_is_complained_of():
+    guard = CommandGuard()
+    assert guard.command(0.0) == Command()
+    assert guard.take_events() == []
+
+
+@pytest.mark.parametrize("change", [{"frequency": 1e-60}, {"phase": 1e60}, {"phase": -1e39}])
+def test_a_reference_that_is_unfit_as_float32_is_refused_as_the_box_would(change):
+    guard = CommandGuard()
+    assert not guard.set_reference(replace(ReferenceSignal(waveform=Waveform.SINE, amplitude=10.0), **change))
+    assert guard.counts.references_refused == 1

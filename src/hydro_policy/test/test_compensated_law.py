@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import Flag, Law
+from hydro_bridge.signals import NEUTRAL, Flag, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated, FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
@@ -161,3 +161,14 @@ def test_a_lost_message_holds_one_policy_step_and_what_comes_out_of_order_is_pai
     whole = LiveCompensation(LAW)
     pairs(whole, range(300))
     assert np.array_equal(other.command.coefficients, whole.command.coefficients)
+
+
+def test_a_frozen_estimator_keeps_its_coefficients_into_the_next_run() -> None:
+    live = LiveCompensation(LAW)
+    pairs(live, range(200))
+    live.frozen, before = True, live.command
+    live.reset()
+    assert live.command == before
+    live.frozen = False
+    live.reset()
+    assert live.command.coefficients == NEUTRAL
