@@ -26,10 +26,12 @@ from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded
+from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.startup.box_expectation import box_mismatch
+from hydro_policy.nodes.startup.companions import PlantOptions, commands
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import BASE, GainRange
@@ -247,3 +249,23 @@ def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything
         node.destroy_node()
         other.destroy_node()
         rclpy.shutdown()
+
+
+def test_companions_of_each_plant() -> None:
+    started = {
+        plant: [executable for _, executable, _ in commands(PlantOptions(plant=plant), GainRange(), Path("run"))]
+        for plant in ("sim", "emulator", "bench", "external")
+    }
+    assert started == {
+        "sim": ["filter", "sim"],
+        "emulator": ["filter", "emulator", "bridge"],
+        "bench": ["filter", "bridge"],
+        "external": [],
+    }
+    wide = commands(PlantOptions(plant="sim"), GainRange(delta_kp_max=285.0), Path("run"))
+    assert "guard.delta_kp_max:=285.0" in wide[-1][2]
+    assert wide[-1][2][-1] == f"guard.relies_on:=--metric {DEFAULT}", "nothing opens the guard in silence"
+    named = PlantOptions(plant="sim", filter=("--contraction-rate", "2"))
+    started = commands(named, GainRange(delta_kp_max=285.0), Path("run"))
+    assert started[0][2][-2:] == ["--contraction-rate", "2"]
+    assert started[-1][2][-1] == "guard.relies_on:=--metric learned --contraction-rate 2"
