@@ -92,7 +92,8 @@ def test_with_an_objection_nothing_is_fully_explained(verdict: str, named: bool,
 
 def test_a_point_is_missed_beyond_chance_alone() -> None:
     point = Point(at=0.1, measured=10.0, before=0.0, model=8.0, uncertainty=1.0)
-    assert missed([point]) == [] and missed([replace(point, uncertainty=0.1)]) == [replace(point, uncertainty=0.1)]
+    sure = replace(point, uncertainty=0.1)
+    assert missed([point]) == [] and missed([sure]) == [sure] and missed([sure], noise=2.5) == []
 
 
 @pytest.mark.parametrize("noise, level, cut", [(2e5, 5e5, False), (2e5, 0.0, True), (1e3, 2e4, True)])

@@ -109,7 +109,8 @@ def objections(
                 f"{100.0 * after / before:.0f} % of the bench file's error in {name} is left on what was held out, "
                 f"{after / floor:.3g} times the sensors' noise"
             )
-    off = missed(curves.get(FRICTION, ())) if found.judged else []
+    noise = proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
+    off = missed(curves.get(FRICTION, ()), noise) if found.judged else []
     if off:
         worst = max(off, key=lambda point: abs(point.measured - point.model))
         said.append(

@@ -78,12 +78,15 @@ def curves(problem: Problem, claims: Sequence[Claim]) -> dict[str, list[Point]]:
     return {name: points for name, points in found.items() if points}
 
 
-def missed(points: Sequence[Point]) -> list[Point]:
-    """Points that the model misses by more than a share of the largest mismatch of the bench file, and by chance."""
+def missed(points: Sequence[Point], noise: float = 0.0) -> list[Point]:
+    """Points that the model misses by more than a share of the largest mismatch of the bench file, and by chance.
+
+    `noise`: standard deviation of a residual [unit of the points]; what is smaller nobody reads off the points.
+    """
     largest = max((abs(point.measured - point.before) for point in points), default=0.0)
     return [
         point for point in points
-        if abs(point.measured - point.model) > max(MISSED * largest, SURE * point.uncertainty)
+        if abs(point.measured - point.model) > max(MISSED * largest, SURE * point.uncertainty, noise)
     ]  # fmt: skip
 
 
