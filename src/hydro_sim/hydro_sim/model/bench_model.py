@@ -284,7 +284,8 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "laws.py", "tables.py", "motion.py", "rates.py", "assembly.py", "source.py"]
+    equations = ["equations.py", "motion.py", "rates.py", "edge_laws.py", "laws.py", "law_signals.py", "tables.py"]
+    names = [*equations, "assembly.py", "source.py"]
     folders = [one for folder in ("effects", "grammar") for one in sorted((here / folder).glob("*.py"))]
     files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders, *grown.sources()]
     others = f"{SAMPLE_PERIOD} {_limits()} casadi {version('casadi')}".encode()
