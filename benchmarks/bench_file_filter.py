@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter made for a bench that is not the shipped one, on the emulated bench; the box keeps to the nominal file.
 
-file         a bench file that says the change and what a diagnosis finds, its metric by `learn_metric --epochs 0`:
+file         a bench file that says the change and what a diagnosis finds, its metric by `learn_metric`:
              without a filter and behind it at wide gains, sample by sample
 relearn      model and metric by `relearn` from a minute recorded under (90, 15), the same runs
 compensated  the compensated law at its own gains, through guard and estimator, on the default truth and on drawn ones:
              without a filter, with that of a bench file with the truth's own parameters, and with the shipped one,
              which answers BYPASSED; `mismatch` of the latter is what its watch says of the same samples
+drawn_gains  the same benches, gains drawn 100 times a second at the law's own C_1 and at C_1 = 1, without a filter and
+             with that of the bench file, whose metrics are for either
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from benchmarks._report import parser
 from benchmarks.controllers import SETTINGS, interquartile_mean
 from benchmarks.model_mismatch import outcome, play
 from hydro_bridge.cli.console import Table, command, progress
+from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.filter import Result
@@ -38,7 +41,7 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.task.cases import Case
-from hydro_sim.box.box import law_state
+from hydro_sim.box.box import BoxConfig, law_state
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
@@ -68,6 +71,8 @@ FORMS: dict[str, tuple[str, ...]] = {
     "entrained_air": ("volume_fraction",),
 }  # fmt: skip
 """Effects of the truths, with the parameters that the model's own forms have."""
+DRAWN_GAINS = ((15.0, 5.0), (300.0, 30.0))
+"""Least and greatest K_p [1/s], K_i [1/s^2]."""
 CASES = SETTINGS.cases[:4]
 REFERENCE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 BEGIN, SECONDS = 2000, 6.0
@@ -125,8 +130,8 @@ def by_file(name: str, folder: Path) -> Made:
     return by_metric(folder / "bench.yaml", BENCHES[name][1], effects, "paper")
 
 
-def by_truth(config: TruthConfig, folder: Path) -> Made:
-    """The filter for the compensated law on a bench file with a truth's own parameters."""
+def by_truth(config: TruthConfig, folder: Path, law: str = "compensated") -> Made:
+    """The filter for the compensated law or both on a bench file with a truth's own parameters."""
     found = {name: getattr(config.effects, name) for name in FORMS}
     effects: list[Any] = [
         {"id": name, "parameters": {each: getattr(effect, each) for each in FORMS[name]}}
@@ -136,7 +141,7 @@ def by_truth(config: TruthConfig, folder: Path) -> Made:
         {"id": "sensor_lag", "sensor": lag.sensor, "parameters": {"bandwidth": lag.bandwidth, "damping": lag.damping}}
         for lag in config.effects.sensor_lag
     ]
-    return by_metric(folder / "bench.yaml", {}, effects, "compensated")
+    return by_metric(folder / "bench.yaml", {}, effects, law)
 
 
 def by_metric(model: Path, numbers: Mapping[str, float], effects: Sequence[Any], law: str) -> Made:
@@ -149,7 +154,7 @@ def by_metric(model: Path, numbers: Mapping[str, float], effects: Sequence[Any],
         time.monotonic(),
         "",
     )
-    words = ["--out", str(out), "--model", str(model), "--epochs", "0", "--law", law, "--json", str(table)]
+    words = ["--out", str(out), "--model", str(model), "--law", law, "--json", str(table)]
     if not out.exists():
         said = run("hydro_filter.training.learn_metric", *words)
     return loaded(out, model), told(table, said, began)
@@ -217,22 +222,24 @@ def shares(statuses: Any) -> dict[str, float]:
     return {key: 100.0 * float(np.mean(one)) if len(one) else np.nan for key, one in which.items()}
 
 
-def under_the_law(config: TruthConfig, case: Case, corrector: LoopFilter | None) -> Iterator[tuple[np.void, int]]:
-    """Samples of a run at the law's own gains, each with its status, until the box trips."""
-    graph = OfflineGraph(TruthPlant(config), Bench.nominal(), corrector=corrector)
-    live = LiveCompensation(graph.box.config.compensated)
+def under_the_law(
+    config: TruthConfig, case: Case, corrector: LoopFilter | None, law: BoxLaw, *, drawn: bool = False
+) -> Iterator[tuple[np.void, int]]:
+    """Samples of a run at the law's own gains or drawn ones, each with its status, until the box trips."""
+    graph = OfflineGraph(TruthPlant(config), Bench.nominal(), config=BoxConfig(compensated=law), corrector=corrector)
+    live, rng, base = LiveCompensation(law), np.random.default_rng(0), np.array((law.base_kp, law.base_ki))
     if corrector is not None:
         corrector.reset()
     graph.reference(case.signal)
     for k in range(round(SECONDS / SAMPLE_PERIOD)):
         if k % SAMPLES_PER_STEP == 0:
             graph.command_law(live.command, k)
-            graph.gains(0.0, 0.0, k)
+            graph.gains(*(rng.uniform(*DRAWN_GAINS) - base if drawn else (0.0, 0.0)), k)
         graph.arm(k > 0)
-        sample, law = graph.sample().copy(), law_state(graph.box.state[0])
+        sample, acts = graph.sample().copy(), law_state(graph.box.state[0])
         sequence, mismatched = int(sample["sequence"]), graph.answer.status is CorrectionStatus.MISMATCH
-        if law.law is Law.COMPENSATED:
-            live.on_law_state(sequence, law.law, law.compensated_reference)
+        if acts.law is Law.COMPENSATED:
+            live.on_law_state(sequence, acts.law, acts.compensated_reference)
         live.on_sample(sequence, float(sample["load_force"]), int(sample["flags"]), holds=mismatched)
         yield sample, int(graph.answer.status)
         if int(sample["flags"]) & Flag.TRIPPED:
@@ -242,22 +249,35 @@ def under_the_law(config: TruthConfig, case: Case, corrector: LoopFilter | None)
 def law_rows(config: TruthConfig, own: LoopFilter, shipped: LoopFilter) -> Iterator[dict[str, Any]]:
     """Three rows of each reference: without a filter, with its own, and with the shipped one."""
     for case in CASES:
-        plain = list(under_the_law(config, case, None))
+        plain = list(under_the_law(config, case, None, BoxLaw()))
         yield {"filter": "none", "reference": case.name, **figures(plain)}
-        yield {"filter": "own", "reference": case.name, **figures(list(under_the_law(config, case, own)))}
+        yield {"filter": "own", "reference": case.name, **figures(list(under_the_law(config, case, own, BoxLaw())))}
         shipped.reset()
         watched = [(sample, int(shipped.correct(Sample.of(sample)).status)) for sample, _ in plain]
         yield {"filter": "shipped", "reference": case.name, **figures(watched), "corrected": 0.0}
 
 
+def drawn_rows(config: TruthConfig, own: LoopFilter) -> Iterator[dict[str, Any]]:
+    """Rows of each reference at drawn gains: C_1 of the law and 1, without a filter and with its own."""
+    for law in (BoxLaw(), BoxLaw(velocity_compensation=1.0, velocity_compensation_max=1.0)):
+        for name, corrector in (("none", None), ("own", own)):
+            label = f"{name}, C_1 = {law.velocity_compensation:g}"
+            for case in CASES:
+                run = list(under_the_law(config, case, corrector, law, drawn=True))
+                yield {"filter": label, "reference": case.name, **figures(run)}
+
+
 def figures(done: Sequence[tuple[np.void, int]]) -> dict[str, Any]:
-    """Error after 2 s [N], RMS of u' [A/s], and shares of samples [%]."""
+    """Error after 2 s [N], a sine's own where it tripped, RMS of u' [A/s], and shares of samples [%]."""
     states = np.array([sample for sample, _ in done])
     settled, statuses = states[BEGIN:], np.array([status for _, status in done[BEGIN:]])
     error = settled["reference_force"] - settled["load_force"]
     rms = {"rmse": error, "current_rate_rms": np.diff(settled["valve_current"]) / SAMPLE_PERIOD}
     squares = {key: float(np.sqrt(np.mean(each**2))) if len(each) else np.nan for key, each in rms.items()}
-    return {**squares, "tripped": bool(int(states["flags"][-1]) & Flag.TRIPPED), **shares(statuses)}
+    tripped = bool(int(states["flags"][-1]) & Flag.TRIPPED)
+    if tripped:
+        squares["rmse"] = SETTINGS.amplitude / np.sqrt(2.0)
+    return {**squares, "tripped": tripped, **shares(statuses)}
 
 
 def law_table(rows: Sequence[dict[str, Any]]) -> Table:
@@ -280,29 +300,32 @@ def law_table(rows: Sequence[dict[str, Any]]) -> Table:
 def main() -> None:
     """Measure, print, write."""
     options = parser("bench_file_filter", __doc__)
-    options.add_argument("what", nargs="?", default="file", choices=("file", "relearn", "compensated"))
+    options.add_argument("what", nargs="?", default="file", choices=("file", "relearn", "compensated", "drawn_gains"))
     options.add_argument("--bench", nargs="+", default=list(BENCHES), choices=list(BENCHES), help="default: all")
     options.add_argument("--draw", type=int, default=12, metavar="COUNT", help="drawn truths; default: %(default)s")
     options.add_argument("--folder", type=Path, default=Path("runs/bench_file_filter"), help="default: %(default)s")
     asked = options.parse_args()
     truths: dict[str, TruthConfig] = dict.fromkeys(asked.bench)
-    if asked.what == "compensated":
-        drawn = {f"{name}_1": truth_from_mapping(one) for name, one in drawn_truths(asked.draw, 1).items()}
+    under_law = asked.what in ("compensated", "drawn_gains")
+    if under_law:
+        drawn = {f"drawn_{name}_1": truth_from_mapping(one) for name, one in drawn_truths(asked.draw, 1).items()}
         truths = {"default": profile("default"), **drawn}
     table, rows, shipped = Table(COLUMNS, title="The filter made for a bench"), list[dict[str, Any]](), default_filter()
     for name in progress(truths, total=len(truths), label="benches", unit="bench"):
         folder = asked.folder / asked.what / name.translate(str.maketrans(" /", "__", "%"))
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            if asked.what == "compensated":
-                own, kind = by_truth(truths[name], folder)[0], "default" if name == "default" else "drawn"
-                rows += [{"bench": kind, **row} for row in law_rows(truths[name], own, shipped)]
+            if under_law:
+                laws, kind = "compensated" if asked.what == "compensated" else "both", name.partition("_")[0]
+                own = by_truth(truths[name], folder, laws)[0]
+                runs = drawn_rows(truths[name], own) if laws == "both" else law_rows(truths[name], own, shipped)
+                rows += [{"bench": kind, **row} for row in runs]
                 continue
             made = by_file(name, folder) if asked.what == "file" else by_relearn(name, folder)
         except ValueError as error:
             print(f"{name}: {error}", file=sys.stderr)
             made = None
-        for row in wide_gains(name, made) if asked.what != "compensated" else ():
+        for row in wide_gains(name, made) if not under_law else ():
             table.add(**row)
     (law_table(rows) if rows else table).show(asked.json)
 

@@ -4,6 +4,9 @@
 gains      K_p, K_i and C_1 over drawn truths, as they are, with 0.6 times the valve gain believed, and 4 ms late
 margins    the law as it is over drawn truths and the default one, by believed valve gain and delay to the valve
 effects    each effect of the default truth doubled (bandwidths halved)
+specimen   the load's own force, load cell not known, as a diagnosis of two recordings finds it, known, 20 % wrong;
+           rmse and ratio: of the measured force where the cell is not known, largest true_rmse as diagnosed over it;
+           share: largest true_rmse with the cell 20 % wrong over that of a cell not known
 changes    spring, supply and valve of the default truth changed in mid-run
 endurance  the default truth for --hours at references that change every 20 s
 
@@ -19,20 +22,28 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
-from benchmarks.controllers import SETTINGS, compensated, held, interquartile_mean
+from benchmarks.controllers import SETTINGS, compensated, held, interquartile_mean, load_cell
+from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import Flag, Law, Waveform
-from hydro_policy.compensation.estimator import ADAPTS, STEP, Compensator
+from hydro_diagnosis.pipeline import diagnose
+from hydro_diagnosis.report.corrected_bench import write_corrected
+from hydro_policy.compensation.estimator import ADAPTS, STEP, Compensator, LoadCell
 from hydro_policy.envs import vector_runs
+from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
 
 CANDIDATES = (
     (400.0, 15.0, 0.3), (400.0, 15.0, 0.15), (400.0, 15.0, 0.0), (300.0, 15.0, 0.0), (500.0, 15.0, 0.0),
@@ -57,6 +68,17 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
 }
 REFERENCE_TIME = 20.0
 """s of each reference of `endurance`, of which the first `SETTINGS.settle` do not count."""
+
+
+RECORDED = (
+    [Segment(seconds=10.0, waveform="multisine", amplitude=200.0, frequency=0.5, kp=150.0, ki=15.0),
+     Segment(seconds=10.0, waveform="sine", amplitude=200.0, frequency=1.5, kp=150.0, ki=15.0)],
+    [Segment(seconds=10.0, waveform="smooth_step", amplitude=150.0, frequency=0.5, kp=150.0, ki=15.0),
+     Segment(seconds=10.0, waveform="sine", amplitude=200.0, frequency=1.0, kp=150.0, ki=15.0)],
+)  # fmt: skip
+"""What a diagnosis is given, under the paper's law: to fit, and held out."""
+CAUTIOUS = 1.6
+"""Times the nominal valve's flow, which the box believes meanwhile: nothing trips."""
 
 
 class Condition(NamedTuple):
@@ -145,6 +167,45 @@ def effects(asked: argparse.Namespace) -> Table:
     return tabulated([Job(name, truth(changed), AS_IT_IS, BoxLaw()) for name, changed in DOUBLED.items()])
 
 
+def specimen(asked: argparse.Namespace) -> Table:
+    """A row for each truth, the default one first: cell as it is and as found, mean errors of the six references."""
+    beliefs = dict.fromkeys(("not known", "diagnosed", "known", "x 0.8", "x 1.2"), "N, true_rmse")
+    table = Table({"truth": "", "cell": "Hz, -", "found": "Hz, -", **beliefs, "rmse": "N", "ratio": "", "share": ""})
+    configs = [profile("default"), *drawn(asked)]
+    bar = progress(total=len(configs), label="truths", unit="truth")
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("forkserver")) as pool:
+        for number, (cells, rows) in enumerate(pool.map(specimen_of, configs)):
+            felt = {name: np.array([row["true_rmse"] for row in own]) for name, own in rows.items()}
+            rmse = np.array([row["rmse"] for row in rows["not known"]])
+            wrong = np.maximum(felt["x 0.8"], felt["x 1.2"])
+            said = {key: "none" if (cell := cells[belief]) is None else f"{cell.bandwidth:.1f}, {cell.damping:.2f}"
+                    for key, belief in (("cell", "known"), ("found", "diagnosed"))}  # fmt: skip
+            said |= {name: f"{each.mean():.2f}" for name, each in felt.items()} | {"rmse": f"{rmse.mean():.2f}"}
+            said["ratio"] = f"{(felt['diagnosed'] / rmse).max():.2f}"
+            said["share"] = f"{(wrong / felt['not known']).max():.2f}"
+            table.add(truth=str(number - 1) if number else "default", **said)
+            bar.update()
+    bar.close()
+    return table
+
+
+def specimen_of(config: TruthConfig) -> tuple[dict[str, LoadCell | None], dict[str, list[dict[str, Any]]]]:
+    """The load cell by belief, and rows of `evaluate`'s references under it."""
+    bench, known = Bench.nominal(), load_cell(config)
+    believed = replace(bench, valve_nominal_flow=CAUTIOUS * bench.valve_nominal_flow)
+    with TemporaryDirectory() as folder:
+        bags = [Path(folder) / name for name in ("fitted", "held_out")]
+        for seed, (bag, segments) in enumerate(zip(bags, RECORDED, strict=True)):
+            with BagWriter(bag) as writer:
+                writer.write_states(record_offline(config, segments, bench=believed, seed=seed).states)
+        write_corrected(diagnose(bags[:1], holdout=bags[1:]).corrected, (), Path(folder) / "corrected.yaml")
+        found = LoadCell.load(Path(folder) / "corrected.yaml")
+    cells = {"not known": None, "diagnosed": found, "known": known}
+    for factor in (0.8, 1.2):
+        cells[f"x {factor:g}"] = known and replace(known, bandwidth=factor * known.bandwidth)
+    return cells, {name: compensated(config, SETTINGS.cases, cell=cell) for name, cell in cells.items()}
+
+
 def changes(asked: argparse.Namespace) -> Table:
     """RMSE in the 2 s before a change at 4 s, the first second behind it, and from 2 s behind it on."""
     settings = replace(SETTINGS, measure=6.0)
@@ -223,7 +284,7 @@ def drawn(asked: argparse.Namespace) -> list[TruthConfig]:
 
 
 STUDIES: dict[str, Callable[[argparse.Namespace], Table]] = {
-    study.__name__: study for study in (gains, margins, effects, changes, endurance)
+    study.__name__: study for study in (gains, margins, effects, specimen, changes, endurance)
 }
 
 

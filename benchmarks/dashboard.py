@@ -91,7 +91,7 @@ def cost(looking: int | None, seconds: float, folder: Path) -> dict[str, object]
         if looking is not None and looking != JOINS:
             process, address = stack.enter_context(dashboard())
             stack.enter_context(viewers(address, looking))
-        start(stack, driver, folder, metric="learned", realtime=True)
+        start(stack, driver, folder, metric=["--metric", "learned"], realtime=True)
         driver.run(2.0)
         if looking == JOINS:
             stack.callback(launched().kill)

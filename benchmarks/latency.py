@@ -3,7 +3,8 @@
 
 Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes; gains come at 100 Hz from here, as a
 trainer's would. The bridge measures the latency, from a state frame's arrival to the command frame that carries its
-correction, and tells it on /diagnostics.
+correction, and tells it on /diagnostics. Under `--law compensated` this process has the law's estimator too, and the
+filter needs --model and --metric of a bench file (bench_file_filter compensated makes them).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -27,8 +28,11 @@ from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import DIAGNOSTICS, create_subscription
-from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_bridge.ros.topics import DIAGNOSTICS, LAW_STATE, STATE, create_subscription
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.signals import Law, ReferenceSignal, Waveform
+from hydro_msgs.msg import BenchState, LawState
+from hydro_policy.compensation.live import LiveCompensation
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 
@@ -36,7 +40,9 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 class Driver:
     """The stand-in for a trainer: arms, sets the reference, publishes gains, listens to diagnostics."""
 
-    def __init__(self, ranges: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (75.0, 10.0))) -> None:
+    def __init__(
+        self, ranges: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (75.0, 10.0)), law: Law = Law.PAPER
+    ) -> None:
         rclpy.init()
         self._ranges = ranges  # least and greatest changes of K_p and K_i
         self.node = rclpy.create_node("benchmark")
@@ -48,6 +54,10 @@ class Driver:
         self._commander.reference(SINE)
         self._rng = np.random.default_rng(0)
         self._step = 0
+        self._live = LiveCompensation(BoxLaw()) if law is Law.COMPENSATED else None
+        if self._live is not None:
+            create_subscription(self.node, STATE, self._on_state)
+            create_subscription(self.node, LAW_STATE, self._on_law_state)
 
     def await_node(self, name: str, timeout: float = 30.0) -> None:
         """Wait until a node tells its diagnostics."""
@@ -88,6 +98,8 @@ class Driver:
                 continue
             steps, self._step = steps + 1, self._step + 1
             self._commander.seek(time.monotonic())
+            if self._live is not None:
+                self._commander.law(self._live.command, self._step)
             delta_kp, delta_ki = self._rng.uniform(*self._ranges)
             self._commander.gains(delta_kp, delta_ki, self._step)
 
@@ -96,6 +108,14 @@ class Driver:
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()
+
+    def _on_state(self, state: BenchState) -> None:
+        assert self._live is not None
+        self._live.on_sample(state.sequence, state.load_force, state.flags, state.reference_force_rate)
+
+    def _on_law_state(self, state: LawState) -> None:
+        assert self._live is not None
+        self._live.on_law_state(state.sequence, state.law, state.compensated_reference)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -108,18 +128,20 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def companions(folder: Path, *, metric: str, realtime: bool) -> dict[str, tuple[str, list[str]]]:
+def companions(folder: Path, *, metric: Sequence[str], realtime: bool) -> dict[str, tuple[str, list[str]]]:
     """Package and arguments by executable; the box and its bridge come last, when all others listen."""
     port, prompt = str(folder / "box"), ["--realtime"] if realtime else []
     return {
-        "filter": ("hydro_filter", ["--metric", metric, *prompt]),
+        "filter": ("hydro_filter", [*metric, *prompt]),
         "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
         "emulator": ("hydro_sim", ["--link", port]),
         "bridge": ("hydro_bridge", ["--port", port, *prompt]),
     }
 
 
-def start(stack: ExitStack, driver: Driver, folder: Path, *, metric: str, realtime: bool) -> dict[str, Companion]:
+def start(
+    stack: ExitStack, driver: Driver, folder: Path, *, metric: Sequence[str], realtime: bool
+) -> dict[str, Companion]:
     """Start the graph one after the other; the percentiles in the diagnostics begin with a graph that is whole."""
     running: dict[str, Companion] = {}
     for name, (package, arguments) in companions(folder, metric=metric, realtime=realtime).items():
@@ -134,10 +156,12 @@ def start(stack: ExitStack, driver: Driver, folder: Path, *, metric: str, realti
 
 def measure(asked: argparse.Namespace, folder: Path) -> Table:
     """Run the graph and make the table."""
+    metric = ["--metric", asked.metric, *(["--model", str(asked.model)] if asked.model else [])]
     with ExitStack() as stack:
-        driver = Driver()
+        law = Law[asked.law.upper()]
+        driver = Driver(((0.0, 0.0), (0.0, 0.0)), law) if law is Law.COMPENSATED else Driver()
         stack.callback(driver.close)
-        running = start(stack, driver, folder, metric=asked.metric, realtime=asked.realtime)
+        running = start(stack, driver, folder, metric=metric, realtime=asked.realtime)
         driver.run(2.0)
         before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}
         begin = time.monotonic()
@@ -165,7 +189,7 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
 def _title(asked: argparse.Namespace) -> str:
     kind = "SCHED_FIFO for bridge and filter" if asked.realtime else "ordinary scheduling"
     besides = f"{os.cpu_count()} cores, {kind}"
-    return f"Graph with the {asked.metric} metric for {asked.seconds:g} s on {besides}"
+    return f"Graph under the {asked.law} law with the {asked.metric} metric for {asked.seconds:g} s on {besides}"
 
 
 @command()
@@ -177,6 +201,8 @@ def main() -> None:
         "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
     )
     options.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
+    options.add_argument("--model", type=Path, metavar="FILE", help="bench file of that metric")
+    options.add_argument("--law", default="paper", choices=("paper", "compensated"), help="default %(default)s")
     asked = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         measure(asked, Path(folder)).show(asked.json)
