@@ -36,7 +36,7 @@ from hydro_filter.training.relearn import METRIC, MODEL
 from hydro_filter.validation.plants import modified_truth
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.sessions.offline import OfflineGraph
+from tests.offline_graph import OfflineGraph
 from hydro_policy.task.cases import Case
 from hydro_sim.box.box import law_state
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping

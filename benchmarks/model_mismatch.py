@@ -41,7 +41,7 @@ from hydro_filter.model.sample import Sample
 from hydro_filter.validation.plants import ChangingPlant, modified_truth
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
-from hydro_policy.sessions.offline import OfflineGraph
+from tests.offline_graph import OfflineGraph
 from hydro_policy.supervision.plant_supervisor import FALLBACK
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant

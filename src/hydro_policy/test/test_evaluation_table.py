@@ -16,7 +16,7 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings, Score
-from hydro_policy.sessions.offline import OfflineGraph
+from tests.offline_graph import OfflineGraph
 from hydro_policy.task.cases import Trace, score
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench

@@ -20,7 +20,7 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
-from hydro_policy.sessions.offline import PASSED, InlineLearner, OfflineGraph
+from tests.offline_graph import PASSED, InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
