@@ -25,11 +25,9 @@ from hydro_bridge.bags.source import RecordingSummary, summarized
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.nodes.verbs.graph import (
     PATIENCE,
-    SPIN_TIME,
     absolute,
     answer_of,
     find_node,
-    full_name,
     hidden,
     node_names,
     settle,
@@ -49,14 +47,16 @@ Names = Iterable[tuple[str, list[str]]]
 """Names with their types."""
 
 GROUPS = {
-    "topic": "topics of the running graph: list, info, type, echo, hz",
-    "node": "nodes of the running graph: list, info",
+    "topic": "topics of the running graph: list, echo, hz",
+    "node": "nodes of the running graph: list",
     "param": "parameters of nodes: list, get",
-    "service": "services of the running graph: list, type, call",
+    "service": "services of the running graph: list, call",
     "bag": "recordings: info",
 }
 _VERBS: list[tuple[str, str, str, tuple[Argument, ...], Run]] = []
 _DEPTH = 1000
+_WINDOW = 5000
+"""Messages that count for a rate."""
 _REPORT = 1.0  # s
 _PUBLISHER = 3.0  # s, for the first publisher to be discovered; a later one is heard, but not its latched message
 _TYPES = {
@@ -119,58 +119,20 @@ def _verb(group: str, name: str, text: str, *arguments: Argument) -> Callable[[R
     return register
 
 
-_SPIN_TIME = _argument(
-    "--spin-time", type=float, default=SPIN_TIME, metavar="S", help=f"s to look around at least ({SPIN_TIME:g})"
-)
+_SHOW_TYPES = _argument("-t", "--show-types", action="store_true", help="with their types")
 _TOPIC, _SERVICE, _NODE, _PARAMETER = (_argument(name) for name in ("topic", "service", "node", "parameter"))
 
 
-def _list_arguments(things: str) -> tuple[Argument, ...]:
-    return (
-        _argument("-t", "--show-types", action="store_true", help="with their types"),
-        _argument("-c", f"--count-{things}", dest="count", action="store_true", help="only how many"),
-        _argument(f"--include-hidden-{things}", dest="include_hidden", action="store_true", help="hidden ones, too"),
-        _SPIN_TIME,
-    )
+def _print_list(found: Names, show_types: bool) -> None:
+    for name, kinds in sorted((name, kinds) for name, kinds in found if not hidden(name)):
+        print(f"{name} [{', '.join(kinds)}]" if show_types else name)
 
 
-def _print_list(options: argparse.Namespace, found: Names) -> None:
-    shown = sorted((name, kinds) for name, kinds in found if options.include_hidden or not hidden(name))
-    if options.count:
-        print(len(shown))
-        return
-    for name, kinds in shown:
-        print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
-
-
-@_verb("topic", "list", "names of all topics", *_list_arguments("topics"))
+@_verb("topic", "list", "names of all topics", _SHOW_TYPES)
 def _topic_list(options: argparse.Namespace) -> None:
     with visiting() as node:
-        settle(node, options.spin_time)
-        _print_list(options, node.get_topic_names_and_types())
-
-
-@_verb(
-    "topic", "info", "a topic's type, and who publishes and subscribes to it", _TOPIC,
-    _argument("-v", "--verbose", action="store_true", help="each of them by name, with quality of service"), _SPIN_TIME,
-)  # fmt: skip
-def _topic_info(options: argparse.Namespace) -> None:
-    topic = absolute(options.topic)
-    with visiting() as node:
-        kinds = _topic_types(node, topic)
-        settle(node, options.spin_time)
-        publishers, subscribers = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
-    print(f"Type: {', '.join(kinds)}")
-    for what, endpoints in (("Publisher", publishers), ("Subscription", subscribers)):
-        print(f"{what} count: {len(endpoints)}")
-        if options.verbose:
-            print("".join(f"\n{endpoint}\n" for endpoint in endpoints))
-
-
-@_verb("topic", "type", "a topic's type", _TOPIC)
-def _topic_type(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        print("\n".join(_topic_types(node, absolute(options.topic))))
+        settle(node)
+        _print_list(node.get_topic_names_and_types(), options.show_types)
 
 
 @_verb(
@@ -202,15 +164,10 @@ def _topic_echo(options: argparse.Namespace) -> None:
         done.result()
 
 
-@_verb(
-    "topic", "hz", "how often something is published, each second until Ctrl-C", _TOPIC,
-    _argument("-w", "--window", type=int, default=10_000, metavar="N", help="messages that count (10000)"),
-)  # fmt: skip
+@_verb("topic", "hz", "how often something is published, each second until Ctrl-C", _TOPIC)
 def _topic_hz(options: argparse.Namespace) -> None:
     """Count serialized messages on arrival, without decoding them."""
-    if options.window < 2:
-        raise UserError(f"--window {options.window}: two messages or more make a rate")
-    times: deque[float] = deque(maxlen=options.window)
+    times: deque[float] = deque(maxlen=_WINDOW)
     new, done = 0, Future()
 
     def count(_: bytes) -> None:
@@ -271,48 +228,21 @@ def _offered_qos(node: Node, topic: str) -> QoSProfile:
     )
 
 
-@_verb(
-    "node", "list", "names of all nodes",
-    _argument("-a", "--all", action="store_true", help="hidden ones, too"),
-    _argument("-c", "--count-nodes", action="store_true", help="only how many"), _SPIN_TIME,
-)  # fmt: skip
+@_verb("node", "list", "names of all nodes")
 def _node_list(options: argparse.Namespace) -> None:
     with visiting() as node:
-        settle(node, options.spin_time)
-        found = [name for name in node_names(node) if options.all or not hidden(name)]
-    print(len(found) if options.count_nodes else "\n".join(found))
+        settle(node)
+        print("\n".join(name for name in node_names(node) if not hidden(name)))
 
 
-@_verb(
-    "node", "info", "what a node publishes, hears, serves and calls", _NODE,
-    _argument("--include-hidden", action="store_true", help="hidden topics and services, too"), _SPIN_TIME,
-)  # fmt: skip
-def _node_info(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        name, namespace = find_node(node, options.node)
-        settle(node, options.spin_time)
-        sections: dict[str, Names] = {
-            "Subscribers": node.get_subscriber_names_and_types_by_node(name, namespace),
-            "Publishers": node.get_publisher_names_and_types_by_node(name, namespace),
-            "Service Servers": node.get_service_names_and_types_by_node(name, namespace),
-            "Service Clients": node.get_client_names_and_types_by_node(name, namespace),
-        }
-    print(full_name(namespace, name))
-    for title, entries in sections.items():
-        print(f"  {title}:")
-        for entry, kinds in sorted(entries):
-            if options.include_hidden or not hidden(entry):
-                print(f"    {entry}: {', '.join(kinds)}")
-
-
-@_verb("param", "list", "names of a node's parameters, or of all nodes'", _argument("node", nargs="?"), _SPIN_TIME)
+@_verb("param", "list", "names of a node's parameters, or of all nodes'", _argument("node", nargs="?"))
 def _param_list(options: argparse.Namespace) -> None:
     with visiting() as node:
         if options.node:
-            for name in _parameters(node, full_name(*reversed(find_node(node, options.node)))):
+            for name in _parameters(node, find_node(node, options.node)):
                 print(f"  {name}")
             return
-        settle(node, options.spin_time)
+        settle(node)
         for owner in node_names(node):
             if not hidden(owner):
                 print(f"{owner}:")
@@ -323,19 +253,15 @@ def _param_list(options: argparse.Namespace) -> None:
                 print(*(f"  {name}" for name in names), sep="\n")
 
 
-@_verb(
-    "param", "get", "a parameter's value", _NODE, _PARAMETER,
-    _argument("--hide-type", action="store_true", help="the value alone"),
-)  # fmt: skip
+@_verb("param", "get", "a parameter's value", _NODE, _PARAMETER)
 def _param_get(options: argparse.Namespace) -> None:
     with visiting() as node:
-        owner = full_name(*reversed(find_node(node, options.node)))
+        owner = find_node(node, options.node)
         answer: Any = answer_of(node, _parameter_client(node, owner).get_parameters([options.parameter]), owner)
     value = answer.values[0] if answer.values else ParameterValue()
     if value.type == ParameterType.PARAMETER_NOT_SET:
         raise UserError(f"{owner} has no parameter {options.parameter}")
-    shown = parameter_value_to_python(value)
-    print(shown if options.hide_type else f"{_TYPES[value.type]}: {shown}")
+    print(f"{_TYPES[value.type]}: {parameter_value_to_python(value)}")
 
 
 def _parameters(node: Node, owner: str) -> list[str]:
@@ -350,17 +276,11 @@ def _parameter_client(node: Node, owner: str) -> AsyncParameterClient:
     return client
 
 
-@_verb("service", "list", "names of all services", *_list_arguments("services"))
+@_verb("service", "list", "names of all services", _SHOW_TYPES)
 def _service_list(options: argparse.Namespace) -> None:
     with visiting() as node:
-        settle(node, options.spin_time)
-        _print_list(options, node.get_service_names_and_types())
-
-
-@_verb("service", "type", "a service's type", _SERVICE)
-def _service_type(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        print("\n".join(_service_types(node, absolute(options.service))))
+        settle(node)
+        _print_list(node.get_service_names_and_types(), options.show_types)
 
 
 @_verb(
@@ -373,7 +293,7 @@ def _service_call(options: argparse.Namespace) -> None:
     request = kind.Request(check_fields=True)
     fill(request, parsed(options.values))
     with visiting() as node:
-        offered = _service_types(node, service)
+        offered = types_of(node.get_service_names_and_types, service, f"nobody offers the service {service}")
         if f"{kind.__module__.partition('.')[0]}/srv/{kind.__name__}" not in offered:
             raise UserError(f"{service} is of type {', '.join(offered)}, not {options.type}")
         client = node.create_client(kind, service)
@@ -381,10 +301,6 @@ def _service_call(options: argparse.Namespace) -> None:
             raise UserError(f"{service} was not ready within {PATIENCE:g} s")
         print(f"requester: making request: {request}\n")
         print(f"response:\n{answer_of(node, client.call_async(request), service)}\n")
-
-
-def _service_types(node: Node, service: str) -> list[str]:
-    return types_of(node.get_service_names_and_types, service, f"nobody offers the service {service}")
 
 
 @_verb(

@@ -15,7 +15,7 @@ from rclpy.task import Future
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros.node import start_ros
 
-SPIN_TIME = 1.0
+_SPIN_TIME = 1.0
 """s, minimum wait of a list, which continues until nothing new has appeared for `_CALM`."""
 PATIENCE = 10.0
 """s, wait for a named item: on a busy machine announcements get lost and are repeated every few seconds."""
@@ -35,11 +35,11 @@ def visiting() -> Iterator[Node]:
         rclpy.try_shutdown()
 
 
-def settle(node: Node, spin_time: float) -> None:
-    """Wait until the graph no longer changes: at least `spin_time` s, at most `PATIENCE` more."""
+def settle(node: Node) -> None:
+    """Wait until the graph no longer changes: at least `_SPIN_TIME`, at most `PATIENCE`."""
     begin = time.monotonic()
     seen, changed = -1, begin
-    while (now := time.monotonic()) < begin + spin_time or (now < changed + _CALM and now < begin + PATIENCE):
+    while (now := time.monotonic()) < begin + _SPIN_TIME or (now < changed + _CALM and now < begin + PATIENCE):
         count = sum(1 for _ in node.get_node_names_and_namespaces()) + len(node.get_topic_names_and_types())
         if count != seen:
             seen, changed = count, now
@@ -63,11 +63,6 @@ def answer_of(node: Node, answer: Future, who: str) -> object:
     return answer.result()
 
 
-def full_name(namespace: str, name: str) -> str:
-    """`/namespace/name`."""
-    return f"{namespace.rstrip('/')}/{name}"
-
-
 def absolute(name: str) -> str:
     """Return a name with its leading slash."""
     return name if name.startswith("/") else f"/{name}"
@@ -80,15 +75,14 @@ def hidden(name: str) -> bool:
 
 def node_names(node: Node) -> list[str]:
     """Return the full names of all nodes, sorted."""
-    return sorted(full_name(namespace, name) for name, namespace in node.get_node_names_and_namespaces())
+    return sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces())
 
 
-def find_node(node: Node, wanted: str) -> tuple[str, str]:
-    """Return name and namespace of a node once it is found; raises UserError."""
+def find_node(node: Node, wanted: str) -> str:
+    """Return the full name of a node once it is found; raises UserError."""
     wanted = absolute(wanted)
     wait_for(lambda: wanted in node_names(node), f"there is no node {wanted}")
-    namespace, _, name = wanted.rpartition("/")
-    return name, namespace or "/"
+    return wanted
 
 
 def types_of(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
