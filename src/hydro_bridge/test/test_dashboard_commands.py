@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.dashboard.commands import COMMANDS, RefusedError, Rules, read
+from hydro_bridge.dashboard.server import COMMANDS, RefusedError, Rules, read
 
 EPOCH = 2**64 - 59
 """JavaScript's numbers end at 2^53."""

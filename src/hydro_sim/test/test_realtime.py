@@ -16,9 +16,7 @@ from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, Reference
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.lockstep import RESEND
-from hydro_sim.simulation.pacing import Pacer
-from hydro_sim.simulation.realtime import SimSettings, Simulation
+from hydro_sim.simulation.realtime import RESEND, Pacer, SimSettings, Simulation
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=2.0)
 VALVE, NOMINAL, K_P = (

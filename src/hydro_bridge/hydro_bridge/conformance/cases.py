@@ -10,10 +10,8 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.conformance import conversation
 from hydro_bridge.conformance.checks import CHECKS, NotToldError
-from hydro_bridge.conformance.conversation import VERBS
-from hydro_bridge.conformance.host import PUNCTUAL, Host, SilentError, UnreadableError
+from hydro_bridge.conformance.host import PUNCTUAL, VERBS, Host, SilentError, UnreadableError, begin, end
 from hydro_bridge.errors import UserError
 
 
@@ -135,7 +133,7 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
     checked: list[tuple[Host, dict[str, Any]]] = []
     silent = ""
     try:
-        conversation.begin(host)
+        begin(host)
         if case.needs == "version 2" and host.version < 2:
             return Result(case, LEFT_OUT, "the box speaks version 1")
         if "compensated law" in case.needs and host.law is None:
@@ -145,7 +143,7 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
                 checked.append((host.kept(), step.words))
             else:
                 VERBS[step.verb](host, step.words)
-        conversation.end(host)
+        end(host)
     except SilentError as error:
         silent = str(error)
     return _verdict(case, checked, bench, silent)

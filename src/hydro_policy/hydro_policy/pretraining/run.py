@@ -19,7 +19,7 @@ import torch
 import yaml
 from tqdm import tqdm
 
-from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli.console import Table, UserError, progress
 from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
 from hydro_bridge.files.atomic import write_whole

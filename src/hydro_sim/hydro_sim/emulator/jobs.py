@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,12 +13,32 @@ import yaml
 
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.settings import quantity
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.emulator.offline import Recording, record_offline, with_gain_limits_for
-from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, fit_to
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
 from hydro_sim.excitation.schedules import Segment, load_schedule
 from hydro_sim.model.bench import Bench
+
+DEFAULT_SCHEDULE = (
+    Segment(seconds=6.0, waveform="multisine", amplitude=280.0, frequency=0.7),
+    Segment(seconds=4.0, waveform="sine", amplitude=250.0, frequency=1.5),
+    Segment(seconds=4.0, waveform="smooth_step", amplitude=200.0, frequency=0.5),
+    Segment(seconds=4.0, waveform="sine", amplitude=150.0, offset=100.0, frequency=0.5),
+    Segment(seconds=2.0, waveform="hold", offset=-100.0),
+)
+"""Default schedule of 20 s, of varied waveforms."""
+
+
+def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
+    """Repeat or cut the segments so that they last `seconds` in total."""
+    result: list[Segment] = []
+    left = seconds
+    while left > 0.5 * SAMPLE_PERIOD:
+        segment = segments[len(result) % len(segments)]
+        result.append(replace(segment, seconds=min(segment.seconds, left)))
+        left -= segment.seconds
+    return result
 
 
 @dataclass(frozen=True, kw_only=True)

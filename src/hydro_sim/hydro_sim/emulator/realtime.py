@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import os
 import sys
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.process.realtime import limit_run
+from hydro_bridge.process.realtime import exact_timers, limit_run
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, FloatArray
 from hydro_sim.emulator.control import ControlPipe, execute
@@ -29,7 +28,6 @@ _LOAD_FORCE = TRUTH_FIELDS.index("load_force")
 _PERIOD_NS = round(SAMPLE_PERIOD * 1e9)
 _GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up
 _CONTROL_EVERY = 20  # samples between looks at the control pipe
-_PR_SET_TIMERSLACK = 29
 
 
 @dataclass
@@ -163,8 +161,7 @@ class RealTime:
 
 def raise_priority() -> str:
     """Ask the kernel for real-time scheduling and exact timers; returns a sentence on what was granted."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; 50 us by default
+    exact_timers()
     try:
         limit_run()
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))

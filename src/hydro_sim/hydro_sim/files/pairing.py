@@ -8,7 +8,7 @@ Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_f
     base gains of the box, of policies and agents: their actions are changes to these
     integral   form of the law's integral, where it is known
 
-A file without one matches no box: its origin is unknown. `ros2 run hydro_sim stamp` writes one.
+A file without one matches no box: its origin is unknown.
 """
 
 from __future__ import annotations
@@ -108,8 +108,7 @@ def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *,
         Digest of the learned bench that is used with it; None: it is used with none.
     """
     if made is None:
-        stamp = "or write it into the file with `ros2 run hydro_sim stamp` if you know it"
-        return f"{thing} does not say which bench it was made for: {remedy}, {stamp}"
+        return f"{thing} does not say which bench it was made for: {remedy}"
     if box.digest and made.box != box.digest and not made.any_bench:
         return f"{thing} was made for bench {made.box}, the box believes {box.told}: {remedy}"
     if model is not None and made.model != model:

@@ -35,13 +35,6 @@ def padded(layers):
 
 
 @njit
-def unpadded(layers, n, h1, h2):
-    """The flat weights of padded `layers` with a multiple of four outputs."""
-    w1, w2 = layers.w1[:n, :h1].copy().ravel(), layers.w2[:h1, :h2].copy().ravel()
-    return np.concatenate((w1, layers.b1[:h1], w2, layers.b2[:h2], layers.w3[:h2].copy().ravel(), layers.b3))
-
-
-@njit
 def zeros(layers):
     """Zeros in the shapes of `layers`."""
     return Layers(

@@ -19,8 +19,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hydro_sim.jit import njit
-
 LOOSE = {"reassoc", "contract"}
 """Sums may be reordered and fused, which vectorizes them; NaN and infinity keep their meaning."""
 
@@ -61,25 +59,3 @@ def initial(
         bound = (last if index >= 4 else 1.0) / np.sqrt(fan_in)
         views[index][...] = generator.uniform(-bound, bound, views[index].shape)
     return flat
-
-
-@njit(fastmath=LOOSE)
-def forward(layers, x, a1, a2, y):
-    """y, shape (m,), of x, shape (n,); leaves the activations in a1, a2."""
-    _affine(layers.w1, layers.b1, x, a1)
-    for j in range(a1.shape[0]):
-        a1[j] = max(a1[j], a1.dtype.type(0.0))
-    _affine(layers.w2, layers.b2, a1, a2)
-    for j in range(a2.shape[0]):
-        a2[j] = max(a2[j], a2.dtype.type(0.0))
-    _affine(layers.w3, layers.b3, a2, y)
-
-
-@njit(fastmath=LOOSE)
-def _affine(w, b, x, y):
-    for j in range(y.shape[0]):
-        y[j] = b[j]
-    for i in range(x.shape[0]):
-        scale = x[i]
-        for j in range(y.shape[0]):
-            y[j] += w[i, j] * scale

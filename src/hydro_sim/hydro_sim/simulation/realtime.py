@@ -10,7 +10,7 @@ speed    pace, and the clock on which commands age
 ======== ==========================================================================================================
 1        one sample per millisecond; the host's
 other    that many simulated seconds per second; the simulation's
-0        lock-step with filter and trainer (`simulation.lockstep`), real time until one is there; the simulation's
+0        lock-step with filter and trainer (`LockStep`), real time until one is there; the simulation's
 ======== ==========================================================================================================
 """
 
@@ -23,15 +23,146 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-from hydro_bridge.link.clock import clock_step_message
+from hydro_bridge.link.clock import HostClock, clock_step_message
+from hydro_bridge.process.latency import Latency
+from hydro_bridge.process.realtime import exact_timers
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.frames import LawState
 from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Command, Flag, FloatArray
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
-from hydro_sim.simulation.lockstep import LockStep
-from hydro_sim.simulation.pacing import Pacer, exact_timers
+
+
+class Pacer:
+    """Deadlines at start + n period; delays are caught up, unless they are long.
+
+    Parameters
+    ----------
+    period
+        s between deadlines.
+    give_up
+        Delay [s] (the machine slept) from which on the lost time is not caught up, but skipped.
+    """
+
+    def __init__(self, period: float, *, give_up: float = 0.1) -> None:
+        self.period_ns, self._give_up_ns = round(1e9 * period), round(1e9 * give_up)
+        self.lateness = Latency()
+        self.late = 0
+        """Periods that began more than a period late."""
+        self.skipped = 0.0
+        """Time [s] skipped."""
+        self.host_clock = HostClock()
+        self.restart()
+
+    def restart(self) -> None:
+        """Let the first deadline be now."""
+        self._deadline = time.monotonic_ns()
+
+    @property
+    def scheduled_ns(self) -> int:
+        """ROS time [ns] at which the present period was due, without the jitter of waking up."""
+        return self.host_clock.ros_time(self._deadline)
+
+    def wait(self) -> None:
+        """Sleep until the next deadline."""
+        self._deadline += self.period_ns
+        left = self._deadline - time.monotonic_ns()
+        if left > 0:
+            time.sleep(1e-9 * left)
+            left = self._deadline - time.monotonic_ns()
+        self.lateness.add(max(0.0, -1e-9 * left))
+        self.late += -left > self.period_ns
+        if -left > self._give_up_ns:
+            self.skipped -= 1e-9 * left
+            self._deadline -= left
+
+
+RESEND = 0.25
+"""Time [s] after which an unanswered sample is sent again: the state is published best effort."""
+
+
+class LockStep:
+    """Lock-step: the next sample waits for the graph's answers to the last one.
+
+    ::
+
+        sample k ──> filter ──> correction for k ──┐
+        10 samples ──> trainer ──> gains ──────────┴──> sample k + 1
+
+    A node that has not been heard yet is not waited for, nor is a trainer while the plant is disarmed. A node that
+    falls silent is named in the log, and the simulation continues without it until it returns.
+
+    Parameters
+    ----------
+    log
+        Called with a sentence when a peer comes or falls silent.
+    silence_max
+        Longest wait [s] for a peer.
+    correction_every
+        Samples per correction, as the filter is set.
+    """
+
+    def __init__(self, log: Callable[[str], None], *, silence_max: float = 5.0, correction_every: int = 1) -> None:
+        self._log, self._silence_max, self._correction_every = log, silence_max, correction_every
+        self._news = threading.Condition()
+        self._filter = self._trainer = self._released = False
+        self._corrected = self._ungained = 0
+
+    @property
+    def engaged(self) -> bool:
+        """Whether any node is waited for."""
+        return self._filter or self._trainer
+
+    def corrected(self, sequence: int) -> None:
+        """Note that the filter has answered sample `sequence`."""
+        with self._news:
+            if not self._filter:
+                self._log("in lock-step with the filter")
+            self._filter, self._corrected = True, sequence
+            self._news.notify_all()
+
+    def gained(self) -> None:
+        """Note that the trainer has sent gains."""
+        with self._news:
+            if not self._trainer:
+                self._log("in lock-step with the trainer")
+            self._trainer, self._ungained = True, 0
+            self._news.notify_all()
+
+    def release(self) -> None:
+        """Let the present sample go without an answer: a caller in the answering thread waits for the next one."""
+        with self._news:
+            self._released = True
+            self._news.notify_all()
+
+    def wait(self, sequence: int, armed: bool, resend: Callable[[], None]) -> None:
+        """Return when sample `sequence`, the last one published, has its answers."""
+        give_up = time.monotonic() + self._silence_max
+        self._ungained = self._ungained + 1 if armed else 0
+        with self._news:
+            while self.awaited(sequence) and not self._released:
+                if self._news.wait(RESEND):
+                    continue
+                if time.monotonic() >= give_up:
+                    self._go_on_without(sequence)
+                else:
+                    resend()
+            self._released = False
+
+    def awaited(self, sequence: int) -> list[str]:
+        """Return the nodes that have yet to answer sample `sequence`."""
+        behind = (sequence - self._corrected) & 0xFFFFFFFF
+        uncorrected = self._filter and self._correction_every <= behind < 1 << 31
+        return ["filter"] * uncorrected + ["trainer"] * (self._trainer and self._ungained >= SAMPLES_PER_STEP)
+
+    def _go_on_without(self, sequence: int) -> None:
+        silent = self.awaited(sequence)
+        self._filter = self._filter and "filter" not in silent
+        self._trainer = self._trainer and "trainer" not in silent
+        sentence = f"no answer of the {' and '.join(silent)} to sample {sequence} for {self._silence_max:g} s"
+        self._log(sentence + ": going on without until it is back")
+
 
 _NOMINAL = (STATE_DTYPE.names or ()).index("nominal_valve_current")
 
@@ -134,8 +265,6 @@ class Simulation:
                 command = self.guard.command(self.clock())
             self._box.receive(command, now)
             sample = self._box.tick(measurement, now)
-            if getattr(self._plant, "extrapolating", False):  # a learned plant outside of what it was trained on
-                sample["flags"] |= Flag.EXTRAPOLATING
             stamp = self._stamp()
             fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
             with self.lock:
