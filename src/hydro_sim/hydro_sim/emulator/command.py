@@ -157,9 +157,10 @@ def _serve(options: argparse.Namespace) -> None:
             options.load_force.unlink(missing_ok=True)
         if log is not None:
             log.recording().save_noise_free(options.noise_free)
+    pacer, worst = timing.pacer, 1e3 * timing.pacer.lateness.longest
     print(
-        f"{timing.samples} samples, {timing.late} late by more than 1 ms (worst {1e3 * timing.worst:.2f} ms, "
-        f"{timing.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
+        f"{timing.samples} samples, {pacer.late} late by more than 1 ms (worst {worst:.2f} ms, "
+        f"{pacer.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
     )
     refused = machine.refused[0]
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)

@@ -9,10 +9,11 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from hydro_bridge.process.latency import Pacer
 from hydro_bridge.process.realtime import exact_timers, limit_run
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, FloatArray
@@ -25,19 +26,15 @@ from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.files import load_force
 
 _LOAD_FORCE = TRUTH_FIELDS.index("load_force")
-_PERIOD_NS = round(SAMPLE_PERIOD * 1e9)
-_GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up
 _CONTROL_EVERY = 20  # samples between looks at the control pipe
 
 
 @dataclass
 class Timing:
-    """Statistics of the deadlines."""
+    """Statistics of a run."""
 
+    pacer: Pacer = field(default_factory=lambda: Pacer(SAMPLE_PERIOD))
     samples: int = 0
-    late: int = 0  # samples that began more than a period late
-    worst: float = 0.0  # s, latest beginning
-    skipped: float = 0.0  # s that the bench's clock fell behind because the machine was away for longer than 0.1 s
     cpu: float = 0.0  # s
 
 
@@ -92,32 +89,18 @@ class RealTime:
         gc.collect()
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
         try:
-            start = time.monotonic_ns()
+            timing.pacer.restart()
             while (count is None or timing.samples < count) and not stopped():
-                start = self._wait(start + timing.samples * _PERIOD_NS, start)
                 self._sample(timing.samples * SAMPLE_PERIOD)
                 timing.samples += 1
                 if self.status is not None and timing.samples % 1000 == 0:
                     timing.cpu = time.process_time() - cpu
                     self.status(self._line())
+                timing.pacer.wait()
         finally:
             gc.enable()
         timing.cpu = time.process_time() - cpu
         return timing
-
-    def _wait(self, deadline: int, start: int) -> int:
-        """Sleep until the deadline [ns]; return the start, shifted if the machine was suspended for long."""
-        left = deadline - time.monotonic_ns()
-        if left > 0:
-            time.sleep(left * 1e-9)
-            left = deadline - time.monotonic_ns()
-        self.timing.worst = max(self.timing.worst, -left * 1e-9)
-        if -left > _PERIOD_NS:
-            self.timing.late += 1
-        if -left > _GIVE_UP_NS:
-            self.timing.skipped += -left * 1e-9
-            return start - left
-        return start
 
     def _sample(self, now: float) -> None:
         while self._events and self._events[0].at <= now:
@@ -154,7 +137,7 @@ class RealTime:
         port = "open" if self.link.terminal.opened else "closed" if self.link.terminal.plugged else "unplugged"
         return (
             f"{timing.samples / 1000:6.0f} s  port {port:9}  {mode:8}  f_r {sample['reference_force']:7.1f} N  "
-            f"f_l {sample['load_force']:7.1f} N  late {timing.late}  blocked {self.link.report.blocked}  "
+            f"f_l {sample['load_force']:7.1f} N  late {timing.pacer.late}  blocked {self.link.report.blocked}  "
             f"CPU {100 * timing.cpu / (timing.samples * SAMPLE_PERIOD):.0f} %"
         )
 

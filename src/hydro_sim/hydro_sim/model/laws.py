@@ -108,6 +108,16 @@ class Signals:
         return np.abs(self.current)
 
     @property
+    def over_a(self) -> Symbol:
+        """By how much p_a is above the law's first further number."""
+        return np.fmax(self.pressure_a - self.number, 0.0)
+
+    @property
+    def over_b(self) -> Symbol:
+        """By how much p_b is above it."""
+        return np.fmax(self.pressure_b - self.number, 0.0)
+
+    @property
     def heating(self) -> Symbol:
         """u^2."""
         return self.current * self.current

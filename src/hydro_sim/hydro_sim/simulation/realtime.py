@@ -24,7 +24,7 @@ from functools import partial
 from typing import Annotated, Any
 
 from hydro_bridge.link.clock import HostClock, clock_step_message
-from hydro_bridge.process.latency import Latency
+from hydro_bridge.process.latency import Pacer
 from hydro_bridge.process.realtime import exact_timers
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.frames import LawState
@@ -32,51 +32,6 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Command, Flag, FloatArray
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
-
-
-class Pacer:
-    """Deadlines at start + n period; delays are caught up, unless they are long.
-
-    Parameters
-    ----------
-    period
-        s between deadlines.
-    give_up
-        Delay [s] (the machine slept) from which on the lost time is not caught up, but skipped.
-    """
-
-    def __init__(self, period: float, *, give_up: float = 0.1) -> None:
-        self.period_ns, self._give_up_ns = round(1e9 * period), round(1e9 * give_up)
-        self.lateness = Latency()
-        self.late = 0
-        """Periods that began more than a period late."""
-        self.skipped = 0.0
-        """Time [s] skipped."""
-        self.host_clock = HostClock()
-        self.restart()
-
-    def restart(self) -> None:
-        """Let the first deadline be now."""
-        self._deadline = time.monotonic_ns()
-
-    @property
-    def scheduled_ns(self) -> int:
-        """ROS time [ns] at which the present period was due, without the jitter of waking up."""
-        return self.host_clock.ros_time(self._deadline)
-
-    def wait(self) -> None:
-        """Sleep until the next deadline."""
-        self._deadline += self.period_ns
-        left = self._deadline - time.monotonic_ns()
-        if left > 0:
-            time.sleep(1e-9 * left)
-            left = self._deadline - time.monotonic_ns()
-        self.lateness.add(max(0.0, -1e-9 * left))
-        self.late += -left > self.period_ns
-        if -left > self._give_up_ns:
-            self.skipped -= 1e-9 * left
-            self._deadline -= left
-
 
 RESEND = 0.25
 """Time [s] after which an unanswered sample is sent again: the state is published best effort."""
@@ -221,6 +176,7 @@ class Simulation:
         self.lock = threading.Lock()
         self.steps = LockStep(log, silence_max=settings.silence_max, correction_every=settings.correction_every)
         self.pacer = Pacer(SAMPLE_PERIOD / settings.speed if settings.speed > 0.0 else SAMPLE_PERIOD)
+        self.host_clock = HostClock()
         self.samples = 0
         self.flags = Flag(0)
         self._box, self._plant = box, plant
@@ -320,10 +276,10 @@ class Simulation:
         """Stamp [ns] of the present sample: ROS time at speed 1, else the simulation's own."""
         if not self.real_time:
             return self.samples * round(1e9 * SAMPLE_PERIOD)
-        step = self.pacer.host_clock.look()
+        step = self.host_clock.look()
         if step:
             self._log(clock_step_message(step))
-        return self.pacer.scheduled_ns
+        return self.host_clock.ros_time(self.pacer.deadline_ns)  # without the jitter of waking up
 
     def _wait(self, sequence: int, resend: Callable[[], None]) -> None:
         if self.settings.speed > 0.0 or not self.steps.engaged:
