@@ -12,8 +12,7 @@ import yaml
 
 from hydro_bridge.files import bench_file
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch
-from hydro_sim.files.stamping import header_of, stamp_of, stamped
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, header_of, mismatch, stamp_of, stamped
 from hydro_sim.model.bench import Bench
 
 BOX = BoxIdentity(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
