@@ -20,7 +20,7 @@ from hydro_policy.sac import kernel, network_kernel
 from hydro_policy.sac.mlp import FlatAdam, StackedMlp
 from hydro_policy.sac.replay import Batch, ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
-from hydro_sim.neural.mlp import Layers
+from hydro_sim.neural.dense import Layers
 
 
 class Losses(NamedTuple):

@@ -21,7 +21,7 @@ from hydro_policy.sac import network_kernel
 from hydro_policy.sac.network_kernel import Floats
 from hydro_sim.jit import njit
 from hydro_sim.neural import adam_kernel, block_mlp, dense
-from hydro_sim.neural.mlp import Layers
+from hydro_sim.neural.dense import Layers
 
 
 class Networks(NamedTuple):

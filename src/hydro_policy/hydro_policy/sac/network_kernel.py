@@ -17,8 +17,7 @@ import numpy.typing as npt
 from hydro_sim import copies
 from hydro_sim.jit import njit
 from hydro_sim.neural import block_mlp, dense
-from hydro_sim.neural.dense import four
-from hydro_sim.neural.mlp import LOOSE
+from hydro_sim.neural.dense import LOOSE, four
 
 ROW = dense.ROW
 """Stride between rows of a buffer."""

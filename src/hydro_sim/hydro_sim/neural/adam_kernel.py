@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy.typing as npt
 
 from hydro_sim.jit import njit
-from hydro_sim.neural.mlp import LOOSE
+from hydro_sim.neural.dense import LOOSE
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 

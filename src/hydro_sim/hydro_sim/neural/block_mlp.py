@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward and backward passes of `mlp`'s perceptron over a block of windows or transitions, for training.
+"""Forward and backward passes of a perceptron over a block of windows or transitions, for training.
 
 Layers are padded with zeros to multiples of four (`padded`). Buffers and `at` are as in `dense`; all buffers of a call
 are read and written at the same `at`.
@@ -12,8 +12,7 @@ import numpy as np
 from hydro_sim import copies
 from hydro_sim.jit import njit
 from hydro_sim.neural import dense
-from hydro_sim.neural.dense import four
-from hydro_sim.neural.mlp import LOOSE, Layers
+from hydro_sim.neural.dense import LOOSE, Layers, four
 
 
 @njit

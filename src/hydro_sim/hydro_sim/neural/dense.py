@@ -15,10 +15,27 @@ times and `outer` three times as fast as BLAS, which copies its operands before 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 
 from hydro_sim.jit import njit
-from hydro_sim.neural.mlp import LOOSE
+
+LOOSE = {"reassoc", "contract"}
+"""Sums may be reordered and fused, which vectorizes them; NaN and infinity keep their meaning."""
+
+
+class Layers(NamedTuple):
+    """Weights of a network of two hidden ReLU layers: a1 = relu(x w1 + b1), a2 = relu(a1 w2 + b2), y = a2 w3 + b3."""
+
+    w1: npt.NDArray[np.floating]
+    b1: npt.NDArray[np.floating]
+    w2: npt.NDArray[np.floating]
+    b2: npt.NDArray[np.floating]
+    w3: npt.NDArray[np.floating]
+    b3: npt.NDArray[np.floating]
+
 
 BLOCK = 128
 """Windows that are processed together: eight vectors of float32, and a layer fits the first-level cache."""
