@@ -19,7 +19,7 @@ from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, Refere
 from hydro_filter.controller import loop_decision, loop_header
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import memories
 from hydro_sim.box.box import Box
 from hydro_sim.files.learned_bench import load_model
@@ -59,7 +59,7 @@ BELIEVED = Bench.nominal()
 
 def parts_of(truth: Bench) -> LoopParts:
     """Parts of the shipped metric on a bench file."""
-    return loop_parts(LearnedMetric.load(), truth, BELIEVED)
+    return loop_parts(ScheduledMetric.load(), truth, BELIEVED)
 
 
 def uneven() -> Bench:

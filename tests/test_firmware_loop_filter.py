@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.controller import loop_header
 from hydro_filter.controller.loop_decision import LoopParts
-from hydro_filter.metric.learned import LearnedMetric
 from hydro_sim.files.learned_bench import load_model
 from tests.firmware_filter import (
     MOST,
@@ -136,12 +134,3 @@ def test_hostile_samples_raise_no_exception_and_no_word_of_a_sanitizer(generated
 def test_it_compiles_for_a_bare_machine(generated: Path) -> None:
     for precision in WORDS:
         compiled(generated, precision, "-O2", "-ffreestanding")
-
-
-def test_a_network_is_refused_in_a_sentence(parts: LoopParts) -> None:
-    with_network = LearnedMetric.load()
-    flat = with_network.flat.copy()
-    flat[-1] = 0.1
-    other = parts._replace(metric=with_network.with_weights(flat).parts)
-    with pytest.raises(ValueError, match="the metric has a network that adds to it, for which the box in C has no pl"):
-        loop_header.header(other, load_model(), "")

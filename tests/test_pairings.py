@@ -20,7 +20,7 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from hydro_filter.metric import learned as learned_metric
+from hydro_filter.metric import scheduled
 from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
 from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
@@ -103,7 +103,7 @@ def make_files(folder: Path) -> None:
     nominal = Bench.nominal()
     own = replace(nominal, spring_stiffness=4e4, piston_area=3e-4, supply_pressure=12e6)
     (folder / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()), encoding="utf-8")
-    metric, learned = learned_metric.shipped().read_bytes(), learned_bench.load_model()
+    metric, learned = scheduled.shipped().read_bytes(), learned_bench.load_model()
     for name in ("other_model.yaml", "own_model.yaml"):  # a hair off the shipped one: another by its digest
         changed = replace(learned, moving_mass=learned.moving_mass * (1.0 + 1e-9), learned=None)
         (folder / name).write_text(yaml.safe_dump(changed.to_mapping()), encoding="utf-8")
@@ -165,5 +165,5 @@ def test_what_is_shipped_is_for_the_shipped_bench(files: Path) -> None:
     digest = BoxIdentity.of_file(None).digest
     shipped = load_initial_agent(files / "shipped").made
     assert shipped is not None and (shipped.box, shipped.base_kp, shipped.base_ki) == (digest, 15.0, 5.0)
-    metric = learned_metric.LearnedMetric.load().made
+    metric = scheduled.ScheduledMetric.load().made
     assert metric is not None and (metric.box, metric.model) == (digest, learned_bench.digest())

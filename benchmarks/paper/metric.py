@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from benchmarks.paper.certificate import COLUMNS, ROWS, NetworkDynamics, Network
 from benchmarks.paper.network import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_bridge.signals import FloatArray
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import LOAD_FORCE, STATES
@@ -182,8 +182,6 @@ def _normalized(sample: Sample, dynamics: NetworkDynamics, law: ForceLaw, limit:
 
 
 def _ours() -> Result:
-    """What the shipped metric's file says of itself: its own loss, on its own rollouts."""
-    training: dict[str, Any] = LearnedMetric.load().training
-    _, _, loss, violated, _, caught = training["history"][training["best_epoch"]]
-    told = {key: training[key] for key in ("command", "epochs")}
-    return {**told, "loss": loss, "stable_verified": 1.0 - violated, "unstable_found": caught}
+    """What the shipped metric's file says of itself, on its own rollouts."""
+    training = ScheduledMetric.load().training
+    return {"command": training["command"], "stable_verified": 1.0 - 0.01 * training["violated"]}

@@ -12,9 +12,9 @@ import numpy as np
 from hydro_filter.controller.factory import CONSTANT, LEARNED, FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
-from hydro_filter.training import levels
+from hydro_filter.training import thresholds
 from hydro_filter.training.data import DataSettings, collect
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import PLANTS
@@ -38,7 +38,7 @@ def _filter(metric: str) -> None:
 def _bench_file() -> None:
     """Compile the filter on a bench file: the general kernels, and the models with these effects and without any."""
     for effects in (FOUND, ()):
-        made = loop_filter(LearnedMetric.load(), _with(effects), Bench.nominal())
+        made = loop_filter(ScheduledMetric.load(), _with(effects), Bench.nominal())
         warm_up(made, Bench.nominal())
 
 
@@ -56,10 +56,10 @@ def _metric_learning() -> None:
     loop = loop_of(learned_bench.load_model(), bench)
     rollout, _ = next(collect(plant, bench, loop, DataSettings(rollouts=8, seconds=2.0, windows=1)))
     rest_loop(loop, 60.0)
-    metric = LearnedMetric.load(None)
-    metric.matrix(plant.reset(0), float(np.inf))
-    levels.displacements(loop, plant, 60.0, 0)
-    levels.integral_terms(loop, rollout.states[:2])
+    metric = ScheduledMetric.load(None)
+    metric.matrix(float(np.inf))
+    thresholds.displacements(loop, plant, 60.0, 0)
+    thresholds.integral_terms(loop, rollout.states[:2])
 
 
 STEPS: dict[str, Callable[[], None]] = {

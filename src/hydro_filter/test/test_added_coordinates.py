@@ -14,7 +14,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, Refer
 from hydro_filter.controller import innovations
 from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model import force_law
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.displacement import displace
@@ -181,7 +181,7 @@ def test_the_certificate_foretells_how_twin_runs_of_the_whole_bench_part(case: s
     What a lagging sensor shows is 2 to 4 % of the difference off: it sees the sum of the pressures move, too.
     """
     bench, loop, gain = having(*CASES[case]), of(case), 60.0
-    metric = LearnedMetric.designed(loop, Bench.nominal(), MetricDesign(gain_low=40.0, gain_high=80.0))
+    metric = ScheduledMetric.designed(loop, MetricDesign(gain_low=40.0, gain_high=80.0))
     first, second = run(bench, gain), run(bench, gain, pulse=2e-5)
     step, memory = step_of(loop), memories()[0]
     told, found, errors = [], [], []
@@ -190,7 +190,7 @@ def test_the_certificate_foretells_how_twin_runs_of_the_whole_bench_part(case: s
         settle(loop, memory, first.x[k], current, rate)
         if k >= 510:
             linearize(loop, memory["hidden"], first.x[k], nominal, current, gain, (1.0, 1.0), step)
-            matrix = metric.matrix(first.x[k], gain)
+            matrix = metric.matrix(gain)
             slopes = slopes_of(loop, memory, first.x[k])
             now, then = (nudge(loop, slopes, first, second, at) for at in (k, k + 1))
             moved = (step.transition + np.outer(step.push, step.feedback)) @ now
@@ -243,10 +243,10 @@ def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(
 
 def test_a_metric_of_other_coordinates_is_refused_in_a_sentence(tmp_path: Path, bench: Bench) -> None:
     with pytest.raises(ValueError, match=r"this model's loop has .*current_1: make one with"):
-        loop_parts(LearnedMetric.load(), having(*CASES["1 ms"]), bench)
-    made = LearnedMetric.designed(of("all of it"), bench, MetricDesign(gain_low=40.0, gain_high=60.0))
+        loop_parts(ScheduledMetric.load(), having(*CASES["1 ms"]), bench)
+    made = ScheduledMetric.designed(of("all of it"), MetricDesign(gain_low=40.0, gain_high=60.0))
     made.save(tmp_path / "wide.safetensors")
-    read = LearnedMetric.load(tmp_path / "wide.safetensors")
+    read = ScheduledMetric.load(tmp_path / "wide.safetensors")
     assert read.coordinates == coordinates_of(of("all of it"))
     np.testing.assert_array_equal(read.table, made.table)
     loop_parts(read, having(*CASES["all of it"]), bench)

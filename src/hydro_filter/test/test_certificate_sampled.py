@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from hydro_filter.certificate import qp, sampled
-from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.metric.network import metric_value
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.loop import loop_of, step_of
 from hydro_sim.files.learned_bench import load_model
@@ -19,20 +17,20 @@ T = 1e-3
 
 def test_the_quadratic_is_two_samples_moved_on() -> None:
     step = step_of(loop_of(load_model(), Bench.nominal()))
-    rng, value = np.random.default_rng(0), metric_value(LearnedMetric.load().parts)
+    rng = np.random.default_rng(0)
     for _ in range(100):
         root = rng.standard_normal((LOOP, LOOP))
-        value.matrix[:], value.rate[:] = root @ root.T, root + root.T
+        metric = root @ root.T
         step.transition[:], step.push[:] = rng.standard_normal((LOOP, LOOP)), rng.standard_normal(LOOP)
         step.feedback[:] = rng.standard_normal(LOOP)
         v, known, asked = rng.standard_normal(LOOP), rng.standard_normal(), rng.standard_normal()
         one, two = np.empty(LOOP), np.empty(LOOP)
-        bent, slope, level, size = sampled.quadratic(step, value, v, known, asked, 3.0, one, two)
+        bent, slope, level, size = sampled.quadratic(step, metric, v, known, asked, 3.0, one, two)
         moved = step.transition @ v + step.push * (step.feedback @ v + known)
-        assert size == pytest.approx(moved @ value.matrix @ moved)
+        assert size == pytest.approx(moved @ metric @ moved)
         for change in (0.0, 0.7, -2.0):
             last = step.transition @ moved + step.push * (step.feedback @ moved + asked + change)
-            wanted = last @ (value.matrix + T * value.rate) @ last - np.exp(-6.0 * T) * moved @ value.matrix @ moved
+            wanted = last @ metric @ last - np.exp(-6.0 * T) * moved @ metric @ moved
             assert bent * change**2 + 2.0 * slope * change + level == pytest.approx(wanted, rel=1e-9, abs=1e-9)
 
 

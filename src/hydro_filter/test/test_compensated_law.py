@@ -26,7 +26,7 @@ from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_decision import certified_gain, feedforward_excess, integral_term
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter, loop_parts
 from hydro_filter.metric.design import lyapunov, rest_loop
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
@@ -43,7 +43,7 @@ SHAPED = LawCommand(
 
 
 @pytest.fixture(scope="module")
-def made(bench: Bench, model: Bench, metric: LearnedMetric) -> LoopFilter:
+def made(bench: Bench, model: Bench, metric: ScheduledMetric) -> LoopFilter:
     return loop_filter(metric, model, bench)
 
 
@@ -95,7 +95,7 @@ def test_on_the_trajectory_of_the_reference_the_papers_law_asks_for_nothing_else
 
 @pytest.mark.parametrize(("c_1", "c_2", "gain"), [(0.3, 1.0, 200.0), (0.6, 2.0, 100.0), (0.31, 1.0, np.inf)])
 def test_gains_are_certified_by_the_loop_that_they_make(
-    bench: Bench, model: Bench, metric: LearnedMetric, c_1: float, c_2: float, gain: float
+    bench: Bench, model: Bench, metric: ScheduledMetric, c_1: float, c_2: float, gain: float
 ) -> None:
     """C_2 = 2 halves K_p and C_1."""
     parts = loop_parts(metric.certificates[1], model, bench)._replace(velocity_compensation=0.3)
@@ -135,13 +135,12 @@ def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(
     assert decay == pytest.approx(slowest, rel=0.15, abs=0.3)
 
 
-def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Bench, metric: LearnedMetric) -> None:
+def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Bench, metric: ScheduledMetric) -> None:
     """Lyapunov's inequality at rest, between the table's gains, too; at C_1 = 1 there is none above 100 1/s."""
     loop, one = loop_of(model, bench), metric.certificates[1]
-    x = np.zeros(8)
     for gain in np.linspace(15.0, 400.0, 50):
         free, push, feedback = rest_loop(loop, gain, C_1)
-        closed, weight = free + np.outer(push, feedback), one.matrix(x, gain)
+        closed, weight = free + np.outer(push, feedback), one.matrix(gain)
         kept = np.exp(-2.0 * 0.1 * SAMPLE_PERIOD)
         assert np.linalg.eigvalsh(closed.T @ weight @ closed - kept * weight).max() < 0.0
     free, push, feedback = rest_loop(loop, 200.0)
@@ -150,15 +149,15 @@ def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Ben
 
 
 def test_a_file_keeps_both_and_one_of_before_holds_for_the_papers_law(
-    tmp_path: Path, bench: Bench, model: Bench, metric: LearnedMetric
+    tmp_path: Path, bench: Bench, model: Bench, metric: ScheduledMetric
 ) -> None:
     metric.save(tmp_path / "both.safetensors")
-    both = LearnedMetric.load(tmp_path / "both.safetensors")
+    both = ScheduledMetric.load(tmp_path / "both.safetensors")
     assert [one.velocity_compensation for one in both.certificates] == [1.0, C_1]
     for ours, theirs in zip(both.certificates, metric.certificates, strict=True):
         np.testing.assert_array_equal(ours.table, theirs.table)
         np.testing.assert_array_equal(ours.gains, theirs.gains)
-    old = loop_filter(LearnedMetric.load(), model, bench)
+    old = loop_filter(ScheduledMetric.load(), model, bench)
     assert old.unknown(compensated=True) and not old.unknown(compensated=False)
     alone = loop_filter(both.certificates[1], model, bench)
     assert alone.unknown(compensated=False) and not alone.unknown(compensated=True)

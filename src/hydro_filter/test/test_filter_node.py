@@ -46,7 +46,7 @@ from hydro_bridge.signals import (  # noqa: E402
 from hydro_filter.controller.factory import FilterChoice  # noqa: E402
 from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter  # noqa: E402
-from hydro_filter.metric.learned import LearnedMetric  # noqa: E402
+from hydro_filter.metric.scheduled import ScheduledMetric  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
 from hydro_filter.validation.plants import ChangingPlant, modified_truth  # noqa: E402
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
@@ -216,7 +216,7 @@ def test_a_metric_of_the_papers_law_bypasses_the_compensated_one_and_answers_the
 
 
 @pytest.fixture
-def beside_the_law(started: Callable[..., Source], model: Bench, metric: LearnedMetric, tmp_path: Path) -> Source:
+def beside_the_law(started: Callable[..., Source], model: Bench, metric: ScheduledMetric, tmp_path: Path) -> Source:
     """A filter that is made for both laws."""
     file, of = tmp_path / "metric.safetensors", tmp_path / "model.yaml"
     of.write_text(yaml.safe_dump(model.to_mapping()))
@@ -252,7 +252,7 @@ def shaken(model: Bench, answer: Callable[[Sample, LawStateMessage], float]) -> 
 
 
 def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
-    beside_the_law: Source, model: Bench, metric: LearnedMetric
+    beside_the_law: Source, model: Bench, metric: ScheduledMetric
 ) -> None:
     source, core = beside_the_law, loop_filter(metric, model, Bench.nominal())
     laws = create_publisher(source.node, LAW_STATE)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the learned certificate is made of, against numbers that know nothing of it: differences of the model's own step
-and of the box's own law, and torch's derivatives of the network."""
+and of the box's own law."""
 
 from __future__ import annotations
 
@@ -9,12 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.metric.design import MetricDesign
-from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.metric.network import ENTRIES, GAIN_UNIT, INPUTS
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.force_law import PAPER_SCALES
 from hydro_filter.model.linearization import linearize
@@ -26,7 +22,6 @@ from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
-from hydro_sim.neural import mlp
 
 LIMIT = 1e-6
 COUNT = 40
@@ -50,13 +45,6 @@ def cases(loop: Loop, states: FloatArray) -> list[Case]:
         hidden[n], hidden[n + 1] = hidden[p.spool] + p.after, hidden[p.spool_rate]
         made.append((states[k], hidden, current))
     return made
-
-
-@pytest.fixture(scope="module")
-def metric(loop: Loop, bench: Bench) -> LearnedMetric:
-    """A network that says something, on the solved table."""
-    solved = LearnedMetric.designed(loop, bench, MetricDesign())
-    return solved.with_weights(mlp.initial(np.random.default_rng(1), INPUTS, solved.hidden, ENTRIES, last=0.3))
 
 
 def state_of(loop: Loop, x: FloatArray, hidden: FloatArray) -> FloatArray:
@@ -151,39 +139,3 @@ def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scal
         if abs(g / loop.gain_floor - 1.0) < 0.01:
             continue  # a kink lies within the difference's reach
         np.testing.assert_allclose(step.feedback, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())
-
-
-def as_torch(metric: LearnedMetric, gain: float) -> torch.nn.Module:
-    """M(x) at a gain, written anew in torch, float64."""
-    layers = mlp.layers(metric.flat, INPUTS, metric.hidden, ENTRIES)
-    low, high = metric.gains[0], metric.gains[-1]
-    outside = not low <= gain <= high
-    table = [np.interp(gain, metric.gains, column) for column in metric.table[:-1].T]
-    base = torch.tensor(metric.table[-1] if outside else np.array(table))
-    extra = torch.tensor([0.0, 1.0] if outside else [gain / GAIN_UNIT, 0.0], dtype=torch.float64)
-    weights = [torch.tensor(np.asarray(part)) for part in layers]
-
-    class Network(torch.nn.Module):
-        def forward(self, x: torch.Tensor) -> torch.Tensor:
-            x = torch.clamp(x, torch.tensor(metric.low), torch.tensor(metric.high))
-            z = torch.cat([(x - torch.tensor(metric.center)) / torch.tensor(metric.scale), extra])
-            hidden = torch.relu(torch.relu(z @ weights[0] + weights[1]) @ weights[2] + weights[3])
-            entries = hidden @ weights[4] + weights[5] + base
-            rows, columns = torch.tril_indices(LOOP, LOOP)
-            factor = torch.zeros((LOOP, LOOP), dtype=torch.float64).index_put((rows, columns), entries)
-            return factor @ factor.T + metric.floor * torch.eye(LOOP, dtype=torch.float64)
-
-    return Network()
-
-
-@pytest.mark.parametrize("gain", [-40.0, 10.0, 42.0, 95.0, 300.0])
-def test_m_and_its_rate_are_torchs(metric: LearnedMetric, states: FloatArray, gain: float) -> None:
-    network, rng = as_torch(metric, gain), np.random.default_rng(6)
-    for x in states[:COUNT]:
-        rate = metric.scale * rng.normal(size=8) * 5.0
-        matrix, turn = metric.matrix_and_rate(x, rate, gain)
-        value, slope = torch.func.jvp(network, (torch.tensor(x),), (torch.tensor(rate),))
-        np.testing.assert_allclose(matrix, value.numpy(), rtol=0, atol=LIMIT * np.abs(matrix).max())
-        np.testing.assert_allclose(turn, slope.numpy(), rtol=0, atol=LIMIT * np.abs(turn).max())
-        np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=0)
-        assert np.linalg.eigvalsh(matrix)[0] > 0.0

@@ -11,7 +11,7 @@ import pytest
 from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, Waveform
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import memories, overlap_of, without_overlap
 from hydro_filter.model.overlap import Overlap, change_for, lost, passed_change
 from hydro_filter.model.sample import Sample
@@ -31,7 +31,7 @@ def overlapped(bench: Bench) -> Bench:
 
 @pytest.fixture(scope="module")
 def made(bench: Bench, overlapped: Bench) -> LoopFilter:
-    return LoopFilter(loop_parts(LearnedMetric.load(), overlapped, bench))
+    return LoopFilter(loop_parts(ScheduledMetric.load(), overlapped, bench))
 
 
 def closed(made: LoopFilter, bench: Bench, plant: AnalyticPlant, gains: tuple[float, float]) -> Run:

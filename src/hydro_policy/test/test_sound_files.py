@@ -16,7 +16,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_policy.nodes.training.start import begin_checkpoint, check_run
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
@@ -27,7 +27,10 @@ SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_paper"
 FILES: dict[str, tuple[Path, Callable[[Path], object]]] = {
     "policy": (SHIPPED / "policy.safetensors", load_policy),
     "agent": (SHIPPED / AGENT, lambda path: load_initial_agent(path.parent)),
-    "metric": (Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors")), LearnedMetric.load),
+    "metric": (
+        Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors")),
+        ScheduledMetric.load,
+    ),
 }
 Tensors = dict[str, Any]
 

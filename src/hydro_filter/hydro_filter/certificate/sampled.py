@@ -6,11 +6,11 @@ with the known current, and the certificate applies to the following sample::
 
     v_1 = F v_0 + G (K v_0 + w + u_k - u_nom,k)             known: the last correction and saturation are in u_k
     v_2 = F v_1 + G (K v_1 + w) + G du                      the law continues unchanged
-    M_c(du) = ( v_2' (M + T M') v_2 - exp(-2 lambda T) v_1' M v_1 ) / T  <=  margin       [1/s], quadratic in du
+    M_c(du) = ( v_2' M v_2 - exp(-2 lambda T) v_1' M v_1 ) / T  <=  margin      [1/s], quadratic in du
 
-As T -> 0 this is eq. cont_require_6 without a projection. w is the integral's current beyond its allowance
-(`excess_integral`). The quadratic's interval of admissible du is exact; the QP gets its nearer end as half-line
-a du <= b, whose smallest solution is that of the interval.
+As T -> 0 this is eq. cont_require_6 without a projection, for an M that does not change along x. w is the integral's
+current beyond its allowance (`excess_integral`). The quadratic's interval of admissible du is exact; the QP gets its
+nearer end as half-line a du <= b, whose smallest solution is that of the interval.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from hydro_sim.jit import njit
 
 
 @njit
-def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
+def quadratic(step, metric, v, known, asked, contraction_rate, next_v, after_v):
     """Return bent, slope and level of M_c(du) T = bent du^2 + 2 slope du + level, and v_1'Mv_1.
 
     `known`, `asked` [A]: u_k - u_nom,k + w, and w. Writes v_1 and v_2 (du = 0).
     """
     if len(v) == LOOP:  # a count that the compiler knows
-        return _quadratic(LOOP, step, value, v, known, asked, contraction_rate, next_v, after_v)
-    return _quadratic(len(v), step, value, v, known, asked, contraction_rate, next_v, after_v)
+        return _quadratic(LOOP, step, metric, v, known, asked, contraction_rate, next_v, after_v)
+    return _quadratic(len(v), step, metric, v, known, asked, contraction_rate, next_v, after_v)
 
 
 @njit(inline="always")
-def _quadratic(count, step, value, v, known, asked, contraction_rate, next_v, after_v):
+def _quadratic(count, step, metric, v, known, asked, contraction_rate, next_v, after_v):
     feedback = known
     for i in range(count):
         feedback += step.feedback[i] * v[i]
@@ -55,11 +55,10 @@ def _quadratic(count, step, value, v, known, asked, contraction_rate, next_v, af
     for i in range(count):
         now, then, moved = 0.0, 0.0, 0.0
         for j in range(count):
-            weight = value.matrix[i, j]
-            later = weight + SAMPLE_PERIOD * value.rate[i, j]
+            weight = metric[i, j]
             now += weight * next_v[j]
-            then += later * after_v[j]
-            moved += later * step.push[j]
+            then += weight * after_v[j]
+            moved += weight * step.push[j]
         size += next_v[i] * now
         level += after_v[i] * then
         slope += step.push[i] * then

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Factory of filters: the learned metric on the learned model, or the constant one on the analytic model.
+"""Factory of filters: the scheduled metric on the learned model, or the constant one on the analytic model.
 
 =============== ============================================= ==========================================
-metric          learned (a file of `learn_metric`)            constant (solved for the bench file)
+metric          scheduled (a file of `learn_metric`)          constant (solved for the bench file)
 model           a bench file of `learn` or `diagnose`         analytic, the bench file
 certificate     sampled, of the whole loop, with its delay    the paper's, in continuous time
 displacement    of the whole loop from its reference          of the load force alone (eq. v)
@@ -25,8 +25,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_filter.certificate.qp import QpCounts
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
-from hydro_filter.metric import learned as learned_metric
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric, shipped
 from hydro_filter.model.loop import effects_to_compile
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
@@ -67,7 +66,7 @@ class FilterChoice:
         """Files by kind; none for the constant metric."""
         if self.constant:
             return {}
-        metric = learned_metric.shipped() if self.metric == LEARNED else Path(self.metric)
+        metric = shipped() if self.metric == LEARNED else Path(self.metric)
         return {"metric": metric, "model": self.model or learned_bench.shipped()}
 
     def describe(self) -> dict[str, str]:
@@ -111,9 +110,9 @@ class FilterChoice:
         return self.stored_metric.made, learned_bench.digest(self.files["model"])
 
     @cached_property
-    def stored_metric(self) -> LearnedMetric:
+    def stored_metric(self) -> ScheduledMetric:
         """The metric's file, read at first access."""
-        return LearnedMetric.load(self.files["metric"])
+        return ScheduledMetric.load(self.files["metric"])
 
     def foreign(self, box: KnownBox) -> str:
         """Return why this filter does not belong to a running box; empty if it does, or if this is unknown."""

@@ -18,7 +18,7 @@ from hydro_filter.controller.compiled import FilterParts, filter_parts
 from hydro_filter.controller.factory import CONSTANT, FilterChoice
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.state import LOAD_FORCE
 from hydro_sim.box.c_text import header_file, reals
 from hydro_sim.box.configuration import BENCH_FIELDS
@@ -116,7 +116,7 @@ def _learned(choice: FilterChoice, options: argparse.Namespace) -> str:
     settings = LoopFilterSettings(contraction_rate=usual.contraction_rate if rate is None else rate)
     files = choice.files
     truth = load_model(files["model"])
-    parts = loop_parts(LearnedMetric.load(files["metric"]), truth, choice.bench, settings)
+    parts = loop_parts(ScheduledMetric.load(files["metric"]), truth, choice.bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     return loop_header.header(
         parts, truth, f"Written by `ros2 run hydro_filter export_c` for the bench {choice.bench.digest}: {told}."

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Filter with the learned metric: from one sample to one correction, in one compiled call.
+"""Filter with the scheduled metric: from one sample to one correction, in one compiled call.
 
 ::
 
     sample, memory ──> linearize, displace ──> v, F, G, K ──┐
-                       metric network ──> M, M' ────────────┼──> quadratic in du ──> half-line ──> smallest du
+                       K_p ──> scheduled metric M ──────────┼──> quadratic in du ──> half-line ──> smallest du
                        law's integral ──> w ────────────────┘
 
 The law is known by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.followed`). v is from f_r whatever the law
@@ -27,8 +27,8 @@ import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.certificate import qp, sampled
-from hydro_filter.metric import network
-from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
+from hydro_filter.metric import scheduled
+from hydro_filter.metric.scheduled import MetricParts
 from hydro_filter.model import overlap
 from hydro_filter.model.coordinates import Q_VELOCITY
 from hydro_filter.model.displacement import displace
@@ -70,7 +70,9 @@ class Workspace(NamedTuple):
     """Scratch arrays of one caller; created by `workspace`."""
 
     step: Step
-    value: MetricValue
+    factor: FloatArray
+    metric: FloatArray
+    """M, shape (n, n) for n coordinates."""
     v: FloatArray
     next_v: FloatArray
     after_v: FloatArray
@@ -108,7 +110,7 @@ class Problem(NamedTuple):
 def workspace(parts: LoopParts) -> Workspace:
     """Allocate a workspace."""
     displacements = (np.zeros(len(parts.loop.scale)) for _ in range(3))
-    return Workspace(step_of(parts.loop), metric_value(parts.metric), *displacements)
+    return Workspace(step_of(parts.loop), *scheduled.scratch(parts.metric), *displacements)
 
 
 @njit(inline="always")
@@ -147,14 +149,14 @@ def certified_gain(parts, gain, law):
 @njit(inline="always")
 def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, law, workspace):
     """Build the QP of one finite sample of an armed bench, and advance the memory."""
-    loop, value, step = parts.loop, workspace.value, workspace.step
+    loop, metric, step = parts.loop, workspace.metric, workspace.step
     settle(loop, memory, x, current, reference_rate)
     linearize(loop, memory.hidden, x, nominal, current, gain, (law[2], law[3]), step)
     displace(loop, memory, x, reference, reference_rate, workspace.v)
     follow(loop, memory, x, current, reference_rate)
     known = certified_gain(parts, gain, law)
-    network.evaluate(parts.metric, x, step.state_rate, known, value)
-    outside = network.uncertified(parts.metric, known)
+    scheduled.evaluate(parts.metric, known, workspace.factor, metric)
+    outside = scheduled.uncertified(parts.metric, known)
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, gain, law)
     asked = sampled.excess_integral(term, parts.integral_allowance) / law_gain
@@ -164,7 +166,7 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     limit = loop.current_max
     applied = min(max(nominal, -limit), limit)
     bent, slope, level, size = sampled.quadratic(
-        step, value, workspace.v, current - overlap.lost(parts.overlap, current) - nominal + asked,
+        step, metric, workspace.v, current - overlap.lost(parts.overlap, current) - nominal + asked,
         asked - overlap.lost(parts.overlap, applied), rate, workspace.next_v, workspace.after_v,
     )  # fmt: skip
     share = sampled.displacement_share(size, parts.foreign_noise_size if outside else parts.noise_size)

@@ -29,7 +29,7 @@ from hydro_filter.certificate.qp import QpFilter
 from hydro_filter.controller import innovations, loop_decision
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_decision import LoopParts, Problem
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model import observer
 from hydro_filter.model.loop import coordinates_of, loop_of, memories, overlap_of
 from hydro_filter.model.sample import Sample
@@ -184,7 +184,7 @@ class LoopFilter:
 
 
 def loop_filter(
-    metric: LearnedMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
+    metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopFilter:
     """Return the filter of a metric's file, with all its certificates (raises as `loop_parts`)."""
     first, *others = (loop_parts(each, model, bench, settings) for each in metric.certificates)
@@ -192,7 +192,7 @@ def loop_filter(
 
 
 def loop_parts(
-    metric: LearnedMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
+    metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopParts:
     """Return the inputs of `decide` for a metric, its training model, and the bench that the box is configured for.
 
@@ -222,4 +222,4 @@ def loop_parts(
 
 def default_filter(bench: Bench | None = None, settings: LoopFilterSettings | None = None) -> LoopFilter:
     """Return the shipped metric on the shipped learned bench, for a box configured for `bench` (default: nominal)."""
-    return loop_filter(LearnedMetric.load(), learned_bench.load_model(), bench or Bench.nominal(), settings)
+    return loop_filter(ScheduledMetric.load(), learned_bench.load_model(), bench or Bench.nominal(), settings)

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import exp
 
-import numpy as np
-
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.model.loop import SUBSTEPS, closing_current, without_disturbances
@@ -32,7 +30,7 @@ def header(parts: LoopParts, truth: Bench, origin: str) -> str:
     Raises
     ------
     ValueError
-        The box in C has no place for the metric or for an effect of the bench file; the message is one sentence.
+        The box in C has no place for an effect of the bench file; the message is one sentence.
     """
     metric = parts.metric
     _refuse(parts)
@@ -66,10 +64,8 @@ def header(parts: LoopParts, truth: Bench, origin: str) -> str:
 
 
 def _refuse(parts: LoopParts) -> None:
-    """Raise ValueError if the box in C has no place for the metric or for an effect of the bench file."""
-    model, layers = parts.loop.model, parts.metric.layers
-    if np.any(layers.w3) or np.any(layers.b3):
-        raise ValueError("the metric has a network that adds to it, for which the box in C has no place")
+    """Raise ValueError if the box in C has no place for an effect of the bench file."""
+    model = parts.loop.model
     lags = (model.spool, model.spool_rate, model.cell_rate)
     reasons = {
         "a valve or a load cell without a lag of second order": NONE in lags,

@@ -58,7 +58,7 @@ ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
 
 
 class Table(NamedTuple):
-    """Design as arrays for `network.MetricParts`."""
+    """Design as arrays for `scheduled.MetricParts`."""
 
     gains: FloatArray
     table: FloatArray

@@ -21,16 +21,7 @@ from hydro_filter.model.coordinates import (
 )
 from hydro_filter.model.observer import hydraulic_slopes, model_state, set_opening
 from hydro_filter.model.parts import NONE
-from hydro_filter.model.state import (
-    HYDRAULIC_FORCE,
-    HYDRAULIC_FORCE_RATE,
-    LOAD_FORCE,
-    LOAD_FORCE_RATE,
-    POSITION,
-    PRESSURE_A,
-    PRESSURE_B,
-    VELOCITY,
-)
+from hydro_filter.model.state import PRESSURE_A
 from hydro_sim import copies
 from hydro_sim.jit import njit
 from hydro_sim.model import machine_code
@@ -56,7 +47,6 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, scal
     total = p.gain[0] * p.area * (soft_a + p.ratio * soft_b)
     share_a, share_b = soft_a / total, -soft_b / total
     _advance(p, step, opening, side, current)
-    _state_rate(p, x, step)
     crossed = p.loop_spool != NONE and side * (step.after[p.loop_spool] + p.after) < 0.0
     if crossed:  # see CLOSED
         keeping = set_opening(p, step.before, p.loop_spool, p.loop_spool_rate, side * CLOSED)
@@ -145,21 +135,3 @@ def _read(p, scale, gain, later, step):
     for i in range(len(scale)):
         step.push[i], F[i, INPUT] = F[i, INPUT], 0.0
     F[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = memory  # the differentiator's
-
-
-@njit
-def _state_rate(p, x, step):
-    """x' over the model's sample, free of measurement noise."""
-    rate, before, after = step.state_rate, step.before, step.after
-    change_a, change_b = after[0] - before[0], after[1] - before[1]
-    rate[HYDRAULIC_FORCE] = p.gain[0] * p.area * (change_a - p.ratio * change_b) / SAMPLE_PERIOD
-    rate[LOAD_FORCE] = p.gain[1] * (after[p.loop_cell] - before[p.loop_cell]) / SAMPLE_PERIOD
-    rate[PRESSURE_A], rate[PRESSURE_B] = p.gain[2] * change_a / SAMPLE_PERIOD, p.gain[3] * change_b / SAMPLE_PERIOD
-    for i in range(len(p.lagging)):
-        chamber, shown = p.lagging[i, 2], p.kept[2 * i]
-        rate[PRESSURE_A + chamber] = p.gain[2 + chamber] * (after[shown] - before[shown]) / SAMPLE_PERIOD
-    rate[POSITION] = p.gain[4] * (after[2] - before[2]) / SAMPLE_PERIOD
-    share, lighter = (1.0 - p.memories[0]) / SAMPLE_PERIOD, (1.0 - p.memories[1]) / SAMPLE_PERIOD
-    rate[HYDRAULIC_FORCE_RATE] = share * (rate[HYDRAULIC_FORCE] - x[HYDRAULIC_FORCE_RATE])
-    rate[LOAD_FORCE_RATE] = share * (rate[LOAD_FORCE] - x[LOAD_FORCE_RATE])
-    rate[VELOCITY] = lighter * (rate[POSITION] - x[VELOCITY])

@@ -78,7 +78,7 @@ def step_of(loop: Loop) -> Step:
     """Allocate the workspace of one caller."""
     whole, n, width = len(loop.model.rest), len(loop.model.from_whole), len(loop.scale)
     shapes = (
-        (width, width), width, width, STATES, STATES, whole, n, n, len(RAW_FIELDS),
+        (width, width), width, width, STATES, whole, n, n, len(RAW_FIELDS),
         (n, n + 1), (len(RAW_FIELDS), n + 1), (n + 1, width), (n, width),
     )  # fmt: skip
     return Step(*(np.zeros(shape) for shape in shapes))

@@ -121,8 +121,6 @@ class Step(NamedTuple):
     """G [1/A], shape (n,)."""
     feedback: FloatArray
     """K [A], shape (n,)."""
-    state_rate: FloatArray
-    """x' along the model's own motion [SI units per s], shape (8,)."""
     law: FloatArray
     whole: FloatArray
     before: FloatArray

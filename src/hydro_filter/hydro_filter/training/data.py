@@ -27,12 +27,10 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, matrix
-from hydro_filter.model.displacement import displace
 from hydro_filter.model.linearization import linearize
 from hydro_filter.model.loop import memories, step_of
 from hydro_filter.model.observer import follow, settle
 from hydro_filter.model.parts import Loop
-from hydro_filter.model.state import STATES
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.excitation import drawn
 from hydro_sim.jit import njit
@@ -113,12 +111,6 @@ class Rollout:
 class Windows:
     """n windows of H samples; loop coordinates in units of their scale, eight or more."""
 
-    x: FloatArray
-    """Shape (n, H, 8), SI units, with noise."""
-    state_rate: FloatArray
-    """x', shape (n, H, 8)."""
-    v: FloatArray
-    """Shape (n, H, 8)."""
     transition: FloatArray
     """F, shape (n, H, 8, 8)."""
     push: FloatArray
@@ -194,14 +186,13 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
         return None
     shape, width = (len(starts), span), len(loop.scale)
     made = Windows(
-        x=np.empty((*shape, STATES)), state_rate=np.empty((*shape, STATES)), v=np.empty((*shape, width)),
         transition=np.empty((*shape, width, width)), push=np.empty((*shape, width)), feedback=np.empty((*shape, width)),
         gain=np.full(len(starts), rollout.gains[0]), label=np.full(len(starts), rollout.label),
     )  # fmt: skip
     scales = settings.velocity_compensation, 1.0
     _follow(
         loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, scales, memories(), step_of(loop),
-        made.x, made.state_rate, made.v, made.transition, made.push, made.feedback,
+        made.transition, made.push, made.feedback,
     )  # fmt: skip
     return made
 
@@ -220,19 +211,17 @@ def _between_stops(
 
 
 @njit
-def _follow(loop, x, signals, starts, scales, memory, step, xs, rates, vs, transitions, pushes, feedbacks):
+def _follow(loop, x, signals, starts, scales, memory, step, transitions, pushes, feedbacks):
     """Follow a run with the filter's memory and record the samples of every window."""
-    span = xs.shape[1]
+    span = transitions.shape[1]
     for k in range(len(x)):
-        nominal, current, reference, reference_rate, gain = signals[k]
+        nominal, current, _, reference_rate, gain = signals[k]
         settle(loop, memory[0], x[k], current, reference_rate)
         for n in range(len(starts)):
             h = k - starts[n]
             if 0 <= h < span:
                 linearize(loop, memory[0].hidden, x[k], nominal, current, gain, scales, step)
-                displace(loop, memory[0], x[k], reference, reference_rate, vs[n, h])
-                xs[n, h], rates[n, h], transitions[n, h] = x[k], step.state_rate, step.transition
-                pushes[n, h], feedbacks[n, h] = step.push, step.feedback
+                transitions[n, h], pushes[n, h], feedbacks[n, h] = step.transition, step.push, step.feedback
         follow(loop, memory[0], x[k], current, reference_rate)
 
 

@@ -1,24 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_filter learn_metric --out METRIC: train the contraction metric on a learned bench.
+"""ros2 run hydro_filter learn_metric --out METRIC: solve the contraction metric of a learned bench.
 
-Rolls out, labels, solves a metric for each gain, trains the network on top, and judges on rollouts not trained on.
-Ctrl-C keeps the checkpoint beside METRIC; `--resume` goes on from it. Data and training depend on nothing but the
-words of the command.
+Rolls out, labels, solves a metric for each gain, and judges on rollouts that it was not solved on. The result depends
+on nothing but the words of the command.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 
-from hydro_bridge.cli.console import command
-from hydro_filter.training.options import arguments
+from hydro_bridge.cli.console import add_json_argument, command, writable
 from hydro_sim.files.weights import WeightsError
+
+NO_NETWORK = (
+    "--epochs {}: there is no network to train on top of the solved metric any more, it lowered no violation; leave "
+    "--epochs away (the paper's own metric network: python -m benchmarks.paper)"
+)
 
 
 @command(WeightsError, ValueError)
 def main() -> None:
     """Entry point."""
-    options = arguments(sys.argv[1:])
+    options = arguments()
     from hydro_filter.training.metric_learning import learn  # with torch, which takes seconds: not for --help or a slip
 
     learn(options)
+
+
+def arguments() -> argparse.Namespace:
+    """Parse the command line."""
+    result = argparse.ArgumentParser(
+        prog="learn_metric", description="Solve the contraction metric of the learned bench."
+    )
+    result.add_argument("--out", required=True, type=writable, metavar="METRIC", help="file to write, .safetensors")
+    result.add_argument("--model", metavar="FILE", help="bench file of the learned bench; the shipped one by default")
+    result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
+    result.add_argument(
+        "--law", choices=("both", "paper", "compensated"), default="both",
+        help="force law that the metric is for; a learned bench has the paper's alone. Default: %(default)s",
+    )  # fmt: skip
+    result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
+    result.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
+    result.add_argument("--epochs", type=int, default=0, help="0, the default: the metric is solved, not trained")
+    result.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
+    result.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
+    add_json_argument(result)
+    asked = result.parse_args()
+    if asked.seed < 0 or asked.threads < 0:
+        result.error("--seed and --threads need 0 or more")
+    if asked.epochs:
+        result.error(NO_NETWORK.format(asked.epochs))
+    return asked

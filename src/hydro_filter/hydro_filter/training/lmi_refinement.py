@@ -3,8 +3,7 @@
 
 Lyapunov's equation makes P for one state. That it decays at all of some hundred states of the rollouts is a linear
 matrix inequality in P; it is solved here by descent on P = L_0 (I + X) (I + X)' L_0' from the equation's solution L_0
-L_0', X lower triangular, on the mean and the largest violation. No network: what comes out is the table that training
-starts from, and the baseline that it is judged against.
+L_0', X lower triangular, on the mean and the largest violation.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import torch
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.design import factor_entries
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.coordinates import Q_LOAD
 from hydro_filter.training.data import STABLE, Windows
 
@@ -24,11 +23,12 @@ SAMPLES = 120
 STEPS = 250
 STEP = 2e-2
 LEFT_OUT = 0.02
-"""Share of the samples with the largest growth that is not asked for: the spool passes zero there (`loss`)."""
+"""Share of the samples with the largest growth that is not asked for: the spool passes zero there, and the law divides
+by one side's g while the valve has the other's."""
 
 
 def refined_rows(
-    metric: LearnedMetric, windows: Windows, foreign: FloatArray, rates: tuple[float, float], seed: int = 0
+    metric: ScheduledMetric, windows: Windows, foreign: FloatArray, rates: tuple[float, float], seed: int = 0
 ) -> Iterator[FloatArray]:
     """Refined rows of the table, shape (36,), for decay at `rates` (certified, other gains) [1/s].
 

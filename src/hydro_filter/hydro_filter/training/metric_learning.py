@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metric learning: roll out, label, solve a metric for each gain, train the network on top, evaluate."""
+"""Metric learning: roll out, label, solve a metric for each gain, evaluate."""
 
 from __future__ import annotations
 
@@ -9,21 +9,26 @@ import time
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.settings import check
 from hydro_bridge.signals import Law
 from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, require_decay, rest_loop
-from hydro_filter.metric.learned import LearnedMetric, Thresholds
+from hydro_filter.metric.scheduled import ScheduledMetric, Thresholds
 from hydro_filter.model.loop import driven_coordinate, loop_of, without_overlap
 from hydro_filter.model.parts import Loop
-from hydro_filter.training.certificate import certificate_table, where_violated
-from hydro_filter.training.curves import draw_metric_curves
+from hydro_filter.training.certificate import (
+    Correction,
+    DecayRates,
+    Samples,
+    certificate_table,
+    certified_samples,
+    foreign_samples,
+    where_violated,
+)
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,
@@ -35,18 +40,8 @@ from hydro_filter.training.data import (
     collect,
     concatenated,
 )
-from hydro_filter.training.levels import integral_allowance, noise_sizes
 from hydro_filter.training.lmi_refinement import refined_rows
-from hydro_filter.training.loss import LossSettings, Samples
-from hydro_filter.training.options import fixed_options
-from hydro_filter.training.training import (
-    Correction,
-    Progress,
-    TrainingSettings,
-    certificate_queries,
-    correcting_gains,
-    train,
-)
+from hydro_filter.training.thresholds import integral_allowance, noise_sizes
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
@@ -74,8 +69,10 @@ class TrainingData:
 
 
 def learn(options: argparse.Namespace) -> None:
-    """Train the metric specified by the command line, and write it."""
-    data, settings = _settings(options)
+    """Solve the metric specified by the command line, and write it."""
+    data, rates = DataSettings(rollouts=options.rollouts, seed=options.seed), DecayRates(rate=options.contraction_rate)
+    for each in (data, rates):
+        check(each)
     torch.set_num_threads(options.threads or torch.get_num_threads())
     out, began = Path(options.out), time.monotonic()
     model = learned_bench.load_model(options.model)
@@ -86,18 +83,17 @@ def learn(options: argparse.Namespace) -> None:
     loop = loop_of(model, bench)
     if free_plant(model) is not None:
         _say(OVERLAP_TOLD)
-    laws = [(data, settings)] if options.law != "compensated" else []
+    laws = [data] if options.law != "compensated" else []
     if options.law != "paper":
-        shaped = DataSettings.under(BoxConfig().compensated, rollouts=data.rollouts // 2, seed=data.seed)
-        laws.append((shaped, replace(settings, epochs=0)))
-    found: list[tuple[LearnedMetric, Table]] = []
-    for each, how in laws:
+        laws.append(DataSettings.under(BoxConfig().compensated, rollouts=data.rollouts // 2, seed=data.seed))
+    found: list[tuple[ScheduledMetric, Table]] = []
+    for law in laws:
         try:
-            found.append(_certificate(model, bench, loop, each, how, options))
+            found.append(_certificate(model, bench, loop, law, rates, options))
         except ValueError as error:
             if len(laws) == 1:
                 raise
-            _say(f"{each.law.name.lower()} law: {error}")
+            _say(f"{law.law.name.lower()} law: {error}")
     if not found:
         raise ValueError("no force law has a certificate on this bench")
     table = found[0][1]
@@ -107,13 +103,10 @@ def learn(options: argparse.Namespace) -> None:
     final = replace(sound[0], another=sound[1] if len(sound) > 1 else None)
     final = replace(final, made=made, training={**final.training, "seconds": round(time.monotonic() - began, 1)})
     final.save(out)
-    draw_metric_curves(np.array(final.training["history"]), out.with_suffix(".png"))
-    out.with_suffix(".checkpoint").unlink(missing_ok=True)
     table.show(options.json)
     for one in final.certificates:
-        facts, levels = one.training, one.thresholds
-        told = f"noise is v'Mv up to {levels.noise_size:.2g} and {levels.foreign_noise_size:.2g}"
-        told = f"best of {facts['epochs']} epochs is {facts['best_epoch']}; {told}"
+        sizes = one.thresholds.noise_size, one.thresholds.foreign_noise_size
+        told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
         print(f"{out}: C_1 = {one.velocity_compensation:g}, {told}")
     for metric, _ in found:
         if reason := metric.unfit(out.name):
@@ -122,9 +115,9 @@ def learn(options: argparse.Namespace) -> None:
 
 
 def _certificate(
-    model: Bench, bench: Bench, loop: Loop, data: DataSettings, settings: TrainingSettings,
+    model: Bench, bench: Bench, loop: Loop, data: DataSettings, rates: DecayRates,
     options: argparse.Namespace,
-) -> tuple[LearnedMetric, Table]:  # fmt: skip
+) -> tuple[ScheduledMetric, Table]:  # fmt: skip
     """The metric for the law of `data`, and its certificate's table (raises ValueError where there is none)."""
     c_1 = data.velocity_compensation
     require_decay(loop, c_1)
@@ -134,29 +127,24 @@ def _certificate(
     require_held_out(material.held_out, design)
     told = f"certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s"
     _say(f"{_told(material.rollouts)}; {told}" + ("" if c_1 == 1.0 else f" at C_1 = {c_1:g}"))
-    metric = _polished(LearnedMetric.designed(loop, bench, design, seed=options.seed), material, loop, design, settings)
     best_correction = correction(loop, design)
-    how = settings.loss
-    samples = certificate_queries(material.training, metric, best_correction, how)
-    held_out = certificate_queries(material.held_out, metric, best_correction, how)
-    resume = options.resume and data.law is Law.PAPER
-    last, best = _train(metric, samples, held_out, data.horizon, settings, options, resume=resume)
-    sizes = noise_sizes(best, loop, plant, clean)
+    metric = _refined(ScheduledMetric.designed(loop, design), material.training, best_correction, rates, options.seed)
+
+    def held_out(one: ScheduledMetric) -> tuple[Samples, Samples]:
+        return certified_samples(material.held_out, one), foreign_samples(material.held_out, best_correction)
+
+    sizes = noise_sizes(metric, loop, plant, clean)
     allowance = integral_allowance(loop, plant, bench, data)
-    still, of = LearnedMetric.designed(loop, bench, design), "" if c_1 == 1.0 else f", C_1 = {c_1:g}"
-    stages = {f"{name}{of}": one for name, one in (("still", still), ("solved", metric), ("learned", best))}
-    table = certificate_table(
-        stages, lambda one: certificate_queries(material.held_out, one, best_correction, how), how
-    )
+    still, of = ScheduledMetric.designed(loop, design), "" if c_1 == 1.0 else f", C_1 = {c_1:g}"
+    table = certificate_table({f"still{of}": still, f"solved{of}": metric}, held_out, rates)
     violated, foreign = (row["violated"] for row in table.rows[-2:])
     facts = {
-        "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
-        "design": asdict(design), "model": model.digest, "epochs": last.epoch, "best_epoch": last.best_epoch,
-        "validation_loss": last.best_loss, "history": [list(row) for row in last.history], "violated": violated,
-        "foreign_violated": foreign, "where": where_violated(best, held_out, how),
+        "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "rates": asdict(rates),
+        "design": asdict(design), "model": model.digest, "violated": violated, "foreign_violated": foreign,
+        "where": where_violated(metric, held_out(metric)[0], rates.rate),
     }  # fmt: skip
     levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
-    return replace(best, thresholds=levels, training=facts), table
+    return replace(metric, thresholds=levels, training=facts), table
 
 
 def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDesign:
@@ -210,34 +198,17 @@ def correction(loop: Loop, design: MetricDesign) -> Correction:
     return Correction(correcting_feedback(loop, design), driven, float(push[driven]))
 
 
-def _polished(
-    metric: LearnedMetric, material: TrainingData, loop: Loop, design: MetricDesign, settings: TrainingSettings
-) -> LearnedMetric:
-    """The table made to hold on samples of the rollouts, and the range of states that they show."""
-    windows, how = material.training, settings.loss
-    best = correcting_gains(windows, correction(loop, design))
-    foreign = windows.transition + windows.push[..., np.newaxis] * best[..., np.newaxis, :]
-    seen = {"low": windows.x.min(axis=(0, 1)), "high": windows.x.max(axis=(0, 1))}
-    rates = how.rate + 2.0 * how.margin, how.foreign_rate + 2.0 * how.margin
-    rows = refined_rows(metric, windows, foreign, rates, settings.seed)
-    table = list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))
-    return replace(metric, table=np.array(table), **seen)
-
-
-def _train(
-    metric: LearnedMetric, samples: Samples, held_out: Samples, horizon: int, settings: TrainingSettings,
-    options: argparse.Namespace, *, resume: bool,
-) -> tuple[Progress, LearnedMetric]:  # fmt: skip
-    checkpoint = Path(options.out).with_suffix(".checkpoint")
-    bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch", every=10.0)
-    for last in train(
-        metric, samples, held_out, horizon, settings, checkpoint, resume=resume, begun=fixed_options(options)
-    ):
-        state, row = last[0], last[0].history[-1]
-        bar.update(state.epoch - bar.n)
-        bar.set_postfix_str(f"loss {row[1]:.4g}, held out {row[2]:.4g}, violated {100 * row[3]:.2f} %")
-    bar.close()
-    return last
+def _refined(
+    metric: ScheduledMetric, windows: Windows, best: Correction, rates: DecayRates, seed: int
+) -> ScheduledMetric:
+    """The table made to hold on samples of the rollouts."""
+    foreign = foreign_samples(windows, best).closed.reshape(windows.transition.shape)
+    asked = rates.rate + rates.margin, rates.foreign_rate + rates.margin
+    rows = refined_rows(metric, windows, foreign, asked, seed)
+    return replace(
+        metric,
+        table=np.array(list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))),
+    )
 
 
 def _told(rollouts: list[Rollout]) -> str:
@@ -247,16 +218,3 @@ def _told(rollouts: list[Rollout]) -> str:
 
 def _say(sentence: str) -> None:
     print(sentence, file=sys.stderr)
-
-
-def _settings(options: argparse.Namespace) -> tuple[DataSettings, TrainingSettings]:
-    """Settings of the words; refuses before the work what cannot work."""
-    data = DataSettings(rollouts=options.rollouts, seed=options.seed)
-    loss = LossSettings(rate=options.contraction_rate, unstable_weight=options.unstable_weight)
-    training = TrainingSettings(
-        epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate, patience=options.patience,
-        seed=options.seed, loss=loss,
-    )  # fmt: skip
-    for each in (data, loss, training):
-        check(each)
-    return data, training

@@ -25,13 +25,12 @@ def main() -> None:
     folder = Path(options.out)
     _begin(folder, [str(Path(bag).resolve()) for bag in options.bags], resume=options.resume)
     box = ["--bench", options.bench] if options.bench else []
-    again = ["--resume"] if options.resume else []
     model, metric = folder / MODEL, folder / METRIC
     if not model.exists():
         _run("hydro_sim.identification.learn", *options.bags, "--out", str(model), *box)
     if not metric.exists():
-        words = ["--model", str(model), "--out", str(metric), "--epochs", "0", "--json", str(folder / "metric.json")]
-        _run("hydro_filter.training.learn_metric", *words, *box, *again)
+        words = ["--model", str(model), "--out", str(metric), "--json", str(folder / "metric.json")]
+        _run("hydro_filter.training.learn_metric", *words, *box)
     said = " ".join(["ros2 run hydro_filter filter --model", str(model), "--metric", str(metric), *box])
     print(f"{folder}: a model and its metric. The filter with them: {said}")
 
@@ -40,7 +39,7 @@ def _parser() -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(
         prog="relearn",
         description="Learn the bench's model and the filter's metric anew from recordings: some minutes. The model is "
-        "a bench file with learned effects (`learn`), the metric the solved one (`learn_metric --epochs 0`).",
+        "a bench file with learned effects (`learn`), the metric is solved (`learn_metric`).",
     )
     result.add_argument("bags", nargs="+", metavar="BAG", help="recordings of the bench as it is now, a minute or more")
     result.add_argument("--out", required=True, metavar="FOLDER", help=f"folder for {MODEL} and {METRIC}")

@@ -15,7 +15,7 @@ import numpy as np
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, StateArray
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.validation.cases import CASES, Case
 from hydro_filter.validation.plants import plant_named
 from hydro_filter.validation.trial import Corrector, Gammas, Run, Trial, gammas, run
@@ -23,8 +23,8 @@ from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
-FILTERS = ("none", "learned", "solved", "projected")
-"""none: bypassed, its certificate evaluated; learned: the default; solved: its metric with the network at zero;
+FILTERS = ("none", "learned", "projected")
+"""none: bypassed, its certificate evaluated; learned: the default;
 projected: the paper's v on the constant metric, lambda 2 1/s.
 """
 SETTLING = 2000
@@ -75,10 +75,7 @@ def make_filter(task: Task, bench: Bench) -> Corrector:
         return ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=2.0))
     key = ("filter", task.metric, task.model, task.bench, task.filter, task.rate)
     if key not in _MADE:
-        model = load_model(task.model)
-        metric = LearnedMetric.load(task.metric)
-        if task.filter == "solved":
-            metric = metric.with_weights(np.zeros_like(metric.flat))
+        metric, model = ScheduledMetric.load(task.metric), load_model(task.model)
         rate = {} if task.rate is None else {"contraction_rate": task.rate}
         settings = LoopFilterSettings(bypass=task.filter == "none", **rate)
         _MADE[key] = loop_filter(metric, model, bench, settings)

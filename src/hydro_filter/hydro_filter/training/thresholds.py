@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, Law, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_decision import integral_term
-from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.displacement import displace
 from hydro_filter.model.linearization import linearize
 from hydro_filter.model.loop import closing_current, memories, step_of
@@ -44,14 +44,14 @@ def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_com
     return out[100:]
 
 
-def noise_sizes(metric: LearnedMetric, loop: Loop, noisy: Plant, clean: Plant, seed: int = 0) -> tuple[float, float]:
+def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant, seed: int = 0) -> tuple[float, float]:
     """`QUANTILE` of v'Mv of the noise: the largest over the certified range, and that of the metric for other gains."""
-    x, sizes = clean.reset(seed), []
+    sizes = []
     for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
         law = float(min(gain, metric.gains[-1]))
         v, still = (displacements(loop, each, law, seed, metric.velocity_compensation) for each in (noisy, clean))
         v = v - still
-        matrix = metric.matrix(x, float(gain))
+        matrix = metric.matrix(float(gain))
         sizes.append(float(np.quantile(np.einsum("ki,ij,kj->k", v, matrix, v), QUANTILE)))
     return max(sizes[:-1]), sizes[-1]
 
