@@ -36,12 +36,12 @@ from hydro_filter.training.relearn import METRIC, MODEL
 from hydro_filter.validation.plants import modified_truth
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.task.cases import Case
 from hydro_sim.box.box import law_state
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
+from tests.offline_graph import OfflineGraph
 
 CELL = {"sensor": "load_force", "bandwidth": 25.0, "damping": 0.55}
 """The truth's load cell, which a list of lags takes the place of."""

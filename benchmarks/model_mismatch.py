@@ -41,10 +41,10 @@ from hydro_filter.model.sample import Sample
 from hydro_filter.validation.plants import ChangingPlant, modified_truth
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
-from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.supervision.plant_supervisor import FALLBACK
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
+from tests.offline_graph import OfflineGraph
 
 CHANGES: Mapping[str, Mapping[str, Any]] = {
     **{f"spring {k:g} kN/m": {"bench": {"spring_stiffness": 1e3 * k}} for k in (10.0, 14.0, 28.0, 30.0, 40.0, 50.0)},

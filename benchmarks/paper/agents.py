@@ -31,13 +31,13 @@ from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
-from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
+from tests.offline_graph import InlineLearner, OfflineGraph
 
 EXAMS = 8
 """Examinations of I on the bench after the first."""

@@ -15,11 +15,11 @@ from hydro_bridge.signals import NEUTRAL, Flag, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated, FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from tests.offline_graph import OfflineGraph
 
 LAW = BoxLaw()
 

@@ -16,11 +16,11 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings, Score
-from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.task.cases import Trace, score
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from tests.offline_graph import OfflineGraph
 
 
 def test_the_best_is_told_with_its_distance() -> None:

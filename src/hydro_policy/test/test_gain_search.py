@@ -12,12 +12,12 @@ from hydro_bridge.signals import Flag, ReferenceSignal
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import CALM
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from tests.offline_graph import OfflineGraph
 
 LIMIT = 127.0
 

@@ -11,7 +11,6 @@ from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
-from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
@@ -19,6 +18,7 @@ from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.step_aggregator import StepClock
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from tests.offline_graph import InlineLearner, OfflineGraph
 
 BENCH = Bench.nominal()
 SHORT = TrainingSettings(

@@ -20,7 +20,6 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
-from hydro_policy.sessions.offline import PASSED, InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
@@ -30,6 +29,7 @@ from hydro_policy.task.mdp import GainRange, TaskSettings
 from hydro_policy.task.step_aggregator import Step
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from tests.offline_graph import PASSED, InlineLearner, OfflineGraph
 
 BENCH = replace(Bench.nominal(), load_cell_bandwidth=25.0)  # with which K_p beyond about 100 1/s is unstable
 EXAM = ExamSettings(every=1, settle=0.5, measure=0.5, repeats=1)

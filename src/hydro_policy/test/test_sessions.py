@@ -14,7 +14,6 @@ from hydro_policy.evaluation.session import EvaluationSession, EvaluationSetting
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
-from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import TaskSettings
@@ -23,6 +22,7 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
+from tests.offline_graph import InlineLearner, OfflineGraph
 
 BENCH = Bench.nominal()
 

@@ -18,9 +18,9 @@ from torch import Tensor
 from hydro_bridge.signals import FloatArray
 from hydro_policy.sac import kernel, network_kernel
 from hydro_policy.sac.mlp import FlatAdam, StackedMlp
+from hydro_policy.sac.network_kernel import Layers
 from hydro_policy.sac.replay import Batch, ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
-from hydro_sim.neural.dense import Layers
 
 
 class Losses(NamedTuple):

@@ -17,11 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_policy.sac import network_kernel
-from hydro_policy.sac.network_kernel import Floats
+from hydro_policy.sac import dense, network_kernel
+from hydro_policy.sac.network_kernel import Floats, Layers
 from hydro_sim.jit import njit
-from hydro_sim.neural import adam_kernel, block_mlp, dense
-from hydro_sim.neural.dense import Layers
 
 
 class Networks(NamedTuple):
@@ -77,12 +75,12 @@ def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places
         _gather(numbers, rows, places[k], now, following, reward, end)
         _targets(networks, numbers, following, noise[k, 0], reward, end, alpha, actor_pass, first, second, draw, target)
         losses[k, 0] = _critics(networks, now, target, first, second)
-        adam_kernel.step(critic_adam, k + 1)
+        network_kernel.adam_step(critic_adam, k + 1)
         losses[k, 1] = _actor(networks, numbers, now, noise[k, 1], alpha, actor_pass, first, second, draw)
-        adam_kernel.step(actor_adam, k + 1)
+        network_kernel.adam_step(actor_adam, k + 1)
         entropy_adam.gradient[0] = -(draw.log_probability.sum() / kind.type(count) + numbers.target_entropy)
         losses[k, 2] = entropy_adam.parameters[0] * entropy_adam.gradient[0]
-        adam_kernel.step(entropy_adam, k + 1)
+        network_kernel.adam_step(entropy_adam, k + 1)
         network_kernel.soft_update(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
 
 
@@ -106,8 +104,8 @@ def _targets(networks, numbers, following, noise, reward, end, alpha, actor_pass
     kind = target.dtype.type
     scale, discount, one = kind(numbers.reward_scale), kind(numbers.discount), kind(1.0)
     _sample(networks.actor, numbers, following, noise, actor_pass, draw)
-    network_kernel.forward(block_mlp.padded(networks.targets[0]), following, first, len(target))
-    network_kernel.forward(block_mlp.padded(networks.targets[1]), following, second, len(target))
+    network_kernel.forward(network_kernel.padded(networks.targets[0]), following, first, len(target))
+    network_kernel.forward(network_kernel.padded(networks.targets[1]), following, second, len(target))
     for k in range(len(target)):
         value = min(first.y[k], second.y[k]) - alpha * draw.log_probability[k]
         target[k] = scale * reward[k] + discount * (one - end[k]) * value
@@ -122,7 +120,7 @@ def _critics(networks, now, target, first, second):
         buffers, layers, gradient = first, networks.critics[0], networks.critic_gradients[0]
         if member == 1:
             buffers, layers, gradient = second, networks.critics[1], networks.critic_gradients[1]
-        padded = block_mlp.padded(layers)
+        padded = network_kernel.padded(layers)
         network_kernel.forward(padded, now, buffers, count)
         for k in range(count):
             buffers.g[k] = (buffers.y[k] - target[k]) * share
@@ -139,7 +137,7 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
     kind = draw.action.dtype.type
     zero, one, two, share = kind(0.0), kind(1.0), kind(2.0), kind(1.0 / count)
     _sample(networks.actor, numbers, now, noise, actor_pass, draw)
-    critic_1, critic_2 = block_mlp.padded(networks.critics[0]), block_mlp.padded(networks.critics[1])
+    critic_1, critic_2 = network_kernel.padded(networks.critics[0]), network_kernel.padded(networks.critics[1])
     network_kernel.forward(critic_1, now, first, count)
     network_kernel.forward(critic_2, now, second, count)
     for k in range(count):  # only the smaller critic passes its gradient on
@@ -159,7 +157,7 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
             actor_pass.g[j * network_kernel.ROW + k] = to_mean * share
             to_log_std = (to_mean * draw.deviation[j, k] - alpha) * draw.inside[j, k]
             actor_pass.g[(actions + j) * network_kernel.ROW + k] = to_log_std * share
-    network_kernel.backward(block_mlp.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
+    network_kernel.backward(network_kernel.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
     return loss / count
 
 
@@ -171,7 +169,7 @@ def _sample(layers, numbers, inputs, noise, buffers, draw):
     zero, half, one, two = kind(0.0), kind(0.5), kind(1.0), kind(2.0)
     low, high = kind(numbers.log_std_min), kind(numbers.log_std_max)
     log_2, half_log_2pi = kind(math.log(2.0)), kind(0.5 * math.log(2.0 * math.pi))
-    network_kernel.forward(block_mlp.padded(layers), inputs, buffers, count)
+    network_kernel.forward(network_kernel.padded(layers), inputs, buffers, count)
     draw.log_probability[:] = zero
     for j in range(actions):
         for k in range(count):

@@ -18,7 +18,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from hydro_sim.neural import adam_kernel
+from hydro_policy.sac import network_kernel
 
 
 class StackedMlp:
@@ -102,13 +102,13 @@ class FlatAdam:
 
     def step(self, gradient: Tensor) -> None:
         """Make one descent step along `gradient`, with betas (0.9, 0.999) and epsilon 1e-8."""
-        adam_kernel.step(self.views(gradient), 1)
+        network_kernel.adam_step(self.views(gradient), 1)
         self.steps += 1
 
-    def views(self, gradient: Tensor) -> adam_kernel.Adam:
+    def views(self, gradient: Tensor) -> network_kernel.Adam:
         """Return views of the same memory, which compiled code changes in place."""
         moments = self.first_moment.numpy(), self.second_moment.numpy()
-        return adam_kernel.Adam(self.parameters.numpy(), gradient.numpy(), *moments, self.learning_rate, self.steps)
+        return network_kernel.Adam(self.parameters.numpy(), gradient.numpy(), *moments, self.learning_rate, self.steps)
 
 
 def _views(flat: Tensor, shapes: list[tuple[int, int, int]]) -> tuple[list[Tensor], list[Tensor]]:

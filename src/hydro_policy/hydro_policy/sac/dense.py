@@ -1,46 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dense layers on a block of windows, which lie along the vector registers: products and their gradients.
+"""Dense layers on a batch of transitions, which lie along the vector registers: products and their gradients.
 
 ::
 
-    one row, one neuron   | window 0 .. BLOCK-1 at step 0 | the same at step 1 | .. step CHUNK-1 | GAP |
+    one row, one neuron   | transitions 0 .. BLOCK-1 | the next block | .. CHUNK blocks | GAP |
 
-    y += w^T x            a step at a time (the roll-out is sequential)      4 x 4 weights in registers, windows stream
-    gw += x g^T           all steps of a chunk in one sum                    4 x 4 sums in registers, windows stream
+    y += w^T x            a block at a time               4 x 4 weights in registers, transitions stream
+    gw += x g^T           all blocks in one sum           4 x 4 sums in registers, transitions stream
 
-A buffer is flat, `rows * ROW` numbers, and `at` is where a step begins in its rows. Layers have a multiple of four
+A buffer is flat, `rows * ROW` numbers, and `at` is where a block begins in its rows. Layers have a multiple of four
 rows; weights and activations of the rows that fill them up are zero. With 32 neurons `product` is about one and a half
 times and `outer` three times as fast as BLAS, which copies its operands before it multiplies.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-import numpy.typing as npt
 
 from hydro_sim.jit import njit
 
 LOOSE = {"reassoc", "contract"}
 """Sums may be reordered and fused, which vectorizes them; NaN and infinity keep their meaning."""
-
-
-class Layers(NamedTuple):
-    """Weights of a network of two hidden ReLU layers: a1 = relu(x w1 + b1), a2 = relu(a1 w2 + b2), y = a2 w3 + b3."""
-
-    w1: npt.NDArray[np.floating]
-    b1: npt.NDArray[np.floating]
-    w2: npt.NDArray[np.floating]
-    b2: npt.NDArray[np.floating]
-    w3: npt.NDArray[np.floating]
-    b3: npt.NDArray[np.floating]
-
-
 BLOCK = 128
-"""Windows that are processed together: eight vectors of float32, and a layer fits the first-level cache."""
+"""Transitions that are processed together: eight vectors of float32, and a layer fits the first-level cache."""
 CHUNK = 4
-"""Steps whose weight gradients are summed at once: a chunk of two layers fits the second-level cache."""
+"""Blocks whose weight gradients are summed at once: a chunk of two layers fits the second-level cache."""
 GAP = 16
 """Numbers between rows, one cache line: rows a power of two apart would share the same few places of the cache."""
 ROW = BLOCK * CHUNK + GAP
@@ -49,7 +33,7 @@ ROW = BLOCK * CHUNK + GAP
 # Unsigned throughout: a signed index may be negative, which numba checks for, and which keeps a loop from vectorizing.
 _U = np.uint64
 _0, _1, _2, _3, _4 = _U(0), _U(1), _U(2), _U(3), _U(4)
-_WINDOWS, _ROW, _ROW2, _ROW3 = _U(BLOCK), _U(ROW), _U(2 * ROW), _U(3 * ROW)
+_BLOCK, _ROW, _ROW2, _ROW3 = _U(BLOCK), _U(ROW), _U(2 * ROW), _U(3 * ROW)
 
 
 @njit
@@ -60,9 +44,9 @@ def four(count):
 
 @njit
 def row(buffer, j, at):
-    """Row j of a buffer at one step, a view of shape (BLOCK,)."""
+    """Row j of a block of a buffer, a view of shape (BLOCK,)."""
     begin = _U(j) * _ROW + at
-    return buffer[begin : begin + _WINDOWS]
+    return buffer[begin : begin + _BLOCK]
 
 
 @njit
@@ -74,10 +58,10 @@ def clear(y, at, rows):
 
 @njit(fastmath=LOOSE)
 def fill(y, at, b):
-    """y = b for every window."""
+    """y = b for every transition."""
     for j in range(_U(b.shape[0])):
         begin, value = at + j * _ROW, b[j]
-        for k in range(_WINDOWS):
+        for k in range(_BLOCK):
             y[begin + k] = value
 
 
@@ -87,7 +71,7 @@ def relu(y, at, rows):
     zero = y.dtype.type(0.0)
     for j in range(_U(rows)):
         begin = at + j * _ROW
-        for k in range(_WINDOWS):
+        for k in range(_BLOCK):
             y[begin + k] = zero if y[begin + k] < zero else y[begin + k]
 
 
@@ -97,7 +81,7 @@ def mask(g, a, at, rows):
     zero = g.dtype.type(0.0)
     for j in range(_U(rows)):
         begin = at + j * _ROW
-        for k in range(_WINDOWS):
+        for k in range(_BLOCK):
             g[begin + k] = g[begin + k] if a[begin + k] > zero else zero
 
 
@@ -113,7 +97,7 @@ def product(w, x, x_at, y, y_at):
             w10, w11, w12, w13 = w[i + _1, j], w[i + _1, j + _1], w[i + _1, j + _2], w[i + _1, j + _3]
             w20, w21, w22, w23 = w[i + _2, j], w[i + _2, j + _1], w[i + _2, j + _2], w[i + _2, j + _3]
             w30, w31, w32, w33 = w[i + _3, j], w[i + _3, j + _1], w[i + _3, j + _2], w[i + _3, j + _3]
-            for k in range(_WINDOWS):
+            for k in range(_BLOCK):
                 x0, x1, x2, x3 = x[p + k], x[p + _ROW + k], x[p + _ROW2 + k], x[p + _ROW3 + k]
                 y0 = y[q + k] + w00 * x0 + w10 * x1 + w20 * x2 + w30 * x3
                 y1 = y[q + _ROW + k] + w01 * x0 + w11 * x1 + w21 * x2 + w31 * x3

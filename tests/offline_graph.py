@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Offline sessions: box, guard, plant and learner in one process, without ROS or real time.
+"""Sessions in one process, for tests and benchmarks: box, guard, plant and learner, without ROS or real time.
 
-Runs as fast as possible, with bit-identical results for equal seeds, unlike any real-time run. For tests, and to try
-settings before spending bench time.
+Runs as fast as possible, with bit-identical results for equal seeds, unlike any real-time run.
 """
 
 from __future__ import annotations
