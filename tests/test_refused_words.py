@@ -79,7 +79,7 @@ REFUSED = {
         ("@bag --out @new.yaml --windows 0", "--windows needs 1 or more"),
         ("@bag --out /dev/null/x", "/dev/null/x cannot be written"),
     ),
-    "hydro_sim validate": (),
+    "hydro_sim validate": (("@nowhere", "nowhere does not exist"),),
     "hydro_sim sim": (
         ("--bench nowhere.yaml", "nowhere.yaml: No such file or directory"),
         ("--speed -1", "speed must be within [0, 100], not -1"),
