@@ -20,12 +20,11 @@ usage: ros2 run PACKAGE EXECUTABLE [ARGUMENT ...]
        ros2 launch PACKAGE FILE [NAME:=VALUE ...]
        ros2 topic list|echo|hz ...
        ros2 node list
-       ros2 param list|get ...
        ros2 service list|call ...
        ros2 bag info BAG
 
 A stand-in for where ROS 2 comes from wheels; every other command needs a full ROS 2 Jazzy."""
-VERBS = ("bag", "launch", "node", "param", "service", "topic")
+VERBS = ("bag", "launch", "node", "service", "topic")
 """Groups that hydro_bridge carries out."""
 
 

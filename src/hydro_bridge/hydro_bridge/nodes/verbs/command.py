@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 topic|node|param|service|bag|launch ...` without a full ROS 2."""
+"""`ros2 topic|node|service|bag|launch ...` without a full ROS 2."""
 
 from __future__ import annotations
 
@@ -16,17 +16,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import rclpy
-from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from hydro_bridge.bags.source import RecordingSummary, summarized
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.nodes.verbs.launch import add_group
-from hydro_bridge.nodes.verbs.messages import as_yaml, fill, interface, parsed, part
+from hydro_bridge.nodes.verbs.messages import as_yaml, fill, interface, parsed
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import spin, start_ros
 
@@ -93,13 +90,6 @@ def node_names(node: Node) -> list[str]:
     return sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces())
 
 
-def find_node(node: Node, wanted: str) -> str:
-    """Return the full name of a node once it is found; raises UserError."""
-    wanted = absolute(wanted)
-    wait_for(lambda: wanted in node_names(node), f"there is no node {wanted}")
-    return wanted
-
-
 def types_of(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
     """Return the types of a topic or service once it is in the graph; raises UserError with `sentence`."""
     wait_for(lambda: name in dict(offered()), sentence)
@@ -115,7 +105,6 @@ Names = Iterable[tuple[str, list[str]]]
 GROUPS = {
     "topic": "topics of the running graph: list, echo, hz",
     "node": "nodes of the running graph: list",
-    "param": "parameters of nodes: list, get",
     "service": "services of the running graph: list, call",
     "bag": "recordings: info",
 }
@@ -125,17 +114,6 @@ _WINDOW = 5000
 """Messages that count for a rate."""
 _REPORT = 1.0  # s
 _PUBLISHER = 3.0  # s, for the first publisher to be discovered; a later one is heard, but not its latched message
-_TYPES = {
-    ParameterType.PARAMETER_BOOL: "Boolean value is",
-    ParameterType.PARAMETER_INTEGER: "Integer value is",
-    ParameterType.PARAMETER_DOUBLE: "Double value is",
-    ParameterType.PARAMETER_STRING: "String value is",
-    ParameterType.PARAMETER_BYTE_ARRAY: "Byte values are",
-    ParameterType.PARAMETER_BOOL_ARRAY: "Boolean values are",
-    ParameterType.PARAMETER_INTEGER_ARRAY: "Integer values are",
-    ParameterType.PARAMETER_DOUBLE_ARRAY: "Double values are",
-    ParameterType.PARAMETER_STRING_ARRAY: "String values are",
-}
 _UNITS = ("B", "KiB", "MiB", "GiB")
 
 
@@ -186,7 +164,7 @@ def _verb(group: str, name: str, text: str, *arguments: Argument) -> Callable[[R
 
 
 _SHOW_TYPES = _argument("-t", "--show-types", action="store_true", help="with their types")
-_TOPIC, _SERVICE, _NODE, _PARAMETER = (_argument(name) for name in ("topic", "service", "node", "parameter"))
+_TOPIC, _SERVICE = _argument("topic"), _argument("service")
 
 
 def _print_list(found: Names, show_types: bool) -> None:
@@ -203,9 +181,7 @@ def _topic_list(options: argparse.Namespace) -> None:
 
 @_verb(
     "topic", "echo", "what is published, until Ctrl-C", _TOPIC,
-    _argument("type", nargs="?", help="default: what its publishers say"),
     _argument("--once", action="store_true", help="one message, then end"),
-    _argument("--field", metavar="NAME", help="only this field, e.g. header.stamp"),
 )  # fmt: skip
 def _topic_echo(options: argparse.Namespace) -> None:
     done = Future()
@@ -214,7 +190,7 @@ def _topic_echo(options: argparse.Namespace) -> None:
         if done.done():
             return
         try:
-            print(f"{as_yaml(part(message, options.field) if options.field else message)}---", flush=True)
+            print(f"{as_yaml(message)}---", flush=True)
         except Exception as error:  # raised here, rclpy would print it as well
             done.set_exception(error)
             return
@@ -223,7 +199,7 @@ def _topic_echo(options: argparse.Namespace) -> None:
 
     with visiting() as node:
         topic = absolute(options.topic)
-        kind = interface(options.type or _topic_types(node, topic)[0], "msg")
+        kind = interface(_topic_types(node, topic)[0], "msg")
         node.create_subscription(kind, topic, show, _offered_qos(node, topic))
         spin(node, done)
     if done.done():
@@ -299,47 +275,6 @@ def _node_list(options: argparse.Namespace) -> None:
     with visiting() as node:
         settle(node)
         print("\n".join(name for name in node_names(node) if not hidden(name)))
-
-
-@_verb("param", "list", "names of a node's parameters, or of all nodes'", _argument("node", nargs="?"))
-def _param_list(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        if options.node:
-            for name in _parameters(node, find_node(node, options.node)):
-                print(f"  {name}")
-            return
-        settle(node)
-        for owner in node_names(node):
-            if not hidden(owner):
-                print(f"{owner}:")
-                try:
-                    names = _parameters(node, owner)
-                except UserError as error:  # a node without parameters may have no parameter services
-                    names = [f"({error})"]
-                print(*(f"  {name}" for name in names), sep="\n")
-
-
-@_verb("param", "get", "a parameter's value", _NODE, _PARAMETER)
-def _param_get(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        owner = find_node(node, options.node)
-        answer: Any = answer_of(node, _parameter_client(node, owner).get_parameters([options.parameter]), owner)
-    value = answer.values[0] if answer.values else ParameterValue()
-    if value.type == ParameterType.PARAMETER_NOT_SET:
-        raise UserError(f"{owner} has no parameter {options.parameter}")
-    print(f"{_TYPES[value.type]}: {parameter_value_to_python(value)}")
-
-
-def _parameters(node: Node, owner: str) -> list[str]:
-    answer: Any = answer_of(node, _parameter_client(node, owner).list_parameters(), owner)
-    return sorted(answer.result.names)
-
-
-def _parameter_client(node: Node, owner: str) -> AsyncParameterClient:
-    client = AsyncParameterClient(node, owner)
-    if not client.wait_for_services(PATIENCE):
-        raise UserError(f"{owner} offers no parameters (looked for {PATIENCE:g} s)")
-    return client
 
 
 @_verb("service", "list", "names of all services", _SHOW_TYPES)
