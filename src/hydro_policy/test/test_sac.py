@@ -51,7 +51,7 @@ class Equations:
         return torch.tanh(u), (density - squash.log_abs_det_jacobian(u, torch.tanh(u))).sum(1)
 
     def update(self, batch: Sequence[Tensor], noise: Tensor) -> tuple[float, float, float]:
-        """One update; `batch`: o, o', a, r, terminated; `noise`: of the targets and of the actor. Returns the losses."""
+        """One update; `batch`: o, o', a, r, terminated; `noise`: of the targets, the actor. Returns the losses."""
         s, (o, following, a, r, terminated) = self.settings, batch
         alpha = float(self.log_alpha.exp())
         with torch.no_grad():
@@ -98,7 +98,11 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
     drawn = [torch.from_numpy(table[at.numpy()]).to(dtype).split(memory.widths, dim=1) for at in places]
     losses = [equations.update(*each) for each in zip(drawn, noise, strict=True)]
     tolerance = {"rtol": 1e-11, "atol": 1e-13} if dtype == torch.float64 else {"rtol": 1e-3, "atol": 2e-5}
-    pairs = (sac.actor_network, equations.actor), (sac.critics, equations.critics), (sac.target_critics, equations.targets)
+    pairs = (
+        (sac.actor_network, equations.actor),
+        (sac.critics, equations.critics),
+        (sac.target_critics, equations.targets),
+    )
     for network, want in pairs:
         torch.testing.assert_close(network.parameters, torch.cat([each.detach().ravel() for each in want]), **tolerance)
     assert sac.entropy_coefficient == pytest.approx(float(equations.log_alpha.detach().exp()), rel=1e-6)
