@@ -53,7 +53,7 @@ class Equations:
     def update(self, batch: Sequence[Tensor], noise: Tensor) -> tuple[float, float, float]:
         """One update; `batch`: o, o', a, r, terminated; `noise`: of the targets, the actor. Returns the losses."""
         s, (o, following, a, r, terminated) = self.settings, batch
-        alpha = float(self.log_alpha.exp())
+        alpha = float(self.log_alpha.detach().exp())
         with torch.no_grad():
             action, density = self.sample(following, noise[0])
             value = forward(self.targets, torch.cat((following, action), 1))[..., 0].amin(0) - alpha * density
@@ -68,7 +68,7 @@ class Equations:
         descend(self.alpha_adam, [self.log_alpha], temperature)
         for target, critic in zip(self.targets, self.critics, strict=True):
             target.lerp_(critic.detach(), s.target_rate)
-        return float(critics), float(actor), float(temperature)
+        return float(critics.detach()), float(actor.detach()), float(temperature.detach())
 
 
 def descend(optimizer: torch.optim.Adam, parameters: Sequence[Tensor], loss: Tensor) -> None:
@@ -84,7 +84,7 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
     """Five updates on the same draws: equal to rounding; a buffer's tail, and a sigma at its bound, do not count."""
     sac = Sac(5, 2, SacSettings(batch_size=rows, hidden_size=30, seed=4), dtype)
     if rows == 100:
-        sac.actor_network.biases[-1][..., 2] = 5.0
+        sac.actor_network.biases[-1][..., 2] = -8.0  # sigma at its lower bound
     equations = Equations(sac)
     rng, memory = np.random.default_rng(1), ReplayBuffer(5, 2, 500)
     table = rng.normal(size=(400, 14)).astype(np.float32)
