@@ -33,7 +33,7 @@ from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
 from hydro_filter.training.relearn import METRIC, MODEL
-from hydro_filter.validation.plants import modified_truth
+from tests.changing_plant import modified_truth
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.task.cases import Case

@@ -48,7 +48,7 @@ from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter  # noqa: E402
 from hydro_filter.metric.scheduled import ScheduledMetric  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
-from hydro_filter.validation.plants import ChangingPlant, modified_truth  # noqa: E402
+from tests.changing_plant import ChangingPlant, modified_truth  # noqa: E402
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
 from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
