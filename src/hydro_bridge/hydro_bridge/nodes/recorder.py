@@ -22,8 +22,8 @@ from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from hydro_bridge.bags.recording import repair
-from hydro_bridge.bags.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.bags.types import TopicQos
+from hydro_bridge.bags.writer import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.cli.console import UserError, command, writable_folder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
