@@ -40,7 +40,6 @@ REFUSED = {
         ("--ros-args -p guard.abandoned_after:=3.0", "no parameter guard.abandoned_after"),
     ),
     "hydro_bridge recorder": (
-        ("--out @new --topics '/bad name'", "Invalid topic name"),
         ("--out /dev/null/bag", "/dev/null is no folder: choose another place"),
         ("--out @bag", "exists already; a recording is never overwritten"),
     ),

@@ -13,10 +13,8 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from struct import Struct
 from threading import Event
-from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
@@ -25,7 +23,7 @@ from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import command
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, GRAPH, LAW_STATE, STATE
+from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
 from hydro_bridge.settings import SettingsError
 from hydro_msgs.srv import Claim
 
@@ -116,18 +114,22 @@ class Replay:
         return self._stopping.is_set()
 
 
+TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
+"""Topics that are replayed, as far as they were recorded."""
+
+
 class ReplayerNode(Node):
     """Publishes a recording in a separate thread, and ends with it."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
         self._bag = options.bag
-        self._publishers_by_topic = {topic: self.create_publisher(*_kind(topic)) for topic in options.topics}
+        self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in TOPICS}
         self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
         self.replay = Replay(
             options.bag,
-            options.topics,
+            TOPICS,
             lambda topic, data: self._publishers_by_topic[topic].publish(data),
             speed=options.speed,
             loop=options.loop,
@@ -172,13 +174,6 @@ class ReplayerNode(Node):
         return Status(message="replaying", values=values)
 
 
-def _kind(topic: str) -> tuple[type[Any], str, QoSProfile]:
-    if topic not in GRAPH:
-        raise RecordingError(f"{topic} is no topic of the hydro graph: use `ros2 bag play`")
-    kind, qos = GRAPH[topic]
-    return kind, topic, qos
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="replayer",
@@ -188,10 +183,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
     parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
-    usual = [STATE, BOX, LAW_STATE, BOX_LAW]
-    parser.add_argument(
-        "--topics", nargs="+", default=usual, metavar="TOPIC", help=f"default, as far as recorded: {' '.join(usual)}"
-    )
     return parser
 
 

@@ -13,16 +13,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from hydro_bridge.process.latency import Pacer
 from hydro_bridge.process.realtime import exact_timers, limit_run
 from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.line.faults import CHANCES, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.offline import Recording, noise_free_states
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.files import load_force
 
@@ -107,34 +104,6 @@ class Timing:
     cpu: float = 0.0  # s
 
 
-class Log:
-    """Log of samples and truth of a run, in blocks; for scoring only."""
-
-    BLOCK = 10_000
-
-    def __init__(self) -> None:
-        self._blocks: list[tuple[np.ndarray, FloatArray, FloatArray]] = []  # type: ignore[type-arg]
-        self._filled = self.BLOCK
-
-    def add(self, sample: np.void, clean: FloatArray, physical: FloatArray) -> None:
-        """Keep one sample."""
-        if self._filled == self.BLOCK:
-            arrays = (np.empty((self.BLOCK, len(PLANT_FIELDS))), np.empty((self.BLOCK, len(TRUTH_FIELDS))))
-            self._blocks.append((np.empty(self.BLOCK, STATE_DTYPE), *arrays))
-            self._filled = 0
-        states, cleans, physicals = self._blocks[-1]
-        states[self._filled], cleans[self._filled], physicals[self._filled] = sample, clean, physical
-        self._filled += 1
-
-    def recording(self) -> Recording:
-        """All samples so far."""
-        if not self._blocks:
-            self._blocks.append((np.empty(0, STATE_DTYPE), np.empty((0, len(PLANT_FIELDS))), np.empty((0, 12))))
-        count = self.BLOCK * (len(self._blocks) - 1) + min(self._filled, len(self._blocks[-1][0]))
-        states, cleans, physical = (np.concatenate(parts)[:count] for parts in zip(*self._blocks, strict=True))
-        return Recording(states=states, noise_free=noise_free_states(states, cleans), physical=physical)
-
-
 @dataclass
 class RealTime:
     """The running emulator."""
@@ -143,7 +112,6 @@ class RealTime:
     link: BoxLink
     faults: LinkFaults
     control: ControlPipe | None = None
-    log: Log | None = None
     load_force: load_force.Ring | None = None
     status: Callable[[str], None] | None = None  # takes one line a second
 
@@ -187,8 +155,6 @@ class RealTime:
         if self.load_force is not None:
             load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
         self.link.send(sample, now)
-        if self.log is not None:
-            self.log.add(sample, self.machine.clean, self.machine.physical)
         self.sample = sample
 
     def _obey(self, now: float) -> None:
