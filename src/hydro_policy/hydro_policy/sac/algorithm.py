@@ -16,7 +16,7 @@ from torch import Tensor
 
 from hydro_bridge.signals import FloatArray
 from hydro_policy.sac import kernel
-from hydro_policy.sac.network_kernel import Adam, Layers
+from hydro_policy.sac.network_kernel import BATCH_MAX, Adam, Layers
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
 
@@ -144,6 +144,8 @@ class Sac:
     def learn(self, replay: ReplayBuffer, updates: int) -> None:
         """Draw a batch and update critics, actor, temperature and targets, `updates` times, in one compiled call."""
         batch = self.settings.batch_size
+        if batch > BATCH_MAX:  # compiled code does not look
+            raise ValueError(f"a batch of {batch} transitions does not fit the kernels' buffers of {BATCH_MAX}")
         places = replay.draw(updates * batch, self.generator).view(updates, batch)
         noise = torch.randn(updates, 2, batch, self._actions, generator=self.generator, dtype=self._dtype)
         optimizers = (self.actor_optimizer, self.critic_optimizer, self.entropy_optimizer)
