@@ -147,7 +147,7 @@ class Report:
     """Numbers of the bench that were to be estimated; they are no causes."""
     checks: dict[str, Any] = field(default_factory=dict)
     """Checks by simple physics: `curves` (`steady_motion.Point`s by name), `explained` (share of each equation's
-    held-out mismatch), `moved` (claims that move without one of the recordings), `objections` (sentences)."""
+    held-out mismatch), `refused` (reasons, by label, why names that fit are not claimed), `objections` (sentences)."""
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]

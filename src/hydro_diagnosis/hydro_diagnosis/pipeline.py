@@ -17,7 +17,7 @@ from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
-from hydro_diagnosis.stages.naming import model_remainder, search_causes, withdraw_if_worse
+from hydro_diagnosis.stages.naming import model_claims, search_causes
 from hydro_diagnosis.stages.reading import Progress, Question
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
 from hydro_sim.model.bench import Bench
@@ -85,7 +85,6 @@ def diagnose(
             if case.problem is not before.problem:
                 search = Search(case.problem, case.candidates, settings or NAMES, progress)
                 names = search_causes(search, case.held)
-            found = withdraw_if_worse(model_remainder(names, search.library, progress), names)
-            return build_report(case, search, found, begun)
+            return build_report(case, search, model_claims(names, search.library, progress), begun)
     except KeyboardInterrupt as interruption:
         raise DiagnosisInterrupted(interrupted_report(case, search, begun), endings.status(interruption)) from None

@@ -18,7 +18,7 @@ from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.reliability import doubted, explained_shares, moved, objections
+from hydro_diagnosis.selection.reliability import contradicted, doubted, explained_shares, moved, objections
 from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
 from hydro_sim.model.bench import Bench
 
@@ -59,8 +59,28 @@ def test_a_claim_that_misses_the_points_is_told() -> None:
     right, wrong = (curves(judged, [Claim(DRY, {"force": size})])[FRICTION] for size in (11.0, 5.0))
     assert missed(right) == [] and len(missed(wrong)) == 6
     said = objections(fit(judged, (Claim(DRY, {"force": 5.0}),), iterations=0),
-                      [Interval(5.0, 4.9, 5.1, True)], proof(10.0, 0.5), {FRICTION: wrong}, [])  # fmt: skip
+                      [Interval(5.0, 4.9, 5.1, True)], proof(10.0, 0.5), wrong)  # fmt: skip
     assert len(said) == 1 and "missed at 6 of 6 speeds" in said[0]
+
+
+@pytest.mark.parametrize("size, refused", [(11.0, []), (5.0, ["friction_coulomb"])])
+def test_a_claim_that_misses_most_speeds_is_refused(size: float, refused: list[str]) -> None:
+    judged = problem(0.0)
+    mass = next(effect for effect in LIBRARY if effect.label == "moving_mass").adapted(BENCH)
+    found = fit(judged, (Claim(DRY, {"force": size}), Claim(mass, {"mass": 0.1})), iterations=0)
+    bounds = [Interval(size, size, size, True), Interval(0.1, 0.0, 0.2, True)]
+    points = curves(judged, found.claims)[FRICTION]
+    assert [*contradicted(judged, found, bounds, points, 0.1)] == refused
+
+
+def test_a_constant_is_no_name_where_the_force_does_not_follow_the_motion() -> None:
+    table = strokes(0.0, "run")
+    table.columns["hydraulic_force"] = 100.0 + np.random.default_rng(2).standard_normal(len(table.time))
+    judged = Problem([checked(table, BENCH).segments[0]], BENCH)
+    offset = next(effect for effect in LIBRARY if effect.label == "force_offset")
+    found = fit(judged, (Claim(offset, {"force": -100.0}),))
+    reasons = contradicted(judged, found, [Interval(-100.0, -101.0, -99.0, True)], (), 0.1)
+    assert "no better than the force's mean" in reasons["force_offset"]
 
 
 def test_claims_on_which_the_recordings_do_not_agree_are_told() -> None:
@@ -75,10 +95,10 @@ def test_claims_on_which_the_recordings_do_not_agree_are_told() -> None:
 def test_what_is_left_and_what_is_not_identified_are_objections() -> None:
     found = fit(problem(0.0), (Claim(DRY, {"force": 11.0}),), iterations=0)
     sure, vague = (Interval(11.0, 10.0, 12.0, identified) for identified in (True, False))
-    assert objections(found, [sure], proof(10.0, 2.0), {}, []) == []
-    assert "43 %" in objections(found, [sure], proof(10.0, 4.3), {}, [])[0]
-    assert objections(found, [sure], proof(1.3, 1.1), {}, []) == []
-    assert "friction_coulomb: force" in objections(found, [vague], proof(10.0, 1.0), {}, [])[0]
+    assert objections(found, [sure], proof(10.0, 2.0), ()) == []
+    assert "43 %" in objections(found, [sure], proof(10.0, 4.3), ())[0]
+    assert objections(found, [sure], proof(1.3, 1.1), ()) == []
+    assert "friction_coulomb: force" in objections(found, [vague], proof(10.0, 1.0), ())[0]
     assert explained_shares(proof(10.0, 1.0)) == {"motion": 1.0} and explained_shares(proof(1.1, 1.0)) == {}
 
 

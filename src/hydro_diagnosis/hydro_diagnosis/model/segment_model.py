@@ -194,14 +194,19 @@ class SegmentModel(SegmentRecord):
         """N, decimated, without the arc."""
         required = self.required_force(claims)
         if "hydraulic_force" in self.channels:
-            return self._measured_force - self._shown_force(required, claims)
+            return self._cell_force - self._shown_force(required, claims)
+        return self.measured_force(claims) - self.kept_finish(required)
+
+    def measured_force(self, claims: Sequence[Claim]) -> FloatArray:
+        """Hydraulic force [N] of the cell, or else of the pressures, decimated."""
+        if "hydraulic_force" in self.channels:
+            return self._cell_force
         bench = self.bench(claims)
         p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
-        measured = bench.piston_area * (p_a - bench.area_ratio * p_b)
-        return self.kept_smooth(measured) - self.kept_finish(required)
+        return self.kept_smooth(bench.piston_area * (p_a - bench.area_ratio * p_b))
 
     @cached_property
-    def _measured_force(self) -> FloatArray:
+    def _cell_force(self) -> FloatArray:
         return self.kept_smooth(self.channels["hydraulic_force"])
 
     def _shown_force(self, required: FloatArray, claims: Sequence[Claim]) -> FloatArray:

@@ -1,23 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What speaks against claims that fit: a reason each why a verdict of `explained` does not hold."""
+"""What speaks against claims that fit: reasons to drop a claim, and why a verdict of `explained` does not hold."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.base import MOTION, Claim
 from hydro_diagnosis.estimation.fit import NOTICEABLE, Fit, fit
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.steady_motion import FRICTION, Point, missed
+from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed, reproduced
 
 MOVED = 0.25
 """Share of its size by which a number may move when one recording is left out."""
 LEFT = 0.25
 """Share of the bench file's error that may be left on held-out recordings where everything is explained."""
+MOST_SPEEDS = 0.5
+"""Share of the steady speeds that claims may miss."""
 _CONFIRMING = 4
 """Steps of the fit without a recording: it begins where the fit with all of them ended."""
+
+
+def contradicted(
+    problem: Problem,
+    found: Fit,
+    bounds: Sequence[Interval],
+    points: Sequence[Point],
+    noise: float,
+) -> dict[str, str]:
+    """Reasons by label of named claims that the recordings contradict, though they fit.
+
+    Parameters
+    ----------
+    bounds
+        Of the parameters of all claims, in their order.
+    points, noise
+        Force over steady speed (`steady_motion.curves`), and the standard deviation [N] of a residual.
+    """
+    named = [claim for claim in found.judged if claim.effect.named]
+    reasons = dict.fromkeys(moved(problem, found, bounds), "moves by more than a quarter without one of the recordings")
+    if reproduced(problem, found.claims) <= 0.0:
+        unfounded = "in motion the equation foretells the force no better than the force's mean would"
+        reasons |= {claim.effect.label: unfounded for claim in named if MOTION in claim.effect.blocks}
+    off = missed(points, noise)
+    if len(off) > MOST_SPEEDS * len(points):
+        for claim in named:
+            others = curves(problem, [one for one in found.claims if one is not claim])[FRICTION]
+            without = {one.at: one.model for one in others}
+            if any(abs(without[one.at] - one.model) > noise for one in off):
+                reasons[claim.effect.label] = f"misses the force at {len(off)} of {len(points)} steady speeds"
+    return reasons
 
 
 def moved(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]:
@@ -74,8 +107,7 @@ def objections(
     found: Fit,
     bounds: Sequence[Interval],
     proof: Mapping[str, Any],
-    curves: Mapping[str, Sequence[Point]],
-    unsteady: Sequence[str],
+    points: Sequence[Point],
 ) -> list[str]:
     """Sentences on why claims do not explain everything, though they leave no more than the noise that they allow.
 
@@ -85,10 +117,8 @@ def objections(
         The claims, and the intervals of their parameters.
     proof
         `fit` of report.json.
-    curves
-        What is read off the recordings (`steady_motion.curves`).
-    unsteady
-        Labels of claims that move without one of the recordings (`moved`).
+    points
+        Force over steady speed (`steady_motion.curves`).
     """
     owners = [(claim, one) for claim in found.claims for one in claim.effect.parameters]
     vague = [
@@ -97,11 +127,6 @@ def objections(
         if claim.effect.named and not claim.effect.estimated and one.smallest > 0.0 and not bound.identifiable
     ]
     said = [f"not identifiable from these recordings, or at its bound: {', '.join(vague)}"] if vague else []
-    if unsteady:
-        said.append(
-            f"without one of the recordings these move by more than a quarter, or go: {', '.join(unsteady)}: the "
-            "recordings do not agree on them"
-        )
     for name, one in proof.get("equations", {}).items():
         before, after, floor = one["rmse_before"], one["rmse_after"], one["noise_floor"]
         if after > LEFT * before and after**2 > (1.0 + NOTICEABLE) * floor**2:
@@ -110,11 +135,11 @@ def objections(
                 f"{after / floor:.3g} times the sensors' noise"
             )
     noise = proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
-    off = missed(curves.get(FRICTION, ()), noise) if found.judged else []
+    off = missed(points, noise) if found.judged else []
     if off:
         worst = max(off, key=lambda point: abs(point.measured - point.model))
         said.append(
-            f"force over steady speed is missed at {len(off)} of {len(curves[FRICTION])} speeds, by "
+            f"force over steady speed is missed at {len(off)} of {len(points)} speeds, by "
             f"{abs(worst.measured - worst.model):.3g} N of {abs(worst.measured):.3g} N at {worst.at * 1e3:.3g} mm/s"
         )
     return said

@@ -78,6 +78,21 @@ def curves(problem: Problem, claims: Sequence[Claim]) -> dict[str, list[Point]]:
     return {name: points for name, points in found.items() if points}
 
 
+def reproduced(problem: Problem, claims: Sequence[Claim]) -> float:
+    """Share of the hydraulic force's variance in motion that the equation of motion reproduces; 1 where nothing moves.
+
+    Not at rest: there dry friction is whatever the force needs.
+    """
+    if MOTION not in problem.blocks:
+        return 1.0
+    parts, everything = problem.parts(claims), (*problem.baseline, *claims)
+    moving = [np.abs(model.kept(speed(model))) > SLIDING for model in problem.models]
+    left = np.concatenate([parts["motion", k][there] for k, there in enumerate(moving)])
+    forces = zip(problem.models, moving, strict=True)
+    force = np.concatenate([model.measured_force(everything)[there] for model, there in forces])
+    return float(1.0 - np.var(left) / max(np.var(force), 1e-300)) if len(left) else 1.0
+
+
 def missed(points: Sequence[Point], noise: float = 0.0) -> list[Point]:
     """Points that the model misses by more than a share of the largest mismatch of the bench file, and by chance.
 

@@ -122,12 +122,15 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     )
 
 
-def refuted(problem: Problem, assessment: Assessment, nothing: Fit) -> Assessment:
-    """The judgement without its names: they fit, but held-out recordings are predicted worse than by the bench file."""
-    forms = free_forms(problem, nothing)
-    dropped = (*assessment.dropped, *assessment.fit.judged)
-    remainder = tuple(locate(problem, nothing.residual, gains_by_equation(forms))) or assessment.places
-    return Assessment("unknown", nothing, remainder, remainder, tuple(forms[:6]), dropped)
+def refuted(problem: Problem, assessment: Assessment, kept: Fit) -> Assessment:
+    """The judgement without those of its claims that fit and yet do not hold; `kept`: the fit of the others."""
+    forms = free_forms(problem, kept)
+    labels = {claim.effect.label for claim in kept.claims}
+    dropped = tuple(claim for claim in assessment.fit.judged if claim.effect.label not in labels)
+    remainder = tuple(locate(problem, kept.residual, gains_by_equation(forms))) or assessment.places
+    places = assessment.places if kept.judged else remainder
+    verdict = "partly_explained" if kept.judged else "unknown"
+    return Assessment(verdict, kept, places, remainder, tuple(forms[:6]), (*assessment.dropped, *dropped))
 
 
 def _named(problem: Problem, found: Fit) -> Fit:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Second and third stage: causes of the table are searched for and judged, the remainder is modelled by laws.
 
-Names and laws are tried on the held-out recordings, and withdrawn where they predict these worse.
+Names and laws are tried on the held-out recordings, and withdrawn where they predict these worse. Names that the
+recordings contradict are dropped, and what they leave is modelled anew.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from hydro_diagnosis.bench_numbers import can_simulate
 from hydro_diagnosis.closure.admission import Admitted, admitted, reports, without_harmful_names
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.base import Effect
-from hydro_diagnosis.estimation.fit import noticeable
+from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
 from hydro_diagnosis.estimation.free_form import free_forms, gains_by_equation
 from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals, without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
@@ -25,7 +26,9 @@ from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.effect_summary import made_worse, made_worse_in_all, withheld
 from hydro_diagnosis.selection.localisation import locate, locate_claims
 from hydro_diagnosis.selection.outcome import Outcome
+from hydro_diagnosis.selection.reliability import contradicted
 from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.steady_motion import FRICTION, curves
 from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
 from hydro_diagnosis.stages.reading import Progress, StageResult
 from hydro_diagnosis.validation import Known, equation_report, held_out
@@ -50,8 +53,27 @@ def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
         simulated=simulated, proof=proof,
     )  # fmt: skip
     if assessment.verdict == "explained" and (worse := made_worse(proof)):
-        return _withdraw(found, worse)
+        return _withdraw(found, outcome.nothing, worse)
     return replace(found, next_recording=_next_recording(found))
+
+
+def model_claims(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult:
+    """Names that the recordings do not contradict, and laws for what they leave."""
+    refused: dict[str, str] = {}
+    while True:
+        found = withdraw_if_worse(model_remainder(names, library, progress), names)
+        problem, fitted = found.problem, found.assessment.fit
+        noise = found.proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
+        points = curves(problem, fitted.claims).get(FRICTION, ()) if fitted.judged else ()
+        reasons = contradicted(problem, fitted, found.bounds, points, noise)
+        if reasons.keys() <= refused.keys():
+            return replace(found, refused=refused)
+        refused |= reasons
+        claims = names.assessment.fit.claims
+        kept = tuple(claim for claim in claims if claim.effect.label not in refused)
+        ids = {claim.effect.id for claim in kept}
+        kept = tuple(claim for claim in kept if set(claim.effect.needs) <= ids)
+        names = _withdraw(names, fit(names.problem, kept) if kept else names.outcome.nothing)
 
 
 def withdraw_if_worse(found: StageResult, names: StageResult) -> StageResult:
@@ -60,13 +82,13 @@ def withdraw_if_worse(found: StageResult, names: StageResult) -> StageResult:
     `names`: the same before closures.
     """
     worse = made_worse_in_all(found.proof) if found.names else ""
-    return _withdraw(names, worse) if worse else found
+    return _withdraw(names, names.outcome.nothing, worse) if worse else found
 
 
-def _withdraw(found: StageResult, worse: str) -> StageResult:
-    """The bench file again, with a note on the names: `worse` of the held-out recordings."""
-    problem, nothing = found.problem, found.outcome.nothing
-    assessment = refuted(problem, found.assessment, nothing)
+def _withdraw(found: StageResult, kept: Fit, worse: str = "") -> StageResult:
+    """The claims of `kept` alone, with a note on the others if they are `worse` on held-out recordings."""
+    problem = found.problem
+    assessment = refuted(problem, found.assessment, kept)
     holdout = found.holdout.weighed(assessment.fit.claims)
     bare = replace(
         found,
@@ -74,7 +96,7 @@ def _withdraw(found: StageResult, worse: str) -> StageResult:
         assessment=assessment,
         bounds=intervals(problem, assessment.fit),
         proof=held_out(problem, holdout, assessment.fit.claims, found.models, found.simulated),
-        withdrawn=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder),
+        withdrawn=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder) if worse else "",
     )
     return replace(bare, next_recording=_next_recording(bare))
 

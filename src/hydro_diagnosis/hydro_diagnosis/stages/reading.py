@@ -234,6 +234,8 @@ class StageResult:
     """`fit` of report.json."""
     withdrawn: str = ""
     """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
+    refused: Mapping[str, str] = field(default_factory=dict)
+    """Reasons, by label, why names that fit are not claimed."""
     closures: list[ClosureReport] = field(default_factory=list)
     next_recording: dict[str, Any] | None = None
     """The recording that separates the closest rivals among the claims."""

@@ -19,9 +19,9 @@ from hydro_diagnosis.estimation.score_test import allowed, cause
 from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
-from hydro_diagnosis.selection.reliability import doubted, explained_shares, moved, objections
+from hydro_diagnosis.selection.reliability import doubted, explained_shares, objections
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.selection.steady_motion import curves
+from hydro_diagnosis.selection.steady_motion import FRICTION, curves
 from hydro_diagnosis.stages.reading import Case, StageResult
 from hydro_sim.model.bench import Bench
 
@@ -221,9 +221,9 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
     hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, found.holdout, found.outcome, assessment, found.bounds)
     read_off = curves(problem, assessment.fit.claims)
-    unsteady = moved(problem, assessment.fit, found.bounds)
-    doubts = objections(assessment.fit, found.bounds, found.proof, read_off, unsteady)
-    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden), *doubts)
+    doubts = objections(assessment.fit, found.bounds, found.proof, read_off.get(FRICTION, ()))
+    refused = [f"{label} fits and is not claimed: {reason}" for label, reason in found.refused.items()]
+    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden), *refused, *doubts)
     report = Report(
         verdict=doubted(assessment.verdict, doubts, named=bool(effects)),
         location=[location_of(place, problem) for place in assessment.places],
@@ -233,8 +233,8 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
         checks={
             "curves": {name: [asdict(point) for point in points] for name, points in read_off.items()},
             "explained": explained_shares(found.proof),
-            "moved": unsteady,
-            "objections": doubts,
+            "refused": dict(found.refused),
+            "objections": [*refused, *doubts],
         },
         estimated=number_estimates(problem, assessment.fit, found.bounds, search.library, case.numbers),
         fit=found.proof,
