@@ -33,7 +33,6 @@ from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
 from hydro_filter.training.relearn import METRIC, MODEL
-from hydro_filter.validation.plants import modified_truth
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.task.cases import Case
@@ -41,6 +40,7 @@ from hydro_sim.box.box import law_state
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
+from tests.changing_plant import modified_truth
 from tests.offline_graph import OfflineGraph
 
 CELL = {"sensor": "load_force", "bandwidth": 25.0, "damping": 0.55}

@@ -34,7 +34,7 @@ import yaml
 
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
-from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.files.settings_file import from_mapping
 from hydro_bridge.serial.frames import BoxLaw

@@ -76,12 +76,17 @@ def serial(seconds: float) -> dict[str, float]:
         spent = cpu() - began
         terminal.unplug()
         reader.join()
-    share = link.report.commands / timing.samples
+    share, late, worst = link.report.commands / timing.samples, timing.pacer.late, timing.pacer.lateness.longest
     print(
-        f"serial line, {priority}: {spent / seconds:.3f} s of CPU per s; {timing.late} of {timing.samples} samples "
-        f"late by more than 1 ms, worst {1e3 * timing.worst:.2f} ms; {share:.1%} of the samples with a new command"
+        f"serial line, {priority}: {spent / seconds:.3f} s of CPU per s; {late} of {timing.samples} samples "
+        f"late by more than 1 ms, worst {1e3 * worst:.2f} ms; {share:.1%} of the samples with a new command"
     )
-    return {"cpu": spent / seconds, "late": timing.late, "worst": timing.worst, "commanded": share}
+    return {
+        "cpu": spent / seconds,
+        "late": late,
+        "worst": worst,
+        "commanded": share,
+    }
 
 
 def offline(seconds: float) -> float:

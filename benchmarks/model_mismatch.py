@@ -38,12 +38,12 @@ from hydro_bridge.signals import (
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample
-from hydro_filter.validation.plants import ChangingPlant, modified_truth
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_policy.supervision.plant_supervisor import FALLBACK
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
+from tests.changing_plant import ChangingPlant, modified_truth
 from tests.offline_graph import OfflineGraph
 
 CHANGES: Mapping[str, Mapping[str, Any]] = {

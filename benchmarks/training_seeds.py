@@ -48,7 +48,7 @@ def main() -> None:
     options = parser("training_seeds", __doc__)
     options.add_argument("--seeds", type=int, default=20, metavar="N", help="default 20")
     options.add_argument("--episodes", type=int, default=2, metavar="N", help="of 18 s in each run (2)")
-    options.add_argument("--filter", choices=("none", "constant", "learned"), nargs="+", default=["none", "learned"])
+    options.add_argument("--filter", choices=("none", "learned"), nargs="+", default=["none", "learned"])
     asked = options.parse_args()
     torch.set_num_threads(1)
     columns = {"filter": "", "over_limit": "runs whose force passed the limit", "trips": "of the box, all runs",

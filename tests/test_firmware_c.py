@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from hydro_bridge.conformance.cases import FAIL, PASS, run, shipped
+from hydro_bridge.conformance.command import FAIL, PASS, run, shipped
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.files import bench_file
 from hydro_sim.box.box import BoxConfig

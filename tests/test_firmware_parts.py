@@ -16,9 +16,11 @@ import pytest
 import yaml
 
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_filter.certificate import qp
+from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.controller import header as filter_header
-from hydro_filter.controller.compiled import FilterParts, decide, filter_parts
 from hydro_filter.controller.filter import ContractionFilter
+from hydro_filter.model.sample import Sample
 from hydro_policy.sac import header as policy_header
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, observe
@@ -76,14 +78,14 @@ def many(folder: Path, precision: str, source: str, rows: FloatArray, width: int
 
 
 @pytest.fixture(scope="module")
-def parts() -> FilterParts:
-    return filter_parts(ContractionFilter.for_bench(Bench.nominal()).certificate)
+def certificate() -> Certificate:
+    return ContractionFilter.for_bench(Bench.nominal()).certificate
 
 
 @pytest.fixture(scope="module")
-def filtered(parts: FilterParts, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def filtered(certificate: Certificate, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("filter")
-    (folder / "filter_config.h").write_text(filter_header.header(parts, Bench.nominal().digest))
+    (folder / "filter_config.h").write_text(filter_header.header(certificate, Bench.nominal()))
     return folder
 
 
@@ -99,20 +101,29 @@ def drawn_samples(count: int) -> FloatArray:
     return rows
 
 
-def judged(parts: FilterParts, rows: FloatArray) -> FloatArray:
-    return np.array([decide(parts, row[:8].copy(), row[8], row[9], row[10]) for row in rows])
+def judged(certificate: Certificate, rows: FloatArray) -> FloatArray:
+    """delta_u, M_c before and after, and status, with the QP's closed form."""
+    limit, made = certificate.current_max, []
+    for row in rows:
+        nominal = float(row[8])
+        line = certificate.evaluate(Sample(row[:8].copy(), nominal, float(row[9]), float(row[10])))
+        applied = min(max(nominal, -limit), limit)
+        change, status = qp.closed_form(line.a, line.b, -limit - applied, limit - applied)
+        delta_u = change + (applied - nominal) if change else 0.0
+        made.append((delta_u, -line.b, line.value(change), float(status)))
+    return np.array(made)
 
 
-def test_the_filter_in_c_decides_as_the_kernel_to_the_bit(parts: FilterParts, filtered: Path) -> None:
+def test_the_filter_in_c_decides_as_the_certificate_to_the_bit(certificate: Certificate, filtered: Path) -> None:
     rows = drawn_samples(20_000)
-    expected, found = judged(parts, rows), many(filtered, "double", FILTER, rows, 4)
+    expected, found = judged(certificate, rows), many(filtered, "double", FILTER, rows, 4)
     np.testing.assert_array_equal(found, expected)
     assert set(expected[:, 3]) == {0.0, 1.0, 2.0, 3.0}, "every status is tried"
 
 
-def test_the_filter_in_single_precision_stays_near(parts: FilterParts, filtered: Path) -> None:
+def test_the_filter_in_single_precision_stays_near(certificate: Certificate, filtered: Path) -> None:
     rows = drawn_samples(20_000).astype(np.float32).astype(np.float64)
-    expected, found = judged(parts, rows), many(filtered, "single", FILTER, rows, 4)
+    expected, found = judged(certificate, rows), many(filtered, "single", FILTER, rows, 4)
     same = found[:, 3] == expected[:, 3]
     print(f"other status: {(~same).sum()}; delta_u {np.abs(found - expected)[same, 0].max():g} A")
     assert (~same).mean() < 1e-3

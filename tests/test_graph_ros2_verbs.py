@@ -100,14 +100,12 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def test_a_message_is_shown_as_yaml_and_a_latched_one_though_it_was_said_before(graph: Path) -> None:
     state = yaml.safe_load(ros2("topic", "echo", "/hydro/state", "--once").removesuffix("---\n"))
     assert state["header"]["frame_id"] == "bench" and isinstance(state["load_force"], float) and not state["flags"] & 1
-    assert ros2("topic", "echo", "/hydro/box", "--once", "--field", "plant") == "bridge\n---\n"
-    seconds = ros2("topic", "echo", "/hydro/state", "--once", "--field", "header.stamp.sec")
-    assert abs(float(seconds.removesuffix("---\n")) - time.time()) < 60.0
-    assert "has no such field" in refused("topic", "echo", "/hydro/box", "--once", "--field", "colour")
+    assert yaml.safe_load(ros2("topic", "echo", "/hydro/box", "--once").removesuffix("---\n"))["plant"] == "bridge"
+    assert abs(state["header"]["stamp"]["sec"] - time.time()) < 60.0
 
 
 def test_the_rate_of_samples_is_told_each_second_until_an_interrupt(graph: Path) -> None:
-    with running("topic", "hz", "/hydro/state", "--window", "5000") as process:
+    with running("topic", "hz", "/hydro/state") as process:
         assert process.stdout is not None
         said = "".join(until(process, "window: 5000", lines=100))
         process.send_signal(signal.SIGINT)
@@ -118,18 +116,10 @@ def test_the_rate_of_samples_is_told_each_second_until_an_interrupt(graph: Path)
     assert "Traceback" not in rest
 
 
-def test_parameters_are_listed_and_read(graph: Path) -> None:
-    assert "  guard.delta_kp_max\n" in ros2("param", "list", "/bridge")
-    assert "/bridge:\n" in ros2("param", "list") and "/recorder:\n" in ros2("param", "list")
-    assert re.fullmatch(r"Double value is: [\d.]+\n", ros2("param", "get", "/bridge", "guard.delta_kp_max"))
-    assert ros2("param", "get", "/bridge", "use_sim_time", "--hide-type") == "False\n"
-    assert "has no parameter colour" in refused("param", "get", "/bridge", "colour")
-    assert "needs a full ROS 2 Jazzy" in refused("param", "set", "/bridge", "guard.delta_kp_max", "1.0")
-
-
 def test_services_are_listed_and_called(graph: Path) -> None:
+    assert "/bridge\n" in ros2("node", "list") and "/hydro/state\n" in ros2("topic", "list")
+    assert "nobody offers the service /colour" in refused("service", "call", "/colour", "std_srvs/srv/Trigger")
     assert "/hydro/arm [std_srvs/srv/SetBool]\n" in ros2("service", "list", "-t")
-    assert ros2("service", "type", "/hydro/claim") == "hydro_msgs/srv/Claim\n"
     said = ros2("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: false}")
     assert "requester: making request: std_srvs.srv.SetBool_Request(data=False)\n" in said
     assert "response:\nstd_srvs.srv.SetBool_Response(success=True, message='disarmed')\n" in said

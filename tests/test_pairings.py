@@ -26,8 +26,7 @@ from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor
-from hydro_sim.files.stamping import stamped
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, stamped
 from hydro_sim.model.bench import Bench
 
 MODULES = {

@@ -79,7 +79,7 @@ def test_what_it_cannot_do_it_says_in_a_sentence(
         (("bag", "info", "/nothing"), "/nothing does not exist"),
         (("launch", "hydro_bridge", "bridge.launch.py"), "port:= is needed: serial device of the box"),
         (("launch", "hydro_policy", "train.launch.py", "plant:=moon"), "sim, emulator, bench can be chosen"),
-        (("param", "set", "trainer", "sac.discount", "1"), "'set' (choose from"),
+        (("param", "set", "trainer", "sac.discount", "1"), "`ros2 param set` needs a full ROS 2 Jazzy"),
     ],
 )
 def test_before_the_graph_is_asked_what_is_wrong_is_a_sentence(words: tuple[str, ...], sentence: str) -> None:

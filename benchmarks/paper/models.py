@@ -25,9 +25,7 @@ from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.recordings import Data
 from hydro_sim.identification import evaluation
-from hydro_sim.identification.analytic import AnalyticModel
-from hydro_sim.identification.bench_prediction import BenchPrediction
-from hydro_sim.identification.evaluation import Predictor, Scales, Scored
+from hydro_sim.identification.evaluation import AnalyticModel, BenchPrediction, Predictor, Scales, Scored
 from hydro_sim.model.bench import Bench
 
 HORIZON, STRIDE = 70, 37

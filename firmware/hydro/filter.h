@@ -52,28 +52,15 @@ static inline hydro_lands hydro_open_lands(
     return lands;
 }
 
-/* B = dx'/du at a state and a current [A]. */
-static inline void hydro_input_vector(
-    const hydro_bench *bench, const hydro_real *x, hydro_real current, hydro_real out[HYDRO_MEASURED])
+/* g = dF/du of f_h' = F(x, u) at a state and a current [A]: all of B that the metric's row of f_l sees. */
+static inline hydro_real hydro_input_slope(const hydro_bench *bench, const hydro_real *x, hydro_real current)
 {
     hydro_lands lands = hydro_open_lands(bench, x[4], x[5], current);
-    hydro_real area = bench->piston_area, ratio = bench->area_ratio, gain = bench->valve_gain;
-    hydro_real inverse_a = HYDRO_R(1) / hydro_volume_a(bench, x[6]);
-    hydro_real inverse_b = HYDRO_R(1) / hydro_volume_b(bench, x[6]);
-    hydro_real soft_a = bench->bulk_modulus * inverse_a, soft_b = bench->bulk_modulus * inverse_b;
-    hydro_real flow_a = gain * lands.root_a, flow_b = gain * lands.root_b, swept = area * x[7];
-    hydro_real rate_a = soft_a * (flow_a * current - swept), rate_b = soft_b * (ratio * swept - flow_b * current);
-    hydro_real by_a = area * (soft_a * (current * gain)) * lands.slope_a;
-    hydro_real by_b = area * (ratio * (soft_b * (current * gain))) * lands.slope_b;
-    hydro_real to_a = soft_a * inverse_a * area, to_b = soft_b * inverse_b * (ratio * area);
-    hydro_real bent_a = lands.slope_a * (area * (soft_a * gain));
-    hydro_real bent_b = lands.slope_b * (area * (ratio * (soft_b * gain)));
-    out[2] = out[3] = out[6] = out[7] = HYDRO_R(0);
-    out[4] = soft_a * flow_a;
-    out[5] = -(soft_b * flow_b);
-    out[0] = area * (out[4] - ratio * out[5]);
-    out[1] = rate_a * bent_a + by_a * out[4] - x[7] * (area * (to_a * flow_a - ratio * (to_b * flow_b)));
-    out[1] += rate_b * bent_b + by_b * out[5];
+    hydro_real soft_a = bench->bulk_modulus * (HYDRO_R(1) / hydro_volume_a(bench, x[6]));
+    hydro_real soft_b = bench->bulk_modulus * (HYDRO_R(1) / hydro_volume_b(bench, x[6]));
+    hydro_real to_a = soft_a * (bench->valve_gain * lands.root_a);
+    hydro_real to_b = soft_b * (bench->valve_gain * lands.root_b);
+    return bench->piston_area * (to_a + bench->area_ratio * to_b);
 }
 
 /* An error [N], zero up to `floor` and untouched from twice that. */
@@ -95,17 +82,13 @@ static inline void hydro_half_line(
     const hydro_filter *filter, const hydro_real *x, hydro_real nominal, hydro_real reference, hydro_real k_p,
     hydro_real *a, hydro_real *b)
 {
-    hydro_real limit = filter->bench.valve_current_max, input[HYDRO_MEASURED];
+    hydro_real limit = filter->bench.valve_current_max;
     hydro_real law = -k_p / hydro_max(hydro_input_gain(&filter->bench, x[6], x[4], x[5], nominal), filter->gain_floor);
     hydro_real v = -hydro_dead_zone(reference - x[2], filter->noise_floor) / filter->scale[2];
-    hydro_real feedback = law * (filter->scale[2] * v), drift = HYDRO_R(0), push = HYDRO_R(0);
-    hydro_input_vector(&filter->bench, x, hydro_clamp(nominal, -limit, limit), input);
-    for (int i = 0; i < HYDRO_MEASURED; i++) {
-        hydro_real weight = filter->metric[i] * v;
-        drift += weight * (input[i] * feedback) / filter->scale[i];
-        push += weight * input[i] / filter->scale[i];
-    }
-    *a = HYDRO_R(2) * push;
+    hydro_real feedback = law * (filter->scale[2] * v), weight = filter->metric[0] * v;
+    hydro_real slope = hydro_input_slope(&filter->bench, x, hydro_clamp(nominal, -limit, limit));
+    hydro_real drift = weight * (slope * feedback) / filter->scale[0];
+    *a = HYDRO_R(2) * (weight * slope / filter->scale[0]);
     *b = -(HYDRO_R(2) * drift + HYDRO_R(2) * filter->contraction_rate * (filter->metric[2] * v * v));
 }
 

@@ -31,7 +31,6 @@ setup(
             "collect = hydro_bridge.process.start:main_of.hydro_sim.nodes.collect",
             "learn = hydro_bridge.process.start:main_of.hydro_sim.identification.learn",
             "validate = hydro_bridge.process.start:main_of.hydro_sim.identification.validate",
-            "stamp = hydro_bridge.process.start:main_of.hydro_sim.files.stamp",
         ],
     },
 )

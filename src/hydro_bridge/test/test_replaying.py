@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hydro_bridge.bags.recording import STATE_TOPIC, BagWriter
-from hydro_bridge.bags.recording_run import sequence_of
-from hydro_bridge.bags.replaying import Replay
+from hydro_bridge.bags.writer import sequence_of
+from hydro_bridge.nodes.replayer import Replay
 
 
 @pytest.fixture

@@ -24,9 +24,7 @@ from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.edge_laws import edge_losses, shifted
-from hydro_sim.model.law_signals import Signals
-from hydro_sim.model.laws import REVERSING, Law
+from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
 
 BENCH = Bench.nominal()
 

@@ -22,8 +22,8 @@ from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
 from hydro_sim.model import grammar, tables
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.law_signals import Signals
-from hydro_sim.model.laws import Law
+from hydro_sim.model.bench_model import TEXTBOOK
+from hydro_sim.model.laws import Law, Signals
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.tables import Table
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -116,10 +116,10 @@ def same_in_simulation_and_diagnosis(law: Law | Table) -> None:
         AnalyticPlant(bench, noise=0.0), BENCH, Schedule(reference=reference, gains=(60.0, 10.0), seconds=1.2)
     )
     plant, current = AnalyticPlant(bench, noise=0.0), run["valve_current"].copy()
-    shown, states = [plant.measurement()], [plant.physical_state()]
+    shown, states = [plant.measurement()], [plant.state["y"][0, :TEXTBOOK].copy()]
     for held in current[:-1]:
         shown.append(plant.step(float(held)))
-        states.append(plant.physical_state())
+        states.append(plant.state["y"][0, :TEXTBOOK].copy())
     columns = dict(zip(PLANT_FIELDS, np.array(shown).T, strict=True))
     channels = {name: np.ascontiguousarray(columns[name]) for name in MEASURED} | {"valve_current": current}
     segment = Segment("run", 0.0, 1e-3, channels)

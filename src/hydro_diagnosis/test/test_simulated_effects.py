@@ -16,6 +16,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import TEXTBOOK
 from hydro_sim.model.effects.catalogue import CATALOGUE, label
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -40,10 +41,10 @@ def driven(bench: Bench) -> tuple[Segment, FloatArray]:
     schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=1.2)
     current = simulate(AnalyticPlant(bench, noise=0.0), BENCH, schedule)["valve_current"].copy()
     plant = AnalyticPlant(bench, noise=0.0)
-    shown, states = [plant.measurement()], [plant.physical_state()]
+    shown, states = [plant.measurement()], [plant.state["y"][0, :TEXTBOOK].copy()]
     for held in current[:-1]:
         shown.append(plant.step(float(held)))
-        states.append(plant.physical_state())
+        states.append(plant.state["y"][0, :TEXTBOOK].copy())
     columns = dict(zip(PLANT_FIELDS, np.array(shown).T, strict=True))
     channels = {name: np.ascontiguousarray(columns[name]) for name in MEASURED}
     return Segment("run", 0.0, 1e-3, {**channels, "valve_current": current}), np.array(states)

@@ -12,6 +12,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter.certificate.continuous import Certificate, dead_zone
 from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.metric.constant import gain_floor
+from hydro_filter.model.dynamics import Linearization
 from hydro_filter.model.sample import Sample
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import input_gain
@@ -32,6 +33,14 @@ class VaryingMetric:
         return self._rate
 
 
+class DrawnDynamics:
+    """A and B without a zero."""
+
+    def linearize(self, state: FloatArray, current: float) -> Linearization:
+        rng = np.random.default_rng(int(1e6 * state[6]))
+        return Linearization(rng.normal(size=(8, 8)), rng.normal(size=8), rng.normal(size=8))
+
+
 @pytest.fixture(scope="module")
 def certificate(bench: Bench) -> Certificate:
     return ContractionFilter.for_bench(bench).certificate
@@ -43,7 +52,7 @@ def sample(state: FloatArray, *, error: float, gain: float, current: float = 0.0
 
 def test_half_line_is_the_papers_formula(certificate: Certificate, states: FloatArray) -> None:
     """Against dense matrix algebra on normalized states, for any v and a metric that changes."""
-    certificate = replace(certificate, metric=VaryingMetric())
+    certificate = replace(certificate, metric=VaryingMetric(), dynamics=DrawnDynamics())
     scale, rng = certificate.scale, np.random.default_rng(0)
     for state in states:
         at, v = sample(state, error=50.0, gain=-20.0), rng.normal(size=8)

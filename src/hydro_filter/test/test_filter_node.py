@@ -48,7 +48,6 @@ from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter  # noqa: E402
 from hydro_filter.metric.scheduled import ScheduledMetric  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
-from hydro_filter.validation.plants import ChangingPlant, modified_truth  # noqa: E402
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
 from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
@@ -57,6 +56,7 @@ from hydro_sim.files.pairing import MadeFor  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
 from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
+from tests.changing_plant import ChangingPlant, modified_truth  # noqa: E402
 
 
 class Source:

@@ -15,16 +15,12 @@ def rows(first: int, count: int) -> np.ndarray:
     return (np.arange(first, first + count)[:, None] + 0.1 * np.arange(7)).astype(np.float32)
 
 
-def test_batch_holds_whole_transitions() -> None:
+def test_what_is_drawn_are_whole_transitions() -> None:
     memory = ReplayBuffer(2, 1, 100)
     memory.extend(rows(0, 20))
-    batch = memory.sample(4000, torch.Generator().manual_seed(0))
-    number = batch.observation[:, 0]
-    torch.testing.assert_close(batch.next_observation[:, 1], number + 0.3)
-    torch.testing.assert_close(batch.action[:, 0], number + 0.4)
-    torch.testing.assert_close(batch.reward, number + 0.5)
-    torch.testing.assert_close(batch.terminated, number + 0.6)
-    counts = np.bincount(number.round().int().numpy(), minlength=20)
+    drawn = memory.rows[memory.draw(4000, torch.Generator().manual_seed(0)).numpy()]
+    np.testing.assert_allclose(drawn, drawn[:, :1] + rows(0, 1), rtol=1e-6)
+    counts = np.bincount(drawn[:, 0].round().astype(int), minlength=20)
     assert counts.sum() == 4000 and len(counts) == 20 and counts.min() > 130  # 200 expected, 14 standard deviation
 
 

@@ -29,8 +29,7 @@ def trained(updates: int) -> tuple[Sac, ReplayBuffer]:
 
 
 def advance(sac: Sac, replay: ReplayBuffer, updates: int) -> None:
-    for _ in range(updates):
-        sac.update(replay.sample(32, sac.generator))
+    sac.learn(replay, updates)
 
 
 def test_resumed_training_is_the_same_bit_for_bit(tmp_path: Path) -> None:
@@ -67,7 +66,11 @@ def test_numpy_policy_equals_the_torch_actor(tmp_path: Path) -> None:
     loaded, gains, notes = load_policy(tmp_path / "policy.safetensors")
     assert gains == GainRange(delta_kp_max=285.0) and notes == {"episode": 7}
     observations = np.random.default_rng(1).normal(size=(500, OBSERVATIONS)).astype(np.float32)
-    expected = sac.actor.sample(torch.from_numpy(observations), torch.zeros(500, 2)).action.numpy()
+    hidden, network = torch.from_numpy(observations), sac.actor_network
+    for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        hidden = hidden @ weight[0] + bias[0]
+        hidden = torch.relu(hidden) if k < 2 else hidden
+    expected = torch.tanh(hidden[:, :2]).numpy()
     for actor in (policy, loaded):
         ours = np.stack([actor.act(row.astype(np.float64)) for row in observations])
         np.testing.assert_allclose(ours, expected, atol=1e-6, rtol=0)

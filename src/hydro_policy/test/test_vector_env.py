@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
-from hydro_filter.controller import compiled, loop_decision
-from hydro_filter.controller.filter import ContractionFilter
+from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
@@ -102,17 +101,6 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
     assert following.samples[0]["sequence"][0] == 1
 
 
-def compiled_constant() -> Callable[[Sample], float]:
-    """delta_u [A] of a sample by the constant metric's compiled call."""
-    parts = compiled.filter_parts(ContractionFilter.for_bench(BENCH).certificate)
-
-    def correct(sample: Sample) -> float:
-        at = sample.state, sample.nominal_current, sample.reference_force, sample.proportional_gain
-        return float(compiled.decide(parts, *at)[0])
-
-    return correct
-
-
 def compiled_learned() -> Callable[[Sample], float]:
     """delta_u [A] of a sample by the learned metric's compiled call."""
     parts = default_filter(BENCH).parts
@@ -126,16 +114,15 @@ def compiled_learned() -> Callable[[Sample], float]:
     return correct
 
 
-@pytest.mark.parametrize("kind", ["constant", "learned"])
-def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
+def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
     """With `Box` and the compiled call of `hydro_filter`, a correction acting one sample late: to the bit."""
     cell = replace(BENCH, load_cell_bandwidth=25.0)
-    fleet = VectorBench([BENCH] * 2, [AnalyticPlant(cell) for _ in range(2)], filters=fleet_filter(kind, BENCH, 2))
+    fleet = VectorBench([BENCH] * 2, [AnalyticPlant(cell) for _ in range(2)], filters=fleet_filter("learned", BENCH, 2))
     for index in range(2):
         fleet.begin(index, SINE, index)
     changes = np.array([[0.0, 0.0], [120.0, 10.0]])
     got = np.concatenate([fleet.samples[1, -1:].copy()] + [fleet.step(changes)[1].copy() for _ in range(40)])
-    correct = compiled_constant() if kind == "constant" else compiled_learned()
+    correct = compiled_learned()
     box, plant = Box(BENCH), AnalyticPlant(cell)
     box.receive(Command(), 0.0)
     measurement, delta_u = plant.reset(1), 0.0
@@ -149,4 +136,4 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
         delta_u = correct(Sample.of(want))
         measurement = plant.step(float(want["valve_current"]))
     corrected = np.abs(got["valve_current"] - got["nominal_valve_current"]).max()
-    assert corrected > 1e-4 or kind == "constant", "the learned metric corrects K_p = 135"
+    assert corrected > 1e-4, "the learned metric corrects K_p = 135"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared plotting: style, colors, display units, and the plot of a run.
+"""Shared plotting: style, colors and display units.
 
 Figures are drawn without a screen (Agg) and saved; nothing here touches matplotlib's global state, so that a
 notebook's own style stays.
@@ -7,17 +7,16 @@ notebook's own style stays.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from cycler import cycler
 
 from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.signals import Flag, FloatArray, StateArray
+from hydro_bridge.signals import StateArray
 
 if TYPE_CHECKING:  # matplotlib is imported with the first figure: commands that draw nothing start sooner
     from matplotlib.axes import Axes
@@ -75,9 +74,6 @@ STYLE: dict[str, Any] = {
     "ytick.color": "#5b6068",
 }
 
-SHADES = ((Flag.TRIPPED, RED, "tripped"), (Flag.WATCHDOG, ORANGE, "watchdog"), (Flag.SATURATED, GRAY, "saturated"))
-"""Flags that are shaded behind a plot, the gravest first."""
-
 
 @contextmanager
 def figure(
@@ -118,61 +114,8 @@ def draw(axes: Axes, states: StateArray, field: str, *, error_of: str | None = N
     axes.set_ylabel(f"[{unit}]")
 
 
-def shade(axes: Axes, states: StateArray, *, named: bool = True) -> None:
-    """Shade where the box was tripped, without commands or at the valve's limit; `named`: in the legend too."""
-    time = np.asarray(states["time"])
-    for flag, color, name in SHADES:
-        for i, (first, last) in enumerate(stretches((states["flags"] & flag) != 0)):
-            label = name if named and i == 0 else None
-            axes.axvspan(time[first], time[last], color=color, alpha=0.12, linewidth=0, label=label)
-
-
-def stretches(mask: Sequence[bool] | FloatArray) -> list[tuple[int, int]]:
-    """First and last index of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], np.asarray(mask, bool), [False]))))
-    return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
-
-
 def legend(axes: Axes) -> None:
     """Put a legend above the axes, in a row, where it covers nothing."""
     entries = len(axes.get_legend_handles_labels()[0])
     if entries:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, borderaxespad=0.2)
-
-
-def tracking_plot(states: StateArray, path: str | Path, *, title: str = "") -> None:
-    """Draw a run: reference and load force, tracking error with its RMSE while armed, valve current, gains.
-
-    Parameters
-    ----------
-    states
-        Records of `STATE_DTYPE`, shape (n,), n of 2 or more.
-    path
-        File to write (.png, .svg, .pdf).
-    title
-        Above the plot.
-
-    Raises
-    ------
-    ValueError
-        With fewer than two samples.
-    """
-    if len(states) < 2:
-        raise ValueError(f"a run of {len(states)} samples cannot be drawn")
-    armed = states[(states["flags"] & Flag.ARMED) != 0]
-    rmse = float(np.sqrt(np.mean((armed["reference_force"] - armed["load_force"]) ** 2))) if len(armed) else 0.0
-    with figure(path, 4, size=(8.0, 7.5), sharex=True, height_ratios=(3, 2, 2, 1.5)) as (drawing, axes):
-        force, deviation, valve, gain = axes
-        drawing.suptitle(title, x=0.01, ha="left", weight="semibold")
-        draw(force, states, "reference_force", color=GRAY, linestyle="--")
-        draw(force, states, "load_force", color=BLUE)
-        draw(deviation, states, "load_force", error_of="reference_force", color=RED, label=f"error, RMSE {rmse:.2f} N")
-        draw(valve, states, "nominal_valve_current", color=SKY)
-        draw(valve, states, "valve_current", color=BLUE)
-        draw(gain, states, "proportional_gain", color=GREEN, drawstyle="steps-post")
-        draw(gain, states, "integral_gain", color=ORANGE, drawstyle="steps-post")
-        gain.set(ylabel="[1/s], [1/s²]", xlabel="time [s]", xlim=(states["time"][0], states["time"][-1]))
-        for panel in axes:
-            shade(panel, states, named=panel is force)
-            legend(panel)
-        drawing.align_ylabels(axes)

@@ -11,11 +11,9 @@ import numpy as np
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.identification import bench_learning, evaluation
-from hydro_sim.identification.analytic import AnalyticModel
-from hydro_sim.identification.bench_prediction import BenchPrediction
-from hydro_sim.identification.evaluation import Scored
+from hydro_sim.identification.evaluation import AnalyticModel, BenchPrediction, Scored
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 _SECONDS = 8.0
@@ -27,7 +25,7 @@ def _simulation() -> None:
     _simulated(learned_bench.make_plant())
 
 
-def _simulated(plant: Plant) -> None:
+def _simulated(plant: AnalyticPlant) -> None:
     """Simulate a run with all features of a schedule, as `collect`, diagnosis and the filter's training use them."""
     run = Schedule(reference=ReferenceSignal(), gains=(60.0, 10.0), seconds=0.1)
     bench = Bench.nominal()

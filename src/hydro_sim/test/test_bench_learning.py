@@ -18,8 +18,8 @@ from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
 from hydro_sim.identification import bench_learning, learn, validate
-from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.bench_states import noise_of
+from hydro_sim.identification.evaluation import BenchPrediction
 from hydro_sim.model.bench import Bench
 
 TRUTH = {

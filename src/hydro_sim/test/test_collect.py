@@ -25,7 +25,7 @@ from hydro_bridge.signals import Flag
 from hydro_sim.excitation.playback import Playback
 from hydro_sim.excitation.schedules import Segment
 from hydro_sim.model.bench import Bench
-from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY
+from hydro_sim.nodes.collecting import HOW_TO_ARM, TOO_EARLY
 from tests.graph_probe import Probe
 
 

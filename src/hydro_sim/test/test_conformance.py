@@ -16,8 +16,18 @@ from typing import Any
 
 import pytest
 
-from hydro_bridge.conformance.cases import FAIL, LEFT_OUT, NOT_JUDGED, PASS, Result, read, run, shipped
-from hydro_bridge.conformance.command import chosen, status
+from hydro_bridge.conformance.command import (
+    FAIL,
+    LEFT_OUT,
+    NOT_JUDGED,
+    PASS,
+    Result,
+    chosen,
+    read,
+    run,
+    shipped,
+    status,
+)
 from hydro_bridge.conformance.host import Host, UnreadableError
 from hydro_bridge.errors import UserError
 from hydro_sim.box import firmware

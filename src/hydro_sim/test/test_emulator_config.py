@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hydro_bridge.settings import SettingsError
-from hydro_sim.emulator.schedules import fit_to
+from hydro_sim.emulator.offline import fit_to
 from hydro_sim.emulator.truth.config import load_truth, profile, truth_from_mapping, truth_to_mapping
 from hydro_sim.excitation.schedules import Segment, load_schedule
 from hydro_sim.model.bench import Bench

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.emulator.truth import oil, valve
+from hydro_sim.emulator.truth import dynamics
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS, TruthPlant
 from hydro_sim.model.bench import Bench
@@ -58,7 +58,7 @@ def test_nominal_truth_agrees_with_the_independent_analytic_plant(bench: Bench) 
     other = AnalyticPlant(bench, noise=0.0)
     p, y = plant.parameters[0], plant.state["y"][0]
     _, _, _, _, y[0], y[1], _, _ = other.reset(0)  # the same pressures to start from
-    y[0], y[1] = oil.content_of(p, y[0], VOLUME_A), oil.content_of(p, y[1], VOLUME_B)
+    y[0], y[1] = dynamics.content_of(p, y[0], VOLUME_A), dynamics.content_of(p, y[1], VOLUME_B)
     _, clean, _ = plant.run(currents)
     expected = np.array([other.step(float(current)) for current in currents])
     scale = np.ptp(expected, axis=0)
@@ -151,7 +151,7 @@ def test_null_leak_flows_through_both_edges_of_both_chambers(form: str) -> None:
     a, b, draw = (column(log, name)[-1] for name in ("pressure_a", "pressure_b", "valve_draw"))
     assert (a, b) == pytest.approx((SUPPLY / 2, SUPPLY / 2), rel=0.02)  # both chambers settle half-way
     assert draw == pytest.approx(2e-9 * (np.sqrt(SUPPLY - a) + np.sqrt(SUPPLY - b)), rel=1e-3)
-    at_width = valve.null_leak(plant.parameters[0], 1e-3) / 2e-9
+    at_width = dynamics.null_leak(plant.parameters[0], 1e-3) / 2e-9
     assert at_width == pytest.approx(np.exp(-1) if form == "bell" else 0.5)
 
 
@@ -173,8 +173,8 @@ def test_entrained_air_softens_oil_by_the_textbook_formula(form: str, exponent: 
     phi, p_0 = 0.01, 101325.0
     p = truth(entrained_air={"volume_fraction": phi, "form": form}).parameters[0]
     for pressure in (0.2e6, 1e6, 8e6):
-        content = oil.content_of(p, pressure, 1e-4)
-        softer = oil.pressure_of(p, content, 1e-4 * (1 - 1e-7), pressure)
+        content = dynamics.content_of(p, pressure, 1e-4)
+        softer = dynamics.pressure_of(p, content, 1e-4 * (1 - 1e-7), pressure)
         modulus = (softer - pressure) / 1e-7
         air = phi * (p_0 / (p_0 + pressure)) ** (1 / exponent)
         liquid = (1 - phi) * np.exp(-pressure / BETA)
@@ -185,15 +185,17 @@ def test_entrained_air_softens_oil_by_the_textbook_formula(form: str, exponent: 
 
 def test_bulk_modulus_and_hose_compliance_set_the_stiffness() -> None:
     stiff = truth(bulk_modulus={"ratio": 0.7}).parameters[0]
-    content = oil.content_of(stiff, 5e6, 1e-4)
-    assert oil.pressure_of(stiff, content * (1 + 1e-6), 1e-4, 5e6) - 5e6 == pytest.approx(0.7 * BETA * 1e-6, rel=1e-3)
+    content = dynamics.content_of(stiff, 5e6, 1e-4)
+    assert dynamics.pressure_of(stiff, content * (1 + 1e-6), 1e-4, 5e6) - 5e6 == pytest.approx(
+        0.7 * BETA * 1e-6, rel=1e-3
+    )
     hoses = truth(outside={"wall_flexibility": {"compliance": 5e-14}}).parameters[0]
-    content = oil.content_of(hoses, 5e6, 1e-4)
+    content = dynamics.content_of(hoses, 5e6, 1e-4)
     expected = 1e-6 * (1e-4 + 5e-14 * 5e6) / (1e-4 / BETA + 5e-14)  # what is pumped in squeezes oil and widens hoses
-    assert oil.pressure_of(hoses, content * (1 + 1e-6), 1e-4, 5e6) - 5e6 == pytest.approx(expected, rel=1e-2)
+    assert dynamics.pressure_of(hoses, content * (1 + 1e-6), 1e-4, 5e6) - 5e6 == pytest.approx(expected, rel=1e-2)
 
 
 def test_pressure_never_falls_below_the_vapor_pressure() -> None:
     for effects in ({}, {"entrained_air": {"volume_fraction": 0.02}}):
         p = truth(**effects).parameters[0]
-        assert oil.pressure_of(p, 0.5e-4, 1e-4, 1e6) == pytest.approx(-96e3, abs=3e3)
+        assert dynamics.pressure_of(p, 0.5e-4, 1e-4, 1e6) == pytest.approx(-96e3, abs=3e3)

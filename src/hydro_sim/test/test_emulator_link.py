@@ -14,11 +14,11 @@ from hydro_bridge.serial.protocol import Hello, State
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import SettingsError
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
-from hydro_sim.emulator.control import execute
 from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.realtime import execute
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.model.bench import Bench
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.emulator.truth import load
+from hydro_sim.emulator.truth import dynamics
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS, TruthPlant
 
@@ -125,15 +125,15 @@ def test_friction_takes_energy_out_at_every_instant() -> None:
 )
 def test_load_force_over_position(effects: dict[str, Any], position: float, expected: float) -> None:
     p = truth(**effects).parameters[0]
-    assert load.load_force(p, position, REST, 0.0) == pytest.approx(expected, abs=1e-6)
+    assert dynamics.load_force(p, position, REST, 0.0) == pytest.approx(expected, abs=1e-6)
 
 
 def test_play_drags_the_springs_end_and_loses_its_width_at_each_reversal() -> None:
     p = truth(backlash={"width": 2e-3, "form": "play"}).parameters[0]
     end, forces = REST, []
     for position in (0.05, 0.0485, 0.047):
-        end = load.dragged(p, position, end)
-        forces.append(load.load_force(p, position, end, 0.0))
+        end = dynamics.dragged(p, position, end)
+        forces.append(dynamics.load_force(p, position, end, 0.0))
     assert forces == pytest.approx([180.0, 180.0, 160.0])
 
 
@@ -150,9 +150,9 @@ def test_bouc_wen_spring_saturates_and_loses_energy_round_a_cycle() -> None:
 def test_cushion_pushes_back_beyond_its_position_towards_its_end(form: str, at_10_mm: float) -> None:
     cushions = [{"position": 0.05, "stiffness": 1e3, "form": form}, {"position": 0.03, "stiffness": 1e3, "form": form}]
     p = truth(end_cushion=cushions).parameters[0]
-    assert load.end_force(p, 0.06, 0.0) == pytest.approx(-at_10_mm)
-    assert load.end_force(p, 0.02, 0.0) == pytest.approx(at_10_mm)
-    assert load.end_force(p, 0.04, 0.0) == 0.0
+    assert dynamics.end_force(p, 0.06, 0.0) == pytest.approx(-at_10_mm)
+    assert dynamics.end_force(p, 0.02, 0.0) == pytest.approx(at_10_mm)
+    assert dynamics.end_force(p, 0.04, 0.0) == 0.0
 
 
 def test_piston_stops_at_the_ends_of_its_stroke() -> None:

@@ -15,9 +15,7 @@ from hydro_sim.excitation.drawn import draw
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.files.recordings import Run
 from hydro_sim.identification import evaluation
-from hydro_sim.identification.analytic import AnalyticModel
-from hydro_sim.identification.bench_prediction import BenchPrediction
-from hydro_sim.identification.evaluation import Scales, Scored
+from hydro_sim.identification.evaluation import AnalyticModel, BenchPrediction, Scales, Scored
 from hydro_sim.model.bench import Bench
 from hydro_sim.simulation.offline import Schedule, simulate
 

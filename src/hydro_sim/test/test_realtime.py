@@ -16,9 +16,7 @@ from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, Reference
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.lockstep import RESEND
-from hydro_sim.simulation.pacing import Pacer
-from hydro_sim.simulation.realtime import SimSettings, Simulation
+from hydro_sim.simulation.realtime import RESEND, SimSettings, Simulation
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=2.0)
 VALVE, NOMINAL, K_P = (
@@ -194,7 +192,7 @@ def test_real_time_stamps_are_a_millisecond_apart_and_commands_age_by_the_host(g
 
 def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(graph: Callable[..., Graph]) -> None:
     running, shift = graph(silent), [0]
-    running.simulation.pacer.host_clock._wall = lambda: time.time_ns() + shift[0]
+    running.simulation.host_clock._wall = lambda: time.time_ns() + shift[0]
     running.wait(lambda: len(running.stamps) > 20)
     for step in (10_000_000_000, -10_000_000_000):
         told, before = len(running.said), running.stamps[-1]
@@ -204,18 +202,3 @@ def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(graph: C
         running.wait(lambda count=count: len(running.stamps) > count)
         assert abs(running.stamps[-1] - before - step) < 5_000_000_000
         assert f"was set by {1e-9 * step:+.3f} s" in running.said[-1]
-
-
-def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:
-    pacer = Pacer(1e-3, give_up=2.0)  # longer than a busy machine keeps a thread waiting
-    start = pacer.scheduled_ns
-    time.sleep(0.02)
-    for _ in range(30):
-        pacer.wait()
-    assert pacer.scheduled_ns == start + 30_000_000 and pacer.skipped == 0.0 and pacer.late >= 15
-    pacer = Pacer(1e-3, give_up=0.05)
-    time.sleep(0.1)
-    before = time.time_ns()
-    pacer.wait()
-    assert pacer.skipped >= 0.09
-    assert before - 1_000_000 <= pacer.scheduled_ns <= time.time_ns() + 1_000_000

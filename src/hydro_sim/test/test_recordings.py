@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is trained on and what validates share no sample."""
+"""What is trained on and what validates share no sample; runs do not cross gaps."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_DTYPE, StateArray
+from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.excitation import drawn as schedule
 from hydro_sim.files import recordings
 from hydro_sim.files.recordings import DataError, Run
 
@@ -33,3 +36,21 @@ def test_validation_begins_a_second_after_training_ends(samples: int) -> None:
 def test_a_recording_too_short_to_share_is_refused_in_a_sentence() -> None:
     with pytest.raises(DataError, match=r"3999 samples, too few to hold some back .* one with 4000 samples in a row"):
         recordings.split({"one": recording(3999)})
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    return record_offline(profile("default"), schedule.draw(24.0, 5), seed=5)
+
+
+def test_runs_do_not_cross_gaps_or_faults(recorded):
+    states = np.delete(recorded.states, [5000, 5001])
+    states["flags"][12000] |= np.uint32(Flag.SENSOR_FAULT)
+    states["load_force"][15000] = np.nan
+    found = recordings.runs("r", states)
+    assert [(run.first, len(run)) for run in found] == [
+        (0, 5000),
+        (5000, 7000),
+        (12001, 2999),
+        (15001, len(states) - 15001),
+    ]

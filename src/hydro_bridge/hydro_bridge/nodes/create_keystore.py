@@ -11,7 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
+from hydro_bridge.cli.console import UserError, command, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.ros.keys import (
     ENABLE,
@@ -24,7 +24,6 @@ from hydro_bridge.ros.keys import (
     make_keystore,
     policy_xml,
 )
-from hydro_bridge.ros.topics import CLAIM_SERVICE, CLOCK, END_SERVICE, GRAPH, OVERRIDE_SERVICE
 
 
 def parser() -> argparse.ArgumentParser:
@@ -34,30 +33,7 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument("keystore", nargs="?", type=writable_folder, metavar="KEYSTORE", help="folder to make")
     result.add_argument("--policy", type=writable, metavar="FILE", help="also write the policy, as SROS2 reads it")
-    add_json_argument(result)
     return result
-
-
-def rights_table() -> Table:
-    """Return the rights of the executables on the graph's own topics and services."""
-    table = Table(
-        {
-            "name": "topic or service",
-            "from": "enclaves below /hydro that publish the topic, or answer the service",
-            "to": "enclaves that subscribe to the topic, or call the service",
-        }
-    )
-    for name in (*GRAPH, CLOCK):
-        table.add(**{"name": name, "from": _who("publishes", name), "to": _who("subscribes", name)})
-    for name in (CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE):
-        table.add(**{"name": name, "from": _who("answers", name), "to": _who("calls", name)})
-    return table
-
-
-def _who(does: str, name: str) -> str:
-    """Return the executables of which a node has that right."""
-    found = [who for who, nodes in RIGHTS.items() if any(name in getattr(rights, does) for rights in nodes.values())]
-    return " ".join(found)
 
 
 @command()
@@ -72,7 +48,6 @@ def main() -> None:
         print(f"{asked.policy}: the policy of {len(RIGHTS)} enclaves", file=sys.stderr)
     if asked.keystore is not None:
         make_keystore(asked.keystore, policy, map(enclave_of, RIGHTS))
-    rights_table().show(asked.json)
     if asked.keystore is not None:
         print(_next_steps(asked.keystore), file=sys.stderr)
 

@@ -21,8 +21,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.cli.console import command
-from hydro_bridge.dashboard.commands import PageCommand, RefusedError, Rules, read
-from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageServer
+from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, Rules, read
 from hydro_bridge.dashboard.status import encoded
 from hydro_bridge.nodes.dashboard_feed import Feed
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_duplicate_nodes

@@ -1,30 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records the graph into a rosbag2 folder.
 
-ros2 run hydro_bridge recorder --out DIR [--topics ...] [--metadata key=value] [--attach FILE] [--ros-args ...]
+ros2 run hydro_bridge recorder --out DIR [--metadata key=value] [--attach FILE] [--ros-args ...]
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from hydro_bridge.bags.recording import repair
-from hydro_bridge.bags.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.bags.types import TopicQos
-from hydro_bridge.cli.console import UserError, command, writable_folder
+from hydro_bridge.bags.writer import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
+from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import GRAPH
@@ -40,20 +37,16 @@ class RecorderNode(Node):
     that of a wrong command line, by which the processes that wait for the recorder tell the two apart.
     """
 
-    def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str], *, realtime: bool) -> None:
+    def __init__(self, make_run: Callable[[], RecordingRun], *, realtime: bool) -> None:
         super().__init__("recorder")
         scheduling = request_realtime(realtime=realtime, priority=_PRIORITY)  # before samples arrive
         self._run = make_run()
         self.failed = False
         self.done: Future = Future()
-        self._unknown = [topic for topic in topics if topic not in GRAPH]
-        for topic in topics:
-            if topic in GRAPH:
-                self._subscribe(topic, *GRAPH[topic])
+        for topic, (kind, offered) in GRAPH.items():
+            self._subscribe(topic, kind, offered)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(FLUSH_PERIOD, partial(self._write, self._run.writer.flush), clock=steady)
-        if self._unknown:
-            self.create_timer(0.5, self._look_for_unknown, clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
@@ -97,16 +90,6 @@ class RecorderNode(Node):
             )
             self.done.set_result(None)
 
-    def _look_for_unknown(self) -> None:
-        """Subscribe to topics outside the hydro graph once a publisher announces their type."""
-        for topic in list(self._unknown):
-            publishers = self.get_publishers_info_by_topic(topic)
-            if publishers:
-                package, _, name = publishers[0].topic_type.split("/")
-                kind = getattr(import_module(f"{package}.msg"), name)
-                self._subscribe(topic, kind, publishers[0].qos_profile)
-                self._unknown.remove(topic)
-
     def _status(self) -> Status:
         run = self._run
         values = {"folder": run.writer.folder, "bytes": run.bytes, "lost": run.counts.lost, **run.messages}
@@ -124,7 +107,6 @@ def _parser() -> argparse.ArgumentParser:
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--out", type=writable_folder, metavar="DIR", help="folder to make; it must not exist")
     action.add_argument("--repair", type=Path, metavar="DIR", help="make a recording whole whose recorder was killed")
-    parser.add_argument("--topics", nargs="+", default=list(GRAPH), metavar="TOPIC", help="default: all of the graph")
     parser.add_argument(
         "--metadata", nargs="+", action="extend", default=[], metavar="KEY=VALUE", help="kept in the recording"
     )
@@ -143,17 +125,12 @@ def main() -> None:
     if options.repair:
         print(f"{options.repair}: kept {repair(options.repair)} messages", file=sys.stderr)
         return
-    for topic in options.topics:  # before a folder is created
-        try:
-            validate_full_topic_name(topic)
-        except InvalidTopicNameException as error:
-            raise UserError(f"--topics {topic}: {str(error).splitlines()[0].rstrip(':')}") from None
     metadata, attachments = parse_pairs(options.metadata), read_attachments(options.attach)
     made: list[RecorderNode] = []
 
     def make() -> RecorderNode:
         run = partial(RecordingRun, options.out, metadata, attachments)
-        made.append(RecorderNode(run, options.topics, realtime=options.realtime))
+        made.append(RecorderNode(run, realtime=options.realtime))
         return made[0]
 
     run_node(make, ros)

@@ -8,22 +8,114 @@ from __future__ import annotations
 
 import argparse
 import threading
+import time
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Any
+from struct import Struct
+from threading import Event
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.bags.replaying import Replay
+from hydro_bridge.bags.recording import messages, read_bag
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import command
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, GRAPH, LAW_STATE, STATE
+from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
+from hydro_bridge.settings import SettingsError
 from hydro_msgs.srv import Claim
+
+_STAMP = Struct("<iI")
+_STAMPED = {
+    "BenchState", "BoxInfo", "BoxLaw", "Correction", "Gains", "LawCommand", "LawState", "TrainingStatus",
+    "DiagnosticArray",
+}  # fmt: skip
+
+
+def restamp(data: bytes, time_ns: int) -> bytes:
+    """Return a serialized message with header (little-endian CDR) under a new stamp."""
+    return data[:4] + _STAMP.pack(*divmod(time_ns, 1_000_000_000)) + data[12:]
+
+
+class Replay:
+    """Passes on recorded messages at their original intervals, each stamped with its due time.
+
+    A consumer treats an old stamp as a stale sample.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    topics
+        Topics to replay.
+    publish
+        Called with topic and bytes when a message is due.
+    speed
+        Recorded seconds per second, above 0.
+    loop
+        Start again at the end.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Collection[str],
+        publish: Callable[[str, bytes], None],
+        *,
+        speed: float = 1.0,
+        loop: bool = False,
+    ) -> None:
+        if not speed > 0.0:
+            raise SettingsError(f"speed is {speed:g}, it must be above 0")
+        self._path, self._topics, self._publish = path, topics, publish
+        self._speed, self._loop = speed, loop
+        self.published = 0
+        self.latest = 0.0
+        """s, delay of the last message."""
+        self._stopping = Event()
+
+    def stop(self) -> None:
+        """End `run`."""
+        self._stopping.set()
+
+    def run(self) -> None:
+        """Replay until the end or `stop`; raises RecordingError."""
+        while not self._stopping.is_set():
+            self._once()
+            if not self._loop:
+                return
+
+    def _once(self) -> None:
+        first: int | None = None
+        began, began_ns = time.monotonic(), time.time_ns()
+        for topic, type_name, log_time, data in messages(self._path):
+            if topic not in self._topics:
+                continue
+            first = log_time if first is None else first
+            ahead = (log_time - first) / self._speed
+            if self._wait(began + 1e-9 * ahead):
+                return
+            stamped = type_name.rpartition("/")[2] in _STAMPED
+            self._publish(topic, restamp(data, began_ns + int(ahead)) if stamped else data)
+            self.published += 1
+
+    def _wait(self, due: float) -> bool:
+        """Wait until `due` on the monotonic clock; True if `stop` was called meanwhile."""
+        while (ahead := due - time.monotonic()) > 0.0:
+            if ahead > 0.1:
+                self._stopping.wait(0.1)
+            else:
+                time.sleep(ahead)
+            if self._stopping.is_set():
+                return True
+        self.latest = -ahead
+        return self._stopping.is_set()
+
+
+TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
+"""Topics that are replayed, as far as they were recorded."""
 
 
 class ReplayerNode(Node):
@@ -32,12 +124,12 @@ class ReplayerNode(Node):
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
         self._bag = options.bag
-        self._publishers_by_topic = {topic: self.create_publisher(*_kind(topic)) for topic in options.topics}
+        self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in TOPICS}
         self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
         self.replay = Replay(
             options.bag,
-            options.topics,
+            TOPICS,
             lambda topic, data: self._publishers_by_topic[topic].publish(data),
             speed=options.speed,
             loop=options.loop,
@@ -82,13 +174,6 @@ class ReplayerNode(Node):
         return Status(message="replaying", values=values)
 
 
-def _kind(topic: str) -> tuple[type[Any], str, QoSProfile]:
-    if topic not in GRAPH:
-        raise RecordingError(f"{topic} is no topic of the hydro graph: use `ros2 bag play`")
-    kind, qos = GRAPH[topic]
-    return kind, topic, qos
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="replayer",
@@ -98,10 +183,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
     parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
-    usual = [STATE, BOX, LAW_STATE, BOX_LAW]
-    parser.add_argument(
-        "--topics", nargs="+", default=usual, metavar="TOPIC", help=f"default, as far as recorded: {' '.join(usual)}"
-    )
     return parser
 
 

@@ -27,8 +27,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import screen as screen_names
 from hydro_sim.model.effects.catalogue import CLOSURES
-from hydro_sim.model.law_signals import SIGN_VELOCITY
-from hydro_sim.model.laws import REVERSING, TURN, Law, rounded
+from hydro_sim.model.laws import REVERSING, SIGN_VELOCITY, TURN, Law, rounded
 
 START = 2.0 * SIGN_VELOCITY
 """Start value of the reversal velocity [m/s]."""

@@ -22,8 +22,7 @@ from hydro_diagnosis.effects.kernels import held_lag
 from hydro_diagnosis.estimation.fit import SHORTEST, Fit, residual_variances
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Layout, Problem
 from hydro_sim.model import grammar
-from hydro_sim.model.law_signals import SIGN_VELOCITY
-from hydro_sim.model.laws import Law
+from hydro_sim.model.laws import SIGN_VELOCITY, Law
 from hydro_sim.model.tables import SETTLING, Table
 
 INSIDE = 0.1

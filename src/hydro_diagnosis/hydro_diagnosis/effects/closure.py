@@ -32,9 +32,7 @@ from hydro_diagnosis.effects.kernels import along, held_lag, limited, splined
 from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.edge_laws import edge_losses, shifted
-from hydro_sim.model.law_signals import Signals, sensed
-from hydro_sim.model.laws import TURN, WIDEST, Element, Law, Number
+from hydro_sim.model.laws import TURN, WIDEST, Element, Law, Number, Signals, edge_losses, sensed, shifted
 from hydro_sim.model.tables import SETTLING, Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}

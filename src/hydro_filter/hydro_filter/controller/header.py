@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ros2 run hydro_filter export_c --metric M --bench bench.yaml --out filter_config.h: a filter's numbers for C.
 
-Of the constant metric (the default here) for firmware/hydro/filter.h, whose decision is that of `compiled.decide`; of
+Of the constant metric (the default here) for firmware/hydro/filter.h, whose decision is that of `ContractionFilter`; of
 the learned one, the graph's default, for firmware/hydro/loop_filter.h (`loop_header`), whose is `loop_decision.decide`.
 """
 
@@ -10,16 +10,19 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from hydro_bridge.cli.console import command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.settings import check
+from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.controller import loop_header
-from hydro_filter.controller.compiled import FilterParts, filter_parts
 from hydro_filter.controller.factory import CONSTANT, FilterChoice
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
 from hydro_filter.metric.scheduled import ScheduledMetric
-from hydro_filter.model.state import LOAD_FORCE
+from hydro_filter.model.force_law import ForceLaw
+from hydro_filter.model.state import LOAD_FORCE, STATES
 from hydro_sim.box.c_text import header_file, reals
 from hydro_sim.box.configuration import BENCH_FIELDS
 from hydro_sim.files.learned_bench import load_model
@@ -54,21 +57,21 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def header(parts: FilterParts, digest: str) -> str:
-    """Return the header that defines `HYDRO_FILTER`, for a bench of this digest."""
-    bench = parts.bench[0]
+def header(certificate: Certificate, bench: Bench) -> str:
+    """Return the header that defines `HYDRO_FILTER`: a constant metric's certificate for a bench."""
+    numbers, metric = bench.constants()[0], certificate.metric.matrix(np.zeros(STATES))
     lines = [
         "    .bench = {",
-        *(f"        .{field} = HYDRO_R({float(bench[field])!r})," for field in BENCH_FIELDS),
+        *(f"        .{field} = HYDRO_R({float(numbers[field])!r})," for field in BENCH_FIELDS),
         "    },",
-        f"    .gain_floor = HYDRO_R({float(parts.gain_floor)!r}),",
-        f"    .metric = {reals(parts.metric[:, LOAD_FORCE])},",
-        f"    .scale = {reals(parts.scale)},",
-        f"    .contraction_rate = HYDRO_R({float(parts.contraction_rate)!r}),",
-        f"    .noise_floor = HYDRO_R({float(parts.noise_floor)!r}),",
+        f"    .gain_floor = HYDRO_R({float(ForceLaw(bench).gain_floor)!r}),",
+        f"    .metric = {reals(metric[:, LOAD_FORCE])},",
+        f"    .scale = {reals(certificate.scale)},",
+        f"    .contraction_rate = HYDRO_R({float(certificate.contraction_rate)!r}),",
+        f"    .noise_floor = HYDRO_R({float(certificate.noise_floor)!r}),",
     ]
     body = '#include "hydro/filter.h"\n\nstatic const hydro_filter HYDRO_FILTER = {\n' + "\n".join(lines) + "\n};"
-    origin = f"Written by `ros2 run hydro_filter export_c` for the bench {digest}, constant metric."
+    origin = f"Written by `ros2 run hydro_filter export_c` for the bench {bench.digest}, constant metric."
     return header_file("HYDRO_FILTER_CONFIG_H", origin, body)
 
 
@@ -103,8 +106,7 @@ def _constant(choice: FilterChoice, options: argparse.Namespace) -> str:
         noise_floor=usual.noise_floor if floor is None else floor,
     )
     check(settings)
-    certificate = ContractionFilter.for_bench(choice.bench, settings).certificate
-    return header(filter_parts(certificate), choice.bench.digest)
+    return header(ContractionFilter.for_bench(choice.bench, settings).certificate, choice.bench)
 
 
 def _learned(choice: FilterChoice, options: argparse.Namespace) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Equations of `dynamics`, x' = f(x, u), in terms of `hydro_sim.model.equations`; `analytic_kernels` has A and B.
+"""F(x, u) = h + g u, f_h' of eq. q13, in terms of `hydro_sim.model.equations`; `analytic_kernels` has its slopes.
 
 Their derivatives go by way of the roots of the pressure drops, whose slopes are `root_slopes`: next to zero pressure
 drop no steeper than at `SMALLEST_DROP`. Source: paper eq. q13-q15 with physics.md's erratum.
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba.extending import register_jitable
 
-from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE_RATE, POSITION, VELOCITY
+from hydro_filter.model.state import POSITION, VELOCITY
 from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 
@@ -20,13 +20,12 @@ SMALLEST_DROP = 1e3
 
 @njit
 def root_slopes(bench, pressure_a, pressure_b, opening):
-    """Roots of the pressure drops at A and at B under an opening; their first and second slopes by the pressures."""
+    """Roots of the pressure drops at A and at B under an opening, and their slopes by the pressures."""
     out, back = eq.edge_drops(bench.supply_pressure, bench.tank_pressure, pressure_a, pressure_b)
     (drop_a, drop_b), sign = (out, 1.0) if opening >= 0.0 else (back, -1.0)
     root_a, root_b = eq.signed_root(drop_a), eq.signed_root(drop_b)
     size_a, size_b = np.sqrt(max(abs(drop_a), SMALLEST_DROP)), np.sqrt(max(abs(drop_b), SMALLEST_DROP))
-    bend_a, bend_b = -0.25 * np.copysign(1.0, drop_a) / size_a**3, -0.25 * np.copysign(1.0, drop_b) / size_b**3
-    return root_a, root_b, -0.5 * sign / size_a, 0.5 * sign / size_b, bend_a, bend_b
+    return root_a, root_b, -0.5 * sign / size_a, 0.5 * sign / size_b
 
 
 @register_jitable
@@ -42,19 +41,3 @@ def force_rate(n, state, current, roots):
     """F(x, u) = h + g u [N/s], f_h' of eq. q13."""
     rate_a, rate_b = pressure_rates(n, state, current, roots)
     return eq.hydraulic_force(n, rate_a, rate_b)
-
-
-@register_jitable
-def acceleration(n, state):
-    """x_p'' [m/s^2]."""
-    against = n.viscous_friction * state[VELOCITY] + eq.spring_force(n, state[POSITION])
-    return (state[HYDRAULIC_FORCE] - against) / n.moving_mass
-
-
-@register_jitable
-def rates(n, state, current, roots, bend):
-    """x' in its order; `bend`: f_h'' [N/s^2]."""
-    pushed = acceleration(n, state)
-    load, (rate_a, rate_b) = state[LOAD_FORCE_RATE], pressure_rates(n, state, current, roots)
-    force = eq.hydraulic_force(n, rate_a, rate_b)
-    return force, bend, load, n.spring_stiffness * pushed, rate_a, rate_b, state[VELOCITY], pushed

@@ -1,19 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dynamics x' = f(x, u) on the paper's eight states, with exact Jacobians A = df/dx and B = df/du.
-
-The eight states describe a plant of four (f_h follows from the pressures, f_l and f_l' from the piston), so f is not
-unique off the consistent states. The choice here, row by row::
-
-    f_h'   = h(x_p, x_p') + g(x_p, p_a, p_b) u         eq. q13, not the state f_h' itself
-    f_h''  = d/dt (h + g u) at held u                  by the chain rule along x_p', x_p'', p_a', p_b'
-    f_l'   = the state f_l'
-    f_l''  = k_s x_p''                                 x_p'' = (f_h - b x_p' - k_s (x_p - x_rest)) / m
-    p_a', p_b', x_p' as in hydro_sim.model.hydraulics        x_p'' as above
+"""Jacobians A = df/dx and B = df/du of a bench on the paper's eight states, as the certificate along f_l asks for them.
 
 The spring's force on the mass is taken from the position, not from the load cell: then f_l enters the motion by the
 feedback alone, as it does on a bench whose load cell lags, and a displacement along f_l asks what the feedback does to
-it. Source: paper eq. q13-q15 with physics.md's erratum; the derivation is checked against `hydraulics` in the
-tests.
+it. A's column of f_l is therefore zero, and of B the constant metric's row of f_l (`metric.constant`) has f_h's entry
+g(x_p, p_a, p_b) alone (eq. q13).
 """
 
 from __future__ import annotations
@@ -23,8 +14,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.model import analytic_kernels
-from hydro_filter.model.state import STATES
+from hydro_filter.model.analytic_kernels import force_rate_slopes
+from hydro_filter.model.state import HYDRAULIC_FORCE, STATES
 from hydro_sim.model.bench import Bench
 
 
@@ -47,14 +38,13 @@ class Dynamics(Protocol):
 
 
 class AnalyticDynamics:
-    """The nominal bench (`f` in this module's docstring)."""
+    """The nominal bench, as far as a constant metric along f_l sees it (module docstring); all else is zero."""
 
     def __init__(self, bench: Bench) -> None:
         self.constants = bench.constants()
 
     def linearize(self, state: FloatArray, current: float) -> Linearization:
         """See `Dynamics.linearize`. The arrays are new ones."""
-        linear = Linearization(np.empty((STATES, STATES)), np.empty(STATES), np.empty(STATES))
-        analytic_kernels.linearize(self.constants, state, current, linear.state_matrix, linear.input_vector)
-        analytic_kernels.state_rate(self.constants, state, current, linear.state_rate)
+        linear = Linearization(np.zeros((STATES, STATES)), np.zeros(STATES), np.zeros(STATES))
+        linear.input_vector[HYDRAULIC_FORCE] = force_rate_slopes(self.constants[0], state, current)[-1]
         return linear

@@ -81,7 +81,7 @@ def gradient(constants, state, current, proportional_gain, gain_floor, out, scal
     gain = max(gain, gain_floor)
     out[:] = state
     out[VELOCITY] *= c_1
-    by_position, by_velocity, by_a, by_b = force_rate_slopes(bench, out, felt)
+    by_position, by_velocity, by_a, by_b, _ = force_rate_slopes(bench, out, felt)
     out[:] = 0.0
     out[LOAD_FORCE] = -proportional_gain / gain
     out[PRESSURE_A] = -by_a / gain

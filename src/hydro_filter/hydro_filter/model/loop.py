@@ -16,7 +16,9 @@ hidden states (bristles, a drooping supply) are held fixed in derivatives by x.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,11 +33,11 @@ from hydro_filter.model.added_coordinates import (
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, least_gain, loop_scale
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import MEMORY_DTYPE, Loop, ModelParts, Step
-from hydro_filter.model.refusals import refuse
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_filter.model.terms import (
     cell_dynamics,
     cell_states,
+    follows_velocity,
     hidden_state_numbers,
     load_curve,
     null_shifts,
@@ -48,6 +50,7 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
+from hydro_sim.model.grammar import remembers, uses
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
@@ -58,6 +61,15 @@ OVERLAP = "valve_deadband"
 
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
+
+ONE_LAG = {
+    "the valve": "valve_lag",
+    "the load cell": "sensor_lag sensor=load_force",
+    "the load cell of f_h": "sensor_lag sensor=hydraulic_force",
+    "the pressure sensor of a": "sensor_lag sensor=pressure_a",
+    "the pressure sensor of b": "sensor_lag sensor=pressure_b",
+}
+"""Labels of effects of which a bench has one at most."""
 
 
 def loop_of(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> Loop:
@@ -72,6 +84,28 @@ def loop_of(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> Loop
     floor, scale = float((box or BoxConfig()).constants(believed)["gain_floor"][0]), loop_scale(believed)
     model, added = parts(truth, scale)
     return Loop(model, believed.constants(), floor, believed.valve_current_max, np.append(scale, added))
+
+
+def refuse(truth: Bench) -> None:
+    """Raise ValueError, in one sentence, if the certificate has no place for one of a bench's effects or closures."""
+    static = [one for one in truth.closures if not remembers(one)]
+    loads: list[Mapping[str, Any]] = [{"id": "closure", **one} for one in static if one["equation"] == "load"]
+    refused: dict[str, list[Mapping[str, Any]]] = {
+        "what closures remember": [one for one in truth.closures if remembers(one)],
+        "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
+        "a mass that the load drags along": [one for one in loads if "acceleration" in uses(one)],
+        "a load that follows the velocity": [one for one in loads if follows_velocity(truth, one)],
+    }
+    for what, closures in refused.items():
+        if closures:
+            forms = ", ".join(str(one["form"]) for one in closures)
+            raise ValueError(
+                f"the filter's certificate has no place for {what}: take {forms} out of the bench file, where it is "
+                "small"
+            )
+    for what, label in ONE_LAG.items():
+        if sum(catalogue.label(effect).startswith(label) for effect in truth.effects) > 1:
+            raise ValueError(f"the filter's certificate has a place for one lag of {what}, the bench file has more")
 
 
 def step_of(loop: Loop) -> Step:

@@ -35,7 +35,7 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.excitation import drawn
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import Plant
+from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 PULSE = 3e-3
@@ -130,7 +130,9 @@ class Windows:
         return Windows(**{entry.name: getattr(self, entry.name)[which] for entry in fields(self)})
 
 
-def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, free: Plant | None = None) -> Rollout:
+def roll_out(
+    plant: AnalyticPlant, bench: Bench, settings: DataSettings, index: int, free: AnalyticPlant | None = None
+) -> Rollout:
     """Run rollout number `index`, reproducible for equal settings; `free`: the plant without its overlap."""
     rng = np.random.default_rng((settings.seed, index))
     low, high = settings.gain_min, settings.gain_max
@@ -148,7 +150,9 @@ def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, fre
     return Rollout(states=kept, gains=gains, label=label)
 
 
-def _twins(plant: Plant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int) -> tuple[StateArray, StateArray]:
+def _twins(
+    plant: AnalyticPlant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int
+) -> tuple[StateArray, StateArray]:
     """Run twice with the same noise, the second time with the pulse."""
     pulse = np.zeros(plan.samples)
     first = simulate(plant, bench, replace(plan, correction=pulse.copy()), config=box, seed=seed)
@@ -226,7 +230,7 @@ def _follow(loop, x, signals, starts, scales, memory, step, transitions, pushes,
 
 
 def collect(
-    plant: Plant, bench: Bench, loop: Loop, settings: DataSettings, free: Plant | None = None
+    plant: AnalyticPlant, bench: Bench, loop: Loop, settings: DataSettings, free: AnalyticPlant | None = None
 ) -> Iterator[tuple[Rollout, Windows | None]]:
     """Generate all rollouts of the settings with their windows; `free`: see `roll_out`."""
     for index in range(settings.rollouts):

@@ -46,7 +46,7 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.plant import AnalyticPlant
 
 HELD_OUT = 5
 """Every fifth rollout is held out."""
@@ -159,7 +159,7 @@ def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDe
     return decaying_range(loop, replace(usual, gain_low=low, gain_high=high))
 
 
-def free_plant(model: Bench) -> Plant | None:
+def free_plant(model: Bench) -> AnalyticPlant | None:
     """Return the plant of a bench file without its valve's overlap; None if it has none."""
     free = without_overlap(model)
     return None if free is None else AnalyticPlant(free)
@@ -176,7 +176,7 @@ def require_held_out(held_out: Windows, design: MetricDesign) -> None:
 
 
 def collect_rollouts(
-    plant: Plant, bench: Bench, loop: Loop, data: DataSettings, free: Plant | None = None
+    plant: AnalyticPlant, bench: Bench, loop: Loop, data: DataSettings, free: AnalyticPlant | None = None
 ) -> TrainingData:
     """Collect all rollouts, every fifth held out; `free`: see `roll_out`."""
     kept: list[Windows] = []

@@ -22,7 +22,7 @@ from hydro_filter.model.observer import follow, settle
 from hydro_filter.model.parts import Loop
 from hydro_filter.training.data import DataSettings
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import Plant
+from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 SAMPLES = 4000
@@ -30,7 +30,9 @@ QUANTILE = 0.99
 """Quantile of the noise's v'Mv that is treated as noise."""
 
 
-def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0) -> FloatArray:
+def displacements(
+    loop: Loop, plant: AnalyticPlant, gain: float, seed: int, velocity_compensation: float = 1.0
+) -> FloatArray:
     """v_1 of a still bench, its valve closed, shape (samples, coordinates)."""
     x, memory, step, closing = plant.reset(seed), memories(), step_of(loop), closing_current(loop)
     out, scales = np.empty((SAMPLES, len(loop.scale))), (velocity_compensation, 1.0)
@@ -44,7 +46,9 @@ def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_com
     return out[100:]
 
 
-def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant, seed: int = 0) -> tuple[float, float]:
+def noise_sizes(
+    metric: ScheduledMetric, loop: Loop, noisy: AnalyticPlant, clean: AnalyticPlant, seed: int = 0
+) -> tuple[float, float]:
     """`QUANTILE` of v'Mv of the noise: the largest over the certified range, and that of the metric for other gains."""
     sizes = []
     for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
@@ -79,7 +83,7 @@ ASKED_FOR = 18.0
 """s: the integral takes some K_p / K_i = 6 s to settle."""
 
 
-def integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: DataSettings, seed: int = 0) -> float:
+def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: DataSettings, seed: int = 0) -> float:
     """Largest integral action of stable loops under the law of `data` after the first second [N/s], plus a quarter."""
     largest = 0.0
     law, asking = data.box.compensated, list(ASKING)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, StateArray
-from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.validation.cases import CASES, Case
@@ -23,10 +22,8 @@ from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
-FILTERS = ("none", "learned", "projected")
-"""none: bypassed, its certificate evaluated; learned: the default;
-projected: the paper's v on the constant metric, lambda 2 1/s.
-"""
+FILTERS = ("none", "learned")
+"""none: bypassed, its certificate evaluated; learned: the default."""
 SETTLING = 2000
 """Samples left out of RMSE and chattering: the fade from rest."""
 
@@ -71,8 +68,6 @@ _MADE: dict[tuple[Any, ...], Any] = {}
 
 def make_filter(task: Task, bench: Bench) -> Corrector:
     """The filter of a task."""
-    if task.filter == "projected":
-        return ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=2.0))
     key = ("filter", task.metric, task.model, task.bench, task.filter, task.rate)
     if key not in _MADE:
         metric, model = ScheduledMetric.load(task.metric), load_model(task.model)

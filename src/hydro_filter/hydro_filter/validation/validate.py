@@ -14,28 +14,29 @@ from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 from joblib import Parallel, delayed
 
-from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import PLANTS
-from hydro_filter.validation.plots import draw_tracking
 from hydro_filter.validation.runs import COLUMNS, FILTERS, Outcome, Task, evaluate_task, simulate, table_row
+from hydro_filter.validation.trial import Run
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, draw, figure, legend
 
 
 @command(WeightsError, ValueError)
 def main() -> None:
     """Entry point."""
     options = arguments(sys.argv[1:])
-    if set(options.filters) != {"projected"}:  # that is the constant metric's
-        raise_if_mismatched(_choice(options).trouble())  # before the work
+    raise_if_mismatched(_choice(options).trouble())  # before the work
     lines = list(product(options.plants, options.cases, options.filters))
     tasks = [task(options, *line, seed) for line in lines for seed in range(options.seeds)]
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
@@ -82,6 +83,30 @@ def _draw(options: argparse.Namespace) -> list[tuple[str, Path]]:
         draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
         drawn.append((f"{plant}: {case}", path))
     return drawn
+
+
+def draw_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
+    """Draw the paper's figure unstable_track: both forces, the gain, the correction and the certificate over time."""
+    with figure(path, 4, size=(8.0, 8.0), sharex=True, height_ratios=(3, 1.5, 1.5, 1.5)) as (drawing, axes):
+        force, gain, valve, certificate = axes
+        drawing.suptitle(title, x=0.01, ha="left", weight="semibold")
+        draw(force, filtered.states, "reference_force", color=GRAY, linestyle="--")
+        tripped = "" if without.bounded else ", until the box tripped"
+        draw(force, without.states, "load_force", color=RED, label="without filter" + tripped, linewidth=0.9)
+        draw(force, filtered.states, "load_force", color=BLUE, label="with filter")
+        force.set(ylabel="load force [N]", ylim=(-720.0, 720.0))
+        draw(gain, filtered.states, "proportional_gain", color=GREEN, drawstyle="steps-post", linewidth=0.7)
+        gain.set(ylabel="[1/s]")
+        time = filtered.states["time"]
+        correction = np.array([result.delta_u for result in filtered.results])
+        valve.plot(time, 1e3 * correction, color=ORANGE, label="correction", linewidth=0.7)
+        valve.set(ylabel="[mA]")
+        before, after = (np.array([getattr(r, name) for r in filtered.results]) for name in ("before", "after"))
+        certificate.plot(time, before, color=RED, label=r"$M_c$ before", linewidth=0.7)
+        certificate.plot(time, after, color=BLUE, label=r"$M_c$ after", linewidth=0.7)
+        certificate.set(ylabel="[1/s]", xlabel="time [s]", yscale="symlog", xlim=(time[0], time[-1]))
+        for panel in axes:
+            legend(panel)
 
 
 def _write_page(options: argparse.Namespace, table: Table, drawn: Sequence[tuple[str, Path]]) -> None:

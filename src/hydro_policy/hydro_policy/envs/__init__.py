@@ -8,6 +8,6 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-FilterName = Literal["none", "constant", "learned"]
+FilterName = Literal["none", "learned"]
 FILTERS: tuple[FilterName, ...] = get_args(FilterName)
 """Filters between policy and box of a simulated bench, by name; `vector_filter` creates them."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contraction filter in a vectorised environment: from one sample to the next one's correction, as in the graph.
 
-A kind is a NamedTuple with a compiled `correct` dispatched on its type: none, constant metric, learned metric.
+A kind is a NamedTuple with a compiled `correct` dispatched on its type: none, learned metric.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ import numpy.typing as npt
 from numba.extending import overload
 
 from hydro_bridge.signals import Flag
-from hydro_filter.controller import compiled, loop_decision
-from hydro_filter.controller.compiled import FilterParts
-from hydro_filter.controller.filter import ContractionFilter
+from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_decision import LoopParts, Workspace
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories
@@ -31,13 +29,6 @@ class NoFilter(NamedTuple):
     fresh: bool = False
 
 
-class ConstantFilter(NamedTuple):
-    """The filter with the constant metric; stateless."""
-
-    fresh: bool
-    parts: FilterParts
-
-
 class LearnedFilter(NamedTuple):
     """The filter with the learned metric, with one memory per bench."""
 
@@ -47,15 +38,13 @@ class LearnedFilter(NamedTuple):
     workspace: Workspace
 
 
-FleetFilter = NoFilter | ConstantFilter | LearnedFilter
+FleetFilter = NoFilter | LearnedFilter
 
 
 def fleet_filter(kind: str, believed: Bench, count: int) -> FleetFilter:
     """Return the filter of a kind in `FILTERS` for `count` benches, designed for the bench `believed`."""
     if kind == "none":
         return NoFilter()
-    if kind == "constant":
-        return ConstantFilter(True, compiled.filter_parts(ContractionFilter.for_bench(believed).certificate))
     if kind == "learned":
         return loop_fleet_filter(default_filter(believed).parts, count)
     raise ValueError(f"there is no filter {kind!r}; there are {', '.join(FILTERS)}")
@@ -82,13 +71,6 @@ def _correct(filters, i, x, sample, law):
     kind = getattr(filters, "instance_class", None)
     if kind is NoFilter:
         return lambda filters, i, x, sample, law: 0.0
-    if kind is ConstantFilter:
-
-        def constant(filters, i, x, sample, law):
-            nominal, reference = sample.nominal_valve_current, sample.reference_force
-            return compiled.decide(filters.parts, x, nominal, reference, sample.proportional_gain)[0]
-
-        return constant
     if kind is LearnedFilter:
 
         def learned(filters, i, x, sample, law):

@@ -36,7 +36,7 @@ from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters, dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
-from hydro_sim.files.stamping import stamped
+from hydro_sim.files.pairing import stamped
 
 _HEADER = 64
 _SLOT_HEADER = 16

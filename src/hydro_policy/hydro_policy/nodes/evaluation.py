@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.bags.writer import code_version
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process.endings import undisturbed

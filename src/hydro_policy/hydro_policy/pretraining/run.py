@@ -19,7 +19,7 @@ import torch
 import yaml
 from tqdm import tqdm
 
-from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli.console import Table, UserError, progress
 from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
 from hydro_bridge.files.atomic import write_whole
@@ -43,8 +43,7 @@ from hydro_policy.task.cases import Case
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
 from hydro_sim.files import learned_bench
 from hydro_sim.files.learned_bench import is_bench_file
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched
-from hydro_sim.files.stamping import stamped
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched, stamped
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import BLUE, figure, legend
 

@@ -160,7 +160,7 @@ class PretrainSettings:
     examined: Annotated[int, quantity("-", 0, 256)] = 8
     """Drawn benches that a policy is examined on besides the known one, if benches are drawn."""
     filter: FilterName = "none"
-    """The filter between policy and box: none, constant, learned (`fleet_filter`)."""
+    """The filter between policy and box: none, learned (`fleet_filter`)."""
     box: BoxConfig = field(default_factory=BoxConfig)
     """Base gains, limits and form of the integral of the boxes."""
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)

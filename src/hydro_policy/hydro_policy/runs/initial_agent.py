@@ -13,8 +13,7 @@ from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import as_beginning, settings_of
 from hydro_policy.task.mdp import GainRange
-from hydro_sim.files.pairing import MadeFor
-from hydro_sim.files.stamping import stamp_of
+from hydro_sim.files.pairing import MadeFor, stamp_of
 
 AGENT = "learner.safetensors"
 

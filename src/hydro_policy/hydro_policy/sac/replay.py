@@ -7,8 +7,6 @@ sent, and nothing is lost when the learner dies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -16,17 +14,6 @@ from torch import Tensor
 
 _COUNTER_BYTES = 64  # a separate cache line
 _MARGIN = 64  # oldest rows of a full buffer that are not drawn: the other process may be overwriting them
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Transitions (o, a, r, o', terminated): [batch, n] each, reward and terminated [batch]."""
-
-    observation: Tensor
-    action: Tensor
-    reward: Tensor
-    next_observation: Tensor
-    terminated: Tensor
 
 
 class ReplayBuffer:
@@ -54,7 +41,6 @@ class ReplayBuffer:
         self._counter = np.frombuffer(memory, np.int64, 1)  # type: ignore[call-overload]
         rows = np.frombuffer(memory, np.float32, capacity * sum(self.widths), _COUNTER_BYTES)  # type: ignore[call-overload]
         self.rows: NDArray[np.float32] = rows.reshape(capacity, -1)
-        self._tensor = torch.from_numpy(self.rows)
 
     @staticmethod
     def nbytes(observations: int, actions: int, capacity: int) -> int:
@@ -91,14 +77,6 @@ class ReplayBuffer:
             return torch.randint(produced, (count,), generator=generator)
         ages = torch.randint(capacity - _MARGIN, (count,), generator=generator)
         return (produced - 1 - ages) % capacity
-
-    def sample(self, batch_size: int, generator: torch.Generator) -> Batch:
-        """Draw `batch_size` transitions uniformly, with replacement."""
-        places = self.draw(batch_size, generator)
-        observation, following, action, reward, terminated = self._tensor.index_select(0, places).split(
-            self.widths, dim=1
-        )
-        return Batch(observation, action, reward.squeeze(1), following, terminated.squeeze(1))
 
     def stored(self) -> tuple[NDArray[np.float32], int]:
         """Return a copy of all stored rows, oldest first, and `produced` at that moment."""

@@ -29,8 +29,8 @@ class SacSettings:
     """Adam's step size for log(alpha); 0 keeps alpha fixed."""
     target_entropy: Annotated[float, quantity("-", -10.0, 2.0)] = -2.0
     """Entropy in nats that alpha is steered to; minus the number of actions is usual."""
-    batch_size: Annotated[int, quantity("-", 1, 65536)] = 256
-    """Transitions per update."""
+    batch_size: Annotated[int, quantity("-", 1, 512)] = 256
+    """Transitions per update; as many as a buffer of the kernels holds at most."""
     reward_scale: Annotated[float, quantity("-", 1e-6, 100.0)] = 0.02
     """Factor on the reward before learning, so that the critics' values are of order one to a hundred."""
     log_std_min: Annotated[float, quantity("-", -20.0, 0.0)] = -5.0

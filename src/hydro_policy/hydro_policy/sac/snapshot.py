@@ -19,8 +19,7 @@ from torch import Tensor
 from hydro_bridge.files.tensors import UnsoundError, check_numbers, check_shapes
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
-from hydro_policy.sac.algorithm import Sac
-from hydro_policy.sac.mlp import FlatAdam
+from hydro_policy.sac.algorithm import FlatAdam, Sac
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 

@@ -18,18 +18,16 @@ from hydro_bridge.cli.console import writable, writable_folder
 from hydro_bridge.errors import user_message
 from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.process import endings
-from hydro_bridge.process.realtime import drop_realtime
 from hydro_bridge.settings import SettingsError
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_details, box_info
 from hydro_sim.box.firmware import Precision
-from hydro_sim.emulator import jobs
-from hydro_sim.emulator.control import ControlPipe
+from hydro_sim.emulator import offline
 from hydro_sim.emulator.firmware import FirmwareLink, FirmwareMachine
 from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.realtime import Log, RealTime, raise_priority
+from hydro_sim.emulator.realtime import ControlPipe, RealTime, raise_priority
 from hydro_sim.emulator.truth.config import truth_to_mapping
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
@@ -53,12 +51,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> None:
     if options.print_truth:
-        print(yaml.safe_dump(truth_to_mapping(jobs.truth(options.truth)), sort_keys=False), end="")
+        print(yaml.safe_dump(truth_to_mapping(offline.truth(options.truth)), sort_keys=False), end="")
     elif options.offline or options.batch:
         if options.firmware != "python":
             raise SettingsError("--firmware is for a serial line: offline the Python box runs")
         for job in _jobs(options):
-            jobs.run(job)
+            offline.run(job)
     else:
         _serve(options)
 
@@ -69,9 +67,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--bench", metavar="FILE", help="what the box believes (default: the nominal bench)")
     parser.add_argument("--seconds", type=float, metavar="S", help="how long (default: until stopped)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of noise, random forces and link faults")
-    parser.add_argument(
-        "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
-    )
     parser.add_argument(
         "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
     )
@@ -89,37 +84,40 @@ def _parser() -> argparse.ArgumentParser:
         "--load-force", type=Path, metavar="FILE", help="keep the last forces on the load there meanwhile, in front of "
         "its cell, for scoring only",
     )  # fmt: skip
-    offline = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
-    offline.add_argument("--offline", action="store_true")
-    offline.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
-    offline.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
-    offline.add_argument("--batch", metavar="FILE", help="many recordings: a list `jobs` with these options as keys")
+    group = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
+    group.add_argument("--offline", action="store_true")
+    group.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
+    group.add_argument(
+        "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
+    )
+    group.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
+    group.add_argument("--batch", metavar="FILE", help="many recordings: a list `jobs` with these options as keys")
     return parser
 
 
-def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
+def _jobs(options: argparse.Namespace) -> list[offline.Job]:
     if options.batch:
         entries = read_yaml(options.batch).get("jobs")
         if not isinstance(entries, list):
             raise SettingsError(f"{options.batch} must hold a list under the key jobs")
-        return [from_mapping(jobs.Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
+        return [from_mapping(offline.Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
     if not options.out:
         raise SettingsError("--offline needs --out, the folder of the recording")
     keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed", "integral")
     return [
-        from_mapping(jobs.Job, {**{key: getattr(options, key) for key in keys}, "out": str(options.out)}, "emulator")
+        from_mapping(offline.Job, {**{key: getattr(options, key) for key in keys}, "out": str(options.out)}, "emulator")
     ]
 
 
 def _serve(options: argparse.Namespace) -> None:
-    if options.out or options.schedule:
-        raise SettingsError("--out and --schedule record offline: add --offline")
+    if options.out or options.schedule or options.noise_free:
+        raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
     if options.seconds is not None and not 0.001 <= options.seconds < float("inf"):
         raise SettingsError(f"--seconds {options.seconds:g}: 0.001 s or more is meant")
     if options.seed < 0:
         raise SettingsError(f"--seed {options.seed}: 0 or more is meant")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    box, truth = BoxConfig(integral=options.integral), jobs.truth(options.truth)
+    box, truth = BoxConfig(integral=options.integral), offline.truth(options.truth)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
     machine: Machine
     link: BoxLink
@@ -137,10 +135,9 @@ def _serve(options: argparse.Namespace) -> None:
         terminal = Terminal(options.link or default_link())
         link = FirmwareLink(terminal, machine.firmware, box_info(bench, box, EMULATED_BOX), faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
-    log = Log() if options.noise_free else None
     status = _show if sys.stderr.isatty() else None
     felt = load_force.create(options.load_force) if options.load_force else None
-    running = RealTime(machine, link, faults, control, log, felt, status)
+    running = RealTime(machine, link, faults, control, felt, status)
     stop = _stopper()
     print(
         f"port {terminal.path}, 1 kHz, {raise_priority()}: ros2 run hydro_bridge bridge --port {terminal.path}",
@@ -149,17 +146,15 @@ def _serve(options: argparse.Namespace) -> None:
     try:
         timing = running.run(options.seconds, lambda: bool(stop))
     finally:
-        drop_realtime()  # a long log takes seconds to write
         terminal.unplug()
         if control is not None:
             control.close()
         if options.load_force:
             options.load_force.unlink(missing_ok=True)
-        if log is not None:
-            log.recording().save_noise_free(options.noise_free)
+    pacer, worst = timing.pacer, 1e3 * timing.pacer.lateness.longest
     print(
-        f"{timing.samples} samples, {timing.late} late by more than 1 ms (worst {1e3 * timing.worst:.2f} ms, "
-        f"{timing.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
+        f"{timing.samples} samples, {pacer.late} late by more than 1 ms (worst {worst:.2f} ms, "
+        f"{pacer.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
     )
     refused = machine.refused[0]
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)

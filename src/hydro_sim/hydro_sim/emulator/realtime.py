@@ -1,74 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated bench in real time: one sample per millisecond against absolute deadlines."""
+"""The emulated bench in real time: one sample per millisecond against absolute deadlines, and orders by a pipe."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import os
+import stat
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
-import numpy as np
-
-from hydro_bridge.process.realtime import limit_run
+from hydro_bridge.process.latency import Pacer
+from hydro_bridge.process.realtime import exact_timers, limit_run
 from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, FloatArray
-from hydro_sim.emulator.control import ControlPipe, execute
-from hydro_sim.emulator.line.faults import LinkFaults
+from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_sim.emulator.line.faults import CHANCES, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.offline import Recording, noise_free_states
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.files import load_force
 
+ORDERS = (*CHANCES, "stall", "unplug", "clear", "reboot")
+
+
+class ControlPipe:
+    """Commands, one per line: a probability (`corrupt 0.01`), `stall 0.3`, `unplug 2`, `clear`, `reboot`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            if not path.exists():
+                os.mkfifo(path, 0o600)
+            if not stat.S_ISFIFO(path.stat().st_mode):
+                raise SettingsError(f"{path} exists and is no named pipe: give another place with --control")
+            self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)  # for writing too: no end of file between writers
+        except OSError as error:
+            raise SettingsError(f"{path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
+        self._rest = b""
+
+    def lines(self) -> Iterator[str]:
+        """Return the complete lines that have arrived."""
+        with contextlib.suppress(BlockingIOError):
+            self._rest = (self._rest + os.read(self._file, 4096))[-8192:]
+        *lines, self._rest = self._rest.split(b"\n")
+        for line in lines:
+            yield line.decode(errors="replace")
+
+    def close(self) -> None:
+        """Remove the pipe."""
+        os.close(self._file)
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+
+
+def execute(order: str, machine: Machine, link: BoxLink, now: float) -> None:
+    """Execute one command at time `now` [s].
+
+    Raises
+    ------
+    SettingsError
+        If it is not an order.
+    """
+    word, *rest = order.split() or [""]
+    if word not in ORDERS or len(rest) != (0 if word in ("clear", "reboot") else 1):
+        raise SettingsError(f"order {order!r} is none of: {', '.join(ORDERS)}; all but clear and reboot take a number")
+    number = _number(rest[0]) if rest else 0.0
+    if word == "clear":
+        link.set_faults(LinkFaults())
+    elif word == "reboot":
+        machine.restart()
+        link.reboot()
+    elif word == "stall":
+        link.stall(number, now)
+    elif word == "unplug":
+        link.unplug(number, now)
+    elif number > 1.0:
+        raise SettingsError(f"order {order!r}: a chance is within [0, 1]")
+    else:
+        link.set_faults(replace(link.up.faults, **{word: number}))  # type: ignore[arg-type]
+
+
+def _number(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        number = float(text)
+        if 0.0 <= number < 1e6:
+            return number
+    raise SettingsError(f"order: {text!r} is not a number of 0 or more")
+
+
 _LOAD_FORCE = TRUTH_FIELDS.index("load_force")
-_PERIOD_NS = round(SAMPLE_PERIOD * 1e9)
-_GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up
 _CONTROL_EVERY = 20  # samples between looks at the control pipe
-_PR_SET_TIMERSLACK = 29
 
 
 @dataclass
 class Timing:
-    """Statistics of the deadlines."""
+    """Statistics of a run."""
 
+    pacer: Pacer = field(default_factory=lambda: Pacer(SAMPLE_PERIOD))
     samples: int = 0
-    late: int = 0  # samples that began more than a period late
-    worst: float = 0.0  # s, latest beginning
-    skipped: float = 0.0  # s that the bench's clock fell behind because the machine was away for longer than 0.1 s
     cpu: float = 0.0  # s
-
-
-class Log:
-    """Log of samples and truth of a run, in blocks; for scoring only."""
-
-    BLOCK = 10_000
-
-    def __init__(self) -> None:
-        self._blocks: list[tuple[np.ndarray, FloatArray, FloatArray]] = []  # type: ignore[type-arg]
-        self._filled = self.BLOCK
-
-    def add(self, sample: np.void, clean: FloatArray, physical: FloatArray) -> None:
-        """Keep one sample."""
-        if self._filled == self.BLOCK:
-            arrays = (np.empty((self.BLOCK, len(PLANT_FIELDS))), np.empty((self.BLOCK, len(TRUTH_FIELDS))))
-            self._blocks.append((np.empty(self.BLOCK, STATE_DTYPE), *arrays))
-            self._filled = 0
-        states, cleans, physicals = self._blocks[-1]
-        states[self._filled], cleans[self._filled], physicals[self._filled] = sample, clean, physical
-        self._filled += 1
-
-    def recording(self) -> Recording:
-        """All samples so far."""
-        if not self._blocks:
-            self._blocks.append((np.empty(0, STATE_DTYPE), np.empty((0, len(PLANT_FIELDS))), np.empty((0, 12))))
-        count = self.BLOCK * (len(self._blocks) - 1) + min(self._filled, len(self._blocks[-1][0]))
-        states, cleans, physical = (np.concatenate(parts)[:count] for parts in zip(*self._blocks, strict=True))
-        return Recording(states=states, noise_free=noise_free_states(states, cleans), physical=physical)
 
 
 @dataclass
@@ -79,7 +112,6 @@ class RealTime:
     link: BoxLink
     faults: LinkFaults
     control: ControlPipe | None = None
-    log: Log | None = None
     load_force: load_force.Ring | None = None
     status: Callable[[str], None] | None = None  # takes one line a second
 
@@ -94,32 +126,18 @@ class RealTime:
         gc.collect()
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
         try:
-            start = time.monotonic_ns()
+            timing.pacer.restart()
             while (count is None or timing.samples < count) and not stopped():
-                start = self._wait(start + timing.samples * _PERIOD_NS, start)
                 self._sample(timing.samples * SAMPLE_PERIOD)
                 timing.samples += 1
                 if self.status is not None and timing.samples % 1000 == 0:
                     timing.cpu = time.process_time() - cpu
                     self.status(self._line())
+                timing.pacer.wait()
         finally:
             gc.enable()
         timing.cpu = time.process_time() - cpu
         return timing
-
-    def _wait(self, deadline: int, start: int) -> int:
-        """Sleep until the deadline [ns]; return the start, shifted if the machine was suspended for long."""
-        left = deadline - time.monotonic_ns()
-        if left > 0:
-            time.sleep(left * 1e-9)
-            left = deadline - time.monotonic_ns()
-        self.timing.worst = max(self.timing.worst, -left * 1e-9)
-        if -left > _PERIOD_NS:
-            self.timing.late += 1
-        if -left > _GIVE_UP_NS:
-            self.timing.skipped += -left * 1e-9
-            return start - left
-        return start
 
     def _sample(self, now: float) -> None:
         while self._events and self._events[0].at <= now:
@@ -137,8 +155,6 @@ class RealTime:
         if self.load_force is not None:
             load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
         self.link.send(sample, now)
-        if self.log is not None:
-            self.log.add(sample, self.machine.clean, self.machine.physical)
         self.sample = sample
 
     def _obey(self, now: float) -> None:
@@ -156,15 +172,14 @@ class RealTime:
         port = "open" if self.link.terminal.opened else "closed" if self.link.terminal.plugged else "unplugged"
         return (
             f"{timing.samples / 1000:6.0f} s  port {port:9}  {mode:8}  f_r {sample['reference_force']:7.1f} N  "
-            f"f_l {sample['load_force']:7.1f} N  late {timing.late}  blocked {self.link.report.blocked}  "
+            f"f_l {sample['load_force']:7.1f} N  late {timing.pacer.late}  blocked {self.link.report.blocked}  "
             f"CPU {100 * timing.cpu / (timing.samples * SAMPLE_PERIOD):.0f} %"
         )
 
 
 def raise_priority() -> str:
     """Ask the kernel for real-time scheduling and exact timers; returns a sentence on what was granted."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; 50 us by default
+    exact_timers()
     try:
         limit_run()
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))

@@ -8,11 +8,14 @@ Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_f
     base gains of the box, of policies and agents: their actions are changes to these
     integral   form of the law's integral, where it is known
 
-A file without one matches no box: its origin is unknown. `ros2 run hydro_sim stamp` writes one.
+A file without one matches no box: its origin is unknown. A safetensors file is the header's length (u64, little
+endian), the header as JSON, filled with blanks to a multiple of eight, and the tensors, whose places count from the
+header's end: they are not touched where the entry is changed.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from math import isclose
@@ -108,8 +111,7 @@ def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *,
         Digest of the learned bench that is used with it; None: it is used with none.
     """
     if made is None:
-        stamp = "or write it into the file with `ros2 run hydro_sim stamp` if you know it"
-        return f"{thing} does not say which bench it was made for: {remedy}, {stamp}"
+        return f"{thing} does not say which bench it was made for: {remedy}"
     if box.digest and made.box != box.digest and not made.any_bench:
         return f"{thing} was made for bench {made.box}, the box believes {box.told}: {remedy}"
     if model is not None and made.model != model:
@@ -126,3 +128,49 @@ def raise_if_mismatched(trouble: str) -> None:
     """Raise PairingError unless `trouble` is empty."""
     if trouble:
         raise PairingError(trouble)
+
+
+_LENGTH = 8
+
+
+def header_of(blob: bytes) -> dict[str, Any]:
+    """Return the header of this project's files, JSON under `hydro`.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are not of such a file.
+    """
+    try:
+        outer = json.loads(blob[_LENGTH : _LENGTH + int.from_bytes(blob[:_LENGTH], "little")])
+        header: dict[str, Any] = json.loads(outer["__metadata__"]["hydro"])
+        return header
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError("its header has no readable entry 'hydro'") from error
+
+
+def stamp_of(path: Path) -> MadeFor | None:
+    """Return the stamp of a file; None if it has none or is of another project."""
+    try:
+        return made_for(header_of(path.read_bytes()))
+    except ValueError:
+        return None
+
+
+def stamped(blob: bytes, made: MadeFor | None) -> bytes:
+    """Return the same file with this stamp instead of its own; None: without.
+
+    Raises
+    ------
+    ValueError
+        See `header_of`.
+    """
+    header = {key: value for key, value in header_of(blob).items() if key != ENTRY}
+    if made is not None:
+        header[ENTRY] = made.to_header()
+    length = int.from_bytes(blob[:_LENGTH], "little")
+    outer = json.loads(blob[_LENGTH : _LENGTH + length])
+    outer["__metadata__"]["hydro"] = json.dumps(header)
+    text = json.dumps(outer, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % _LENGTH)
+    return len(text).to_bytes(_LENGTH, "little") + text + blob[_LENGTH + length :]

@@ -10,10 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import yaml
 
-from hydro_bridge.bags.recording import objects, read_bag
-from hydro_bridge.files import bench_file
+from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
 
 BOX_TOPIC, BENCH_FILE = "/hydro/box", "bench.yaml"
@@ -89,32 +87,6 @@ class Data:
 def load(paths: Sequence[str | Path]) -> dict[str, StateArray]:
     """Load the states of recordings by name; raises hydro_bridge.bags.recording.RecordingError."""
     return {Path(path).name: read_bag(path).state for path in paths}
-
-
-def believed_bench(paths: Sequence[str | Path]) -> str:
-    """Digest of the box's bench.yaml in these recordings; empty if none states it.
-
-    Raises
-    ------
-    DataError
-        If they are of boxes that believed different benches: one model cannot be for both.
-    """
-    said = {str(path): _believed(path) for path in paths}
-    found = {name: digest for name, digest in said.items() if digest}
-    if len(set(found.values())) > 1:
-        told = ", ".join(f"{digest} in {name}" for name, digest in found.items())
-        raise DataError(f"the recordings are of boxes that believed different benches ({told}): learn from one bench's")
-    return next(iter(found.values()), "")
-
-
-def _believed(path: str | Path) -> str:
-    recording = read_bag(path, topics=())
-    if BOX_TOPIC in recording.topics:
-        return str([message for _, message in objects(path, BOX_TOPIC)][-1].bench_digest)
-    try:
-        return bench_file.digest(yaml.safe_load(recording.attachments[BENCH_FILE]))
-    except (KeyError, AttributeError, TypeError, ValueError, yaml.YAMLError):
-        return ""
 
 
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:

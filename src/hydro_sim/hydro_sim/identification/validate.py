@@ -5,22 +5,27 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_bridge.cli.console import Table as ConsoleTable
-from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
-from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
+from hydro_bridge.cli.console import UserError, add_json_argument, command
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray, matrix
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity
-from hydro_sim.identification import curves, evaluation
-from hydro_sim.identification.analytic import AnalyticModel, omitted_terms
-from hydro_sim.identification.bench_prediction import BenchPrediction
+from hydro_sim.identification import evaluation
 from hydro_sim.identification.bench_states import SETTLED
-from hydro_sim.identification.evaluation import Errors, Predictor, Scales, Scored
+from hydro_sim.identification.evaluation import (
+    AnalyticModel,
+    BenchPrediction,
+    Predictor,
+    Scales,
+    Scored,
+    omitted_terms,
+)
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.quality import HORIZON
 
 COLUMNS = {
     "state": "entry of x (eq. state_def)",
@@ -34,8 +39,9 @@ COLUMNS = {
     "noise": "RMS of the recording's noise: what a perfect model would leave; nan without a noise-free log",
     "ratio": "recorded / noise",
 }
+SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
 LONGEST = 5000  # samples of the longest horizon
-BINS = 8
+STRIDE = 37  # samples between the starts of predictions
 
 
 @command(ValueError)
@@ -47,8 +53,6 @@ def main() -> None:
     )
     model = learned_bench.read(options.model)
     scored = _scored(options.bags, options.noise_free)
-    if options.horizon > (room := _longest(scored)):
-        raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     if omitted_terms(bench):
         print(omitted_terms(bench), file=sys.stderr)
@@ -57,18 +61,18 @@ def main() -> None:
     states = [learned.estimate(item.run) for item in scored]
     analytic = AnalyticModel(bench)
     analytic_states = [analytic.estimate(item.run) for item in scored]
-    table = table_of(learned, states, analytic, analytic_states, scored, options.horizon, options.stride)
+    table = table_of(learned, states, analytic, analytic_states, scored)
     table.show(options.json)
-    _long(learned, states, analytic, analytic_states, scored, Path(options.plots) if options.plots else None)
+    _long(learned, states, analytic, analytic_states, scored)
     print(f"{options.model or learned_bench.shipped().name}: {learned.quality.told()}")
 
 
 def table_of(
     learned: Predictor, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
-    scored: list[Scored], horizon: int, stride: int,
+    scored: list[Scored],
 ) -> ConsoleTable:  # fmt: skip
     """Table rmse_model, a row per state."""
-    how: dict[str, Any] = {"horizon": horizon, "stride": stride}
+    how: dict[str, Any] = {"horizon": HORIZON, "stride": STRIDE}
     clean = evaluation.prediction_errors(learned, states, scored, recorded=False, **how)
     noisy = evaluation.prediction_errors(learned, states, scored, recorded=True, **how)
     other = evaluation.prediction_errors(analytic, analytic_states, scored, recorded=False, **how)
@@ -77,11 +81,11 @@ def table_of(
     noise = np.full(8, np.nan) if floor is None else floor
     judged = "recordings" if floor is None else "noise-free log"
     table = ConsoleTable(
-        COLUMNS, title=f"{horizon}-sample predictions, {len(clean.by_window)} windows, against the {judged}"
+        COLUMNS, title=f"{HORIZON}-sample predictions, {len(clean.by_window)} windows, against the {judged}"
     )
     for i, name in enumerate(PLANT_FIELDS):
         table.add(
-            state=name, unit=curves.SI_UNITS[i], learned=float(clean.rmse[i] / scales.std[i]),
+            state=name, unit=SI_UNITS[i], learned=float(clean.rmse[i] / scales.std[i]),
             analytic=float(other.rmse[i] / scales.std[i]), learned_range=float(clean.rmse[i] / scales.span[i]),
             analytic_range=float(other.rmse[i] / scales.span[i]), rmse=float(clean.rmse[i]),
             recorded=float(noisy.rmse[i]), noise=float(noise[i]), ratio=float(noisy.rmse[i] / noise[i]),
@@ -91,9 +95,9 @@ def table_of(
 
 def _long(
     learned: Predictor, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
-    scored: list[Scored], plots: Path | None,
+    scored: list[Scored],
 ) -> None:  # fmt: skip
-    """Horizon curves, errors by region, and a free run: said, and drawn into the folder if there is one."""
+    """Errors by the time predicted, and those of one free run."""
     longest = min(LONGEST, _longest(scored))
     how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
     mine = evaluation.prediction_errors(learned, states, scored, **how)
@@ -102,42 +106,16 @@ def _long(
         print(f"after {horizon / 1e3:g} s: f_l off by {mine.by_time[horizon - 1, 2]:.3g} N "
               f"(analytic {theirs.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
     item, start = scored[0], states[0]
-    begin = SETTLED
-    free = learned.predict(start[begin : begin + 1], item.run.u[None, begin:-1])[0]
-    other = analytic.predict(analytic_states[0][begin : begin + 1], item.run.u[None, begin:-1])[0]
-    reference = item.reference[begin + 1 :]
-    deviation = free[:, 2] - reference[:, 2]
+    free = learned.predict(start[SETTLED : SETTLED + 1], item.run.u[None, SETTLED:-1])[0]
+    deviation = free[:, 2] - item.reference[SETTLED + 1 :, 2]
     print(f"free run of {len(free) / 1e3:g} s: f_l off by {np.sqrt(np.mean(deviation**2)):.3g} N RMS, "
           f"{np.abs(deviation).max():.3g} N at most; "
           f"{'finite throughout' if np.isfinite(free).all() else 'NOT finite'}")  # fmt: skip
-    if plots is None:
-        return
-    horizons = np.unique(np.geomspace(1, longest, 60).astype(int))
-    rows = horizons - 1
-    noise = evaluation.noise_floor(scored)
-    curves.draw_horizons(horizons, mine.by_time[rows], theirs.by_time[rows], noise, plots / "horizons.png")
-    curves.draw_free_run(SAMPLE_PERIOD * np.arange(len(free)), reference, free, other, plots / "free_run.png")
-    short = evaluation.prediction_errors(learned, states, scored, recorded=False, horizon=70, stride=37)
-    _regions(short, scored, plots / "regions.png")
 
 
 def _longest(scored: list[Scored]) -> int:
     """Samples of the longest prediction that fits into every run."""
     return min(len(item.run) for item in scored) - SETTLED - 2
-
-
-def _regions(short: Errors, scored: list[Scored], path: Path) -> None:
-    starts = [item.run.x[evaluation.window_starts(item.run, 70, 37)] for item in scored]
-    x, error = np.concatenate(starts), short.by_window[:, 2]
-    coordinates = {"load force [N]": x[:, 2], "piston velocity [m/s]": x[:, 7], "pressure A [MPa]": 1e-6 * x[:, 4]}
-    edges, values = [], []
-    for values_of in coordinates.values():
-        edge = np.linspace(values_of.min(), values_of.max(), BINS + 1)
-        bins = np.clip(np.digitize(values_of, edge) - 1, 0, BINS - 1)
-        squares = [error[bins == k] ** 2 for k in range(BINS)]
-        values.append(np.array([np.sqrt(square.mean()) if len(square) else 0.0 for square in squares]))
-        edges.append(edge)
-    curves.draw_regions(np.array(edges), np.array(values), list(coordinates), path)
 
 
 def _scored(bags: list[str], logs: list[str] | None) -> list[Scored]:
@@ -175,15 +153,5 @@ def _arguments() -> argparse.Namespace:
         "--noise-free", nargs="+", metavar="NPZ", help="the emulator's noise-free logs, for scoring only"
     )
     parser.add_argument("--bench", metavar="FILE", help="bench.yaml of the analytic model; the shipped one by default")
-    parser.add_argument("--horizon", type=int, default=70, help="samples predicted")
-    parser.add_argument("--stride", type=int, default=37, help="samples between the starts of predictions")
-    parser.add_argument(
-        "--plots", type=writable_folder, metavar="DIR", help="draw horizon curves, errors by region and a free run"
-    )
     add_json_argument(parser)
-    options = parser.parse_args()
-    if not 1 <= options.horizon <= LONGEST:
-        parser.error(f"--horizon {options.horizon}: 1 to {LONGEST} samples are meant")
-    if options.stride < 1:
-        parser.error(f"--stride {options.stride}: 1 sample or more is meant")
-    return options
+    return parser.parse_args()

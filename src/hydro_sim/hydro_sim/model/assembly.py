@@ -34,7 +34,7 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model import rates
 from hydro_sim.model.effects.base import Effect, Surroundings
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.motion import stick_event
+from hydro_sim.model.rates import stick_event
 
 casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
 

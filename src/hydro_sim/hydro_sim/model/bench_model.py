@@ -284,8 +284,7 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    equations = ["equations.py", "motion.py", "rates.py", "edge_laws.py", "laws.py", "law_signals.py", "tables.py"]
-    names = [*equations, "assembly.py", "source.py"]
+    names = ["equations.py", "rates.py", "laws.py", "tables.py", "assembly.py", "source.py"]
     folders = [one for folder in ("effects", "grammar") for one in sorted((here / folder).glob("*.py"))]
     files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders, *grown.sources()]
     others = f"{SAMPLE_PERIOD} {_limits()} casadi {version('casadi')}".encode()

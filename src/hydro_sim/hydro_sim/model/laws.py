@@ -27,15 +27,107 @@ moves no path::
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from hydro_sim.model.equations import LAMINAR, Symbol
-from hydro_sim.model.law_signals import SIGN_VELOCITY, Signals
+from hydro_sim.model.equations import LAMINAR, Symbol, edge_drops, orifice
+
+SIGN_VELOCITY = 1e-3
+"""Velocity [m/s] over which a term reverses that follows the velocity's sign, unless its law has it as a number."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Signals of which laws are made, SI units; those unknown to an equation are 0."""
+
+    position: Symbol = 0.0
+    velocity: Symbol = 0.0
+    pressure_a: Symbol = 0.0
+    pressure_b: Symbol = 0.0
+    current: Symbol = 0.0
+    """Position of the spool, as a current."""
+    force: Symbol = 0.0
+    """f_h."""
+    drop: Symbol = 0.0
+    """Pressure drop [Pa] across an edge of the valve."""
+    both: Symbol = 0.0
+    """Pressure drop [Pa] across that edge and the other that is open with it."""
+    opened: Symbol = 0.0
+    """Conductance [m3/s/sqrt(Pa)] of that edge."""
+    feeds: Symbol = 0.0
+    """1 at an edge to the supply, 0 at one to the tank."""
+    memory: Symbol = 0.0
+    """State `w` of the law."""
+    number: Symbol = 0.0
+    """First of the law's further numbers, such as its threshold."""
+    second: Symbol = 0.0
+    """Second of them."""
+    acceleration: Symbol = 0.0
+    """x''."""
+    turn: Symbol = SIGN_VELOCITY
+    """Velocity [m/s] over which the direction of motion reverses."""
+
+    def but(self, **changes: Symbol) -> Signals:
+        """The same signals with these changed: `dataclasses.replace`, which laws would spend their time in."""
+        made = object.__new__(Signals)
+        made.__dict__.update(self.__dict__, **changes)
+        return made
+
+    @property
+    def direction(self) -> Symbol:
+        """sign(v), -1 to 1, rounded where it reverses."""
+        return np.tanh(self.velocity / self.turn)
+
+    @property
+    def pressure_difference(self) -> Symbol:
+        """p_a - p_b."""
+        return self.pressure_a - self.pressure_b
+
+    @property
+    def size_of_difference(self) -> Symbol:
+        """|p_a - p_b|."""
+        return np.abs(self.pressure_difference)
+
+    @property
+    def speed(self) -> Symbol:
+        """|v|."""
+        return np.abs(self.velocity)
+
+    @property
+    def jet(self) -> Symbol:
+        """v |v|."""
+        return self.velocity * np.abs(self.velocity)
+
+    @property
+    def opening(self) -> Symbol:
+        """|u|."""
+        return np.abs(self.current)
+
+    @property
+    def over_a(self) -> Symbol:
+        """By how much p_a is above the law's first further number."""
+        return np.fmax(self.pressure_a - self.number, 0.0)
+
+    @property
+    def over_b(self) -> Symbol:
+        """By how much p_b is above it."""
+        return np.fmax(self.pressure_b - self.number, 0.0)
+
+    @property
+    def heating(self) -> Symbol:
+        """u^2."""
+        return self.current * self.current
+
+
+def sensed(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | None = None) -> Signals:
+    """Signals of a sensor's law: the one that it measures, and what stands beside it."""
+    own = {"hydraulic_force": "force", "load_force": "force", "piston_position": "position"}.get(channel, channel)
+    return Signals(**{**(beside or {}), own: signal})
+
 
 WIDEST = 1e9
 """SI unit, of where a table or a threshold may lie."""
@@ -94,7 +186,7 @@ _SIGNALS = {
     "alpha": "n.area_ratio", "p_s": "n.supply_pressure", "p_t": "n.tank_pressure", "laminar": repr(LAMINAR),
     "one": "(1.0 + 0.0 * (at.position + at.pressure_a + at.pressure_b + at.current + at.force))",
 }  # fmt: skip
-"""Signals of a formula (`law_signals`) and the bench's numbers; `one`: 1 of their shape."""
+"""Signals of a formula (`Signals`) and the bench's numbers; `one`: 1 of their shape."""
 _FUNCTIONS = {
     "abs": np.abs, "exp": np.exp, "sqrt": np.sqrt, "sin": np.sin, "tanh": np.tanh, "max": np.fmax, "pi": np.pi,
     "root": lambda pressure: pressure / np.sqrt(np.abs(pressure) + 100.0),
@@ -178,3 +270,47 @@ def rounded(law: Law) -> Law:
     """The same law with the velocity over which it reverses as its last number."""
     text = f"{law.text}, {REVERSING}"
     return replace(law, form=f"{law.form}, {REVERSING}", text=text, numbers=(*law.numbers, TURN))
+
+
+def edge_losses(
+    n: Any, openings: tuple[Symbol, Symbol], pressures: tuple[Symbol, Symbol], share: Callable[[Signals], Symbol]
+) -> tuple[Symbol, Symbol]:
+    """Flows [m3/s] that chambers A and B lack where a share [-] of each edge's flow does not pass.
+
+    Parameters
+    ----------
+    n
+        The bench's numbers.
+    openings
+        Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
+    pressures
+        p_a, p_b [Pa].
+    share
+        Share of an edge's flow, by its pressure drop, its conductance and whether it feeds.
+    """
+    out, back = openings
+    drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, *pressures)
+    side = Signals(pressure_a=pressures[0], pressure_b=pressures[1], current=out - back)
+
+    over_out, over_back = drops_out[0] + drops_out[1], drops_back[0] + drops_back[1]
+
+    def fed(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
+        return share(side.but(drop=drop, both=both, opened=opened, feeds=1.0)) * orifice(opened, drop)
+
+    def drained(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
+        return share(side.but(drop=drop, both=both, opened=opened)) * orifice(opened, drop)
+
+    lost_a = fed(out, drops_out[0], over_out) - drained(back, drops_back[0], over_back)
+    return lost_a, fed(back, drops_back[1], over_back) - drained(out, drops_out[1], over_out)
+
+
+def shifted(n: Any, spool: Symbol, shift: Symbol, pressures: tuple[Symbol, Symbol]) -> tuple[Symbol, Symbol]:
+    """Flows [m3/s] that chambers A and B lack where the edges see a spool [A] that is shifted [A]."""
+    p_a, p_b = pressures
+    drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, p_a, p_b)
+    to_a, to_b = 0.0, 0.0
+    for sign, position in ((1.0, spool), (-1.0, spool + shift)):
+        out, back = n.valve_gain * np.fmax(position, 0.0), n.valve_gain * np.fmax(-position, 0.0)
+        to_a = to_a + sign * (orifice(out, drops_out[0]) - orifice(back, drops_back[0]))
+        to_b = to_b + sign * (orifice(back, drops_back[1]) - orifice(out, drops_out[1]))
+    return to_a, to_b

@@ -16,7 +16,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.jit import njit
 from hydro_sim.model import machine_code, sensors
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
+from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 
 
@@ -80,10 +80,6 @@ class AnalyticPlant:
     def measurement(self) -> FloatArray:
         """The present measurement x, shape (8,), a copy."""
         return self.state["x"][0].copy()
-
-    def physical_state(self) -> FloatArray:
-        """The textbook's states y of `hydro_sim.model.assembly`, shape (6,), a copy: the truth behind the sensors."""
-        return self.state["y"][0, :TEXTBOOK].copy()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore in another process, where the model has another address."""

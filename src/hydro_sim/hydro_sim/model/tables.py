@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model.equations import Symbol, clip
-from hydro_sim.model.law_signals import Signals
-from hydro_sim.model.laws import Element
+from hydro_sim.model.laws import Element, Signals
 
 KNOTS = 12
 """Numbers of a table: of so many cubic B-splines."""

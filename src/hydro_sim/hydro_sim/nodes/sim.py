@@ -62,15 +62,14 @@ class SimSide(Simulation):
         return Status(level=self._level(), message=self._sentence(), values=values)
 
     def _level(self) -> Level:
-        troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG | Flag.EXTRAPOLATING
+        troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
         return Level.WARN if self.flags & troubled or not self.guard.settings.require_filter else Level.OK
 
     def _sentence(self) -> str:
         name = "tripped" if self.flags & Flag.TRIPPED else "armed" if self.flags & Flag.ARMED else "disarmed"
         pace = "in lock-step" if self.steps.engaged else f"{self.speed_reached():.2f} times real time"
         filtered = "" if self.guard.settings.require_filter else ", FILTER NOT REQUIRED"
-        strange = ", outside of what the model was trained on" if self.flags & Flag.EXTRAPOLATING else ""
-        return f"{name}, {pace}{filtered}{strange}"
+        return f"{name}, {pace}{filtered}"
 
 
 class SimNode(PlantNode):

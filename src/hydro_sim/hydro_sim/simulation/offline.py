@@ -5,12 +5,12 @@
 
     k:   receive(command_k)   tick(x_k) -> u_k, BenchState_k   plant holds u_k -> x_{k+1}
 
-The analytic plant runs in one compiled loop; any other `Plant` runs the same compiled box sample by sample.
+Box and plant run in one compiled loop.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,6 @@ from hydro_bridge.signals import (
     SAMPLES_PER_STEP,
     STATE_DTYPE,
     Command,
-    Flag,
     FloatArray,
     Law,
     ReferenceSignal,
@@ -32,7 +31,7 @@ from hydro_sim.box.box import Box, BoxConfig, fill_command
 from hydro_sim.jit import njit
 from hydro_sim.model import plant as plants
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.plant import AnalyticPlant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +55,7 @@ class Schedule:
 
 
 def simulate(
-    plant: Plant, bench: Bench, schedule: Schedule, *, config: BoxConfig | None = None, seed: int = 0
+    plant: AnalyticPlant, bench: Bench, schedule: Schedule, *, config: BoxConfig | None = None, seed: int = 0
 ) -> StateArray:
     """Simulate one armed run from rest.
 
@@ -85,34 +84,12 @@ def simulate(
     box = Box(bench, config)
     gains, correction = _changes(schedule, box.config)
     box.receive(Command(), 0.0)
-    measurement = plant.reset(seed)
+    plant.reset(seed)
     law = box.config.compensated if schedule.law is Law.COMPENSATED else PAPER_LAW
     begin = Command(
         arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0, law=schedule.law,
         velocity_compensation=law.velocity_compensation, valve_gain_scale=law.valve_gain_scale,
     )  # fmt: skip
-    if isinstance(plant, AnalyticPlant):
-        return _compiled(plant, box, schedule, begin, gains, correction)
-    output = np.zeros(schedule.samples, STATE_DTYPE)
-    for k in range(schedule.samples):
-        delta_kp, delta_ki = gains[min(k // SAMPLES_PER_STEP, len(gains) - 1)]
-        command = replace(
-            begin,
-            delta_kp=float(delta_kp),
-            delta_ki=float(delta_ki),
-            delta_u=float(correction[k]) if len(correction) else 0.0,
-        )
-        box.receive(command, k * SAMPLE_PERIOD)
-        output[k] = box.tick(measurement, k * SAMPLE_PERIOD)
-        if getattr(plant, "extrapolating", False):  # a learned plant outside of what it was trained on
-            output["flags"][k] |= Flag.EXTRAPOLATING
-        measurement = plant.step(float(output["valve_current"][k]))
-    return output
-
-
-def _compiled(
-    plant: AnalyticPlant, box: Box, schedule: Schedule, begin: Command, gains: FloatArray, correction: FloatArray
-) -> StateArray:
     command = np.zeros(1, kernel.COMMAND_DTYPE)
     fill_command(command, begin)
     output = np.zeros(schedule.samples, STATE_DTYPE)

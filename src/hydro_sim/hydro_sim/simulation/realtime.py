@@ -10,7 +10,7 @@ speed    pace, and the clock on which commands age
 ======== ==========================================================================================================
 1        one sample per millisecond; the host's
 other    that many simulated seconds per second; the simulation's
-0        lock-step with filter and trainer (`simulation.lockstep`), real time until one is there; the simulation's
+0        lock-step with filter and trainer (`LockStep`), real time until one is there; the simulation's
 ======== ==========================================================================================================
 """
 
@@ -23,15 +23,101 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-from hydro_bridge.link.clock import clock_step_message
+from hydro_bridge.link.clock import HostClock, clock_step_message
+from hydro_bridge.process.latency import Pacer
+from hydro_bridge.process.realtime import exact_timers
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.frames import LawState
 from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Command, Flag, FloatArray
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
-from hydro_sim.simulation.lockstep import LockStep
-from hydro_sim.simulation.pacing import Pacer, exact_timers
+
+RESEND = 0.25
+"""Time [s] after which an unanswered sample is sent again: the state is published best effort."""
+
+
+class LockStep:
+    """Lock-step: the next sample waits for the graph's answers to the last one.
+
+    ::
+
+        sample k ──> filter ──> correction for k ──┐
+        10 samples ──> trainer ──> gains ──────────┴──> sample k + 1
+
+    A node that has not been heard yet is not waited for, nor is a trainer while the plant is disarmed. A node that
+    falls silent is named in the log, and the simulation continues without it until it returns.
+
+    Parameters
+    ----------
+    log
+        Called with a sentence when a peer comes or falls silent.
+    silence_max
+        Longest wait [s] for a peer.
+    correction_every
+        Samples per correction, as the filter is set.
+    """
+
+    def __init__(self, log: Callable[[str], None], *, silence_max: float = 5.0, correction_every: int = 1) -> None:
+        self._log, self._silence_max, self._correction_every = log, silence_max, correction_every
+        self._news = threading.Condition()
+        self._filter = self._trainer = self._released = False
+        self._corrected = self._ungained = 0
+
+    @property
+    def engaged(self) -> bool:
+        """Whether any node is waited for."""
+        return self._filter or self._trainer
+
+    def corrected(self, sequence: int) -> None:
+        """Note that the filter has answered sample `sequence`."""
+        with self._news:
+            if not self._filter:
+                self._log("in lock-step with the filter")
+            self._filter, self._corrected = True, sequence
+            self._news.notify_all()
+
+    def gained(self) -> None:
+        """Note that the trainer has sent gains."""
+        with self._news:
+            if not self._trainer:
+                self._log("in lock-step with the trainer")
+            self._trainer, self._ungained = True, 0
+            self._news.notify_all()
+
+    def release(self) -> None:
+        """Let the present sample go without an answer: a caller in the answering thread waits for the next one."""
+        with self._news:
+            self._released = True
+            self._news.notify_all()
+
+    def wait(self, sequence: int, armed: bool, resend: Callable[[], None]) -> None:
+        """Return when sample `sequence`, the last one published, has its answers."""
+        give_up = time.monotonic() + self._silence_max
+        self._ungained = self._ungained + 1 if armed else 0
+        with self._news:
+            while self.awaited(sequence) and not self._released:
+                if self._news.wait(RESEND):
+                    continue
+                if time.monotonic() >= give_up:
+                    self._go_on_without(sequence)
+                else:
+                    resend()
+            self._released = False
+
+    def awaited(self, sequence: int) -> list[str]:
+        """Return the nodes that have yet to answer sample `sequence`."""
+        behind = (sequence - self._corrected) & 0xFFFFFFFF
+        uncorrected = self._filter and self._correction_every <= behind < 1 << 31
+        return ["filter"] * uncorrected + ["trainer"] * (self._trainer and self._ungained >= SAMPLES_PER_STEP)
+
+    def _go_on_without(self, sequence: int) -> None:
+        silent = self.awaited(sequence)
+        self._filter = self._filter and "filter" not in silent
+        self._trainer = self._trainer and "trainer" not in silent
+        sentence = f"no answer of the {' and '.join(silent)} to sample {sequence} for {self._silence_max:g} s"
+        self._log(sentence + ": going on without until it is back")
+
 
 _NOMINAL = (STATE_DTYPE.names or ()).index("nominal_valve_current")
 
@@ -90,6 +176,7 @@ class Simulation:
         self.lock = threading.Lock()
         self.steps = LockStep(log, silence_max=settings.silence_max, correction_every=settings.correction_every)
         self.pacer = Pacer(SAMPLE_PERIOD / settings.speed if settings.speed > 0.0 else SAMPLE_PERIOD)
+        self.host_clock = HostClock()
         self.samples = 0
         self.flags = Flag(0)
         self._box, self._plant = box, plant
@@ -134,8 +221,6 @@ class Simulation:
                 command = self.guard.command(self.clock())
             self._box.receive(command, now)
             sample = self._box.tick(measurement, now)
-            if getattr(self._plant, "extrapolating", False):  # a learned plant outside of what it was trained on
-                sample["flags"] |= Flag.EXTRAPOLATING
             stamp = self._stamp()
             fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
             with self.lock:
@@ -191,10 +276,10 @@ class Simulation:
         """Stamp [ns] of the present sample: ROS time at speed 1, else the simulation's own."""
         if not self.real_time:
             return self.samples * round(1e9 * SAMPLE_PERIOD)
-        step = self.pacer.host_clock.look()
+        step = self.host_clock.look()
         if step:
             self._log(clock_step_message(step))
-        return self.pacer.scheduled_ns
+        return self.host_clock.ros_time(self.pacer.deadline_ns)  # without the jitter of waking up
 
     def _wait(self, sequence: int, resend: Callable[[], None]) -> None:
         if self.settings.speed > 0.0 or not self.steps.engaged:

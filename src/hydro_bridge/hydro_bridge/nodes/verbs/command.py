@@ -1,46 +1,100 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 topic|node|param|service|bag|launch ...` without a full ROS 2."""
+"""`ros2 topic|node|service|bag|launch ...` without a full ROS 2."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn
 
-from rcl_interfaces.msg import ParameterType, ParameterValue
+import rclpy
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from hydro_bridge.bags.source import RecordingSummary, summarized
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.nodes.verbs.graph import (
-    PATIENCE,
-    SPIN_TIME,
-    absolute,
-    answer_of,
-    find_node,
-    full_name,
-    hidden,
-    node_names,
-    settle,
-    types_of,
-    visiting,
-    wait_for,
-)
 from hydro_bridge.nodes.verbs.launch import add_group
-from hydro_bridge.nodes.verbs.messages import as_yaml, fill, interface, parsed, part
+from hydro_bridge.nodes.verbs.messages import as_yaml, fill, interface, parsed
 from hydro_bridge.ros.companion import CompanionError
-from hydro_bridge.ros.node import spin
+from hydro_bridge.ros.node import spin, start_ros
+
+_SPIN_TIME = 1.0
+"""s, minimum wait of a list, which continues until nothing new has appeared for `_CALM`."""
+PATIENCE = 10.0
+"""s, wait for a named item: on a busy machine announcements get lost and are repeated every few seconds."""
+_CALM = 0.5
+_LOOK = 0.05
+
+
+@contextmanager
+def visiting() -> Iterator[Node]:
+    """Yield a node that offers nothing and is hidden from lists by the leading `_` of its name."""
+    start_ros()
+    node = Node(f"_ros2cli_{os.getpid()}", start_parameter_services=False, enable_rosout=False)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def settle(node: Node) -> None:
+    """Wait until the graph no longer changes: at least `_SPIN_TIME`, at most `PATIENCE`."""
+    begin = time.monotonic()
+    seen, changed = -1, begin
+    while (now := time.monotonic()) < begin + _SPIN_TIME or (now < changed + _CALM and now < begin + PATIENCE):
+        count = sum(1 for _ in node.get_node_names_and_namespaces()) + len(node.get_topic_names_and_types())
+        if count != seen:
+            seen, changed = count, now
+        time.sleep(_LOOK)
+
+
+def wait_for(condition: Callable[[], object], sentence: str, patience: float = PATIENCE) -> None:
+    """Wait until `condition` holds; raises UserError with `sentence` after `patience` s."""
+    end = time.monotonic() + patience
+    while not condition():
+        if time.monotonic() > end:
+            raise UserError(f"{sentence} (looked for {patience:g} s)")
+        time.sleep(_LOOK)
+
+
+def answer_of(node: Node, answer: Future, who: str) -> object:
+    """Return the answer of a service; raises UserError if there is none within `PATIENCE`."""
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
+    if not answer.done():
+        raise UserError(f"{who} gave no answer within {PATIENCE:g} s")
+    return answer.result()
+
+
+def absolute(name: str) -> str:
+    """Return a name with its leading slash."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+def hidden(name: str) -> bool:
+    """Return whether one of a name's parts begins with `_`."""
+    return any(part.startswith("_") for part in name.split("/"))
+
+
+def node_names(node: Node) -> list[str]:
+    """Return the full names of all nodes, sorted."""
+    return sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces())
+
+
+def types_of(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
+    """Return the types of a topic or service once it is in the graph; raises UserError with `sentence`."""
+    wait_for(lambda: name in dict(offered()), sentence)
+    return list(dict(offered())[name])
+
 
 Run = Callable[[argparse.Namespace], None]
 Argument = tuple[tuple[str, ...], dict[str, Any]]
@@ -49,27 +103,17 @@ Names = Iterable[tuple[str, list[str]]]
 """Names with their types."""
 
 GROUPS = {
-    "topic": "topics of the running graph: list, info, type, echo, hz",
-    "node": "nodes of the running graph: list, info",
-    "param": "parameters of nodes: list, get",
-    "service": "services of the running graph: list, type, call",
+    "topic": "topics of the running graph: list, echo, hz",
+    "node": "nodes of the running graph: list",
+    "service": "services of the running graph: list, call",
     "bag": "recordings: info",
 }
 _VERBS: list[tuple[str, str, str, tuple[Argument, ...], Run]] = []
 _DEPTH = 1000
+_WINDOW = 5000
+"""Messages that count for a rate."""
 _REPORT = 1.0  # s
 _PUBLISHER = 3.0  # s, for the first publisher to be discovered; a later one is heard, but not its latched message
-_TYPES = {
-    ParameterType.PARAMETER_BOOL: "Boolean value is",
-    ParameterType.PARAMETER_INTEGER: "Integer value is",
-    ParameterType.PARAMETER_DOUBLE: "Double value is",
-    ParameterType.PARAMETER_STRING: "String value is",
-    ParameterType.PARAMETER_BYTE_ARRAY: "Byte values are",
-    ParameterType.PARAMETER_BOOL_ARRAY: "Boolean values are",
-    ParameterType.PARAMETER_INTEGER_ARRAY: "Integer values are",
-    ParameterType.PARAMETER_DOUBLE_ARRAY: "Double values are",
-    ParameterType.PARAMETER_STRING_ARRAY: "String values are",
-}
 _UNITS = ("B", "KiB", "MiB", "GiB")
 
 
@@ -119,65 +163,25 @@ def _verb(group: str, name: str, text: str, *arguments: Argument) -> Callable[[R
     return register
 
 
-_SPIN_TIME = _argument(
-    "--spin-time", type=float, default=SPIN_TIME, metavar="S", help=f"s to look around at least ({SPIN_TIME:g})"
-)
-_TOPIC, _SERVICE, _NODE, _PARAMETER = (_argument(name) for name in ("topic", "service", "node", "parameter"))
+_SHOW_TYPES = _argument("-t", "--show-types", action="store_true", help="with their types")
+_TOPIC, _SERVICE = _argument("topic"), _argument("service")
 
 
-def _list_arguments(things: str) -> tuple[Argument, ...]:
-    return (
-        _argument("-t", "--show-types", action="store_true", help="with their types"),
-        _argument("-c", f"--count-{things}", dest="count", action="store_true", help="only how many"),
-        _argument(f"--include-hidden-{things}", dest="include_hidden", action="store_true", help="hidden ones, too"),
-        _SPIN_TIME,
-    )
+def _print_list(found: Names, show_types: bool) -> None:
+    for name, kinds in sorted((name, kinds) for name, kinds in found if not hidden(name)):
+        print(f"{name} [{', '.join(kinds)}]" if show_types else name)
 
 
-def _print_list(options: argparse.Namespace, found: Names) -> None:
-    shown = sorted((name, kinds) for name, kinds in found if options.include_hidden or not hidden(name))
-    if options.count:
-        print(len(shown))
-        return
-    for name, kinds in shown:
-        print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
-
-
-@_verb("topic", "list", "names of all topics", *_list_arguments("topics"))
+@_verb("topic", "list", "names of all topics", _SHOW_TYPES)
 def _topic_list(options: argparse.Namespace) -> None:
     with visiting() as node:
-        settle(node, options.spin_time)
-        _print_list(options, node.get_topic_names_and_types())
-
-
-@_verb(
-    "topic", "info", "a topic's type, and who publishes and subscribes to it", _TOPIC,
-    _argument("-v", "--verbose", action="store_true", help="each of them by name, with quality of service"), _SPIN_TIME,
-)  # fmt: skip
-def _topic_info(options: argparse.Namespace) -> None:
-    topic = absolute(options.topic)
-    with visiting() as node:
-        kinds = _topic_types(node, topic)
-        settle(node, options.spin_time)
-        publishers, subscribers = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
-    print(f"Type: {', '.join(kinds)}")
-    for what, endpoints in (("Publisher", publishers), ("Subscription", subscribers)):
-        print(f"{what} count: {len(endpoints)}")
-        if options.verbose:
-            print("".join(f"\n{endpoint}\n" for endpoint in endpoints))
-
-
-@_verb("topic", "type", "a topic's type", _TOPIC)
-def _topic_type(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        print("\n".join(_topic_types(node, absolute(options.topic))))
+        settle(node)
+        _print_list(node.get_topic_names_and_types(), options.show_types)
 
 
 @_verb(
     "topic", "echo", "what is published, until Ctrl-C", _TOPIC,
-    _argument("type", nargs="?", help="default: what its publishers say"),
     _argument("--once", action="store_true", help="one message, then end"),
-    _argument("--field", metavar="NAME", help="only this field, e.g. header.stamp"),
 )  # fmt: skip
 def _topic_echo(options: argparse.Namespace) -> None:
     done = Future()
@@ -186,7 +190,7 @@ def _topic_echo(options: argparse.Namespace) -> None:
         if done.done():
             return
         try:
-            print(f"{as_yaml(part(message, options.field) if options.field else message)}---", flush=True)
+            print(f"{as_yaml(message)}---", flush=True)
         except Exception as error:  # raised here, rclpy would print it as well
             done.set_exception(error)
             return
@@ -195,22 +199,17 @@ def _topic_echo(options: argparse.Namespace) -> None:
 
     with visiting() as node:
         topic = absolute(options.topic)
-        kind = interface(options.type or _topic_types(node, topic)[0], "msg")
+        kind = interface(_topic_types(node, topic)[0], "msg")
         node.create_subscription(kind, topic, show, _offered_qos(node, topic))
         spin(node, done)
     if done.done():
         done.result()
 
 
-@_verb(
-    "topic", "hz", "how often something is published, each second until Ctrl-C", _TOPIC,
-    _argument("-w", "--window", type=int, default=10_000, metavar="N", help="messages that count (10000)"),
-)  # fmt: skip
+@_verb("topic", "hz", "how often something is published, each second until Ctrl-C", _TOPIC)
 def _topic_hz(options: argparse.Namespace) -> None:
     """Count serialized messages on arrival, without decoding them."""
-    if options.window < 2:
-        raise UserError(f"--window {options.window}: two messages or more make a rate")
-    times: deque[float] = deque(maxlen=options.window)
+    times: deque[float] = deque(maxlen=_WINDOW)
     new, done = 0, Future()
 
     def count(_: bytes) -> None:
@@ -271,96 +270,18 @@ def _offered_qos(node: Node, topic: str) -> QoSProfile:
     )
 
 
-@_verb(
-    "node", "list", "names of all nodes",
-    _argument("-a", "--all", action="store_true", help="hidden ones, too"),
-    _argument("-c", "--count-nodes", action="store_true", help="only how many"), _SPIN_TIME,
-)  # fmt: skip
+@_verb("node", "list", "names of all nodes")
 def _node_list(options: argparse.Namespace) -> None:
     with visiting() as node:
-        settle(node, options.spin_time)
-        found = [name for name in node_names(node) if options.all or not hidden(name)]
-    print(len(found) if options.count_nodes else "\n".join(found))
+        settle(node)
+        print("\n".join(name for name in node_names(node) if not hidden(name)))
 
 
-@_verb(
-    "node", "info", "what a node publishes, hears, serves and calls", _NODE,
-    _argument("--include-hidden", action="store_true", help="hidden topics and services, too"), _SPIN_TIME,
-)  # fmt: skip
-def _node_info(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        name, namespace = find_node(node, options.node)
-        settle(node, options.spin_time)
-        sections: dict[str, Names] = {
-            "Subscribers": node.get_subscriber_names_and_types_by_node(name, namespace),
-            "Publishers": node.get_publisher_names_and_types_by_node(name, namespace),
-            "Service Servers": node.get_service_names_and_types_by_node(name, namespace),
-            "Service Clients": node.get_client_names_and_types_by_node(name, namespace),
-        }
-    print(full_name(namespace, name))
-    for title, entries in sections.items():
-        print(f"  {title}:")
-        for entry, kinds in sorted(entries):
-            if options.include_hidden or not hidden(entry):
-                print(f"    {entry}: {', '.join(kinds)}")
-
-
-@_verb("param", "list", "names of a node's parameters, or of all nodes'", _argument("node", nargs="?"), _SPIN_TIME)
-def _param_list(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        if options.node:
-            for name in _parameters(node, full_name(*reversed(find_node(node, options.node)))):
-                print(f"  {name}")
-            return
-        settle(node, options.spin_time)
-        for owner in node_names(node):
-            if not hidden(owner):
-                print(f"{owner}:")
-                try:
-                    names = _parameters(node, owner)
-                except UserError as error:  # a node without parameters may have no parameter services
-                    names = [f"({error})"]
-                print(*(f"  {name}" for name in names), sep="\n")
-
-
-@_verb(
-    "param", "get", "a parameter's value", _NODE, _PARAMETER,
-    _argument("--hide-type", action="store_true", help="the value alone"),
-)  # fmt: skip
-def _param_get(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        owner = full_name(*reversed(find_node(node, options.node)))
-        answer: Any = answer_of(node, _parameter_client(node, owner).get_parameters([options.parameter]), owner)
-    value = answer.values[0] if answer.values else ParameterValue()
-    if value.type == ParameterType.PARAMETER_NOT_SET:
-        raise UserError(f"{owner} has no parameter {options.parameter}")
-    shown = parameter_value_to_python(value)
-    print(shown if options.hide_type else f"{_TYPES[value.type]}: {shown}")
-
-
-def _parameters(node: Node, owner: str) -> list[str]:
-    answer: Any = answer_of(node, _parameter_client(node, owner).list_parameters(), owner)
-    return sorted(answer.result.names)
-
-
-def _parameter_client(node: Node, owner: str) -> AsyncParameterClient:
-    client = AsyncParameterClient(node, owner)
-    if not client.wait_for_services(PATIENCE):
-        raise UserError(f"{owner} offers no parameters (looked for {PATIENCE:g} s)")
-    return client
-
-
-@_verb("service", "list", "names of all services", *_list_arguments("services"))
+@_verb("service", "list", "names of all services", _SHOW_TYPES)
 def _service_list(options: argparse.Namespace) -> None:
     with visiting() as node:
-        settle(node, options.spin_time)
-        _print_list(options, node.get_service_names_and_types())
-
-
-@_verb("service", "type", "a service's type", _SERVICE)
-def _service_type(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        print("\n".join(_service_types(node, absolute(options.service))))
+        settle(node)
+        _print_list(node.get_service_names_and_types(), options.show_types)
 
 
 @_verb(
@@ -373,7 +294,7 @@ def _service_call(options: argparse.Namespace) -> None:
     request = kind.Request(check_fields=True)
     fill(request, parsed(options.values))
     with visiting() as node:
-        offered = _service_types(node, service)
+        offered = types_of(node.get_service_names_and_types, service, f"nobody offers the service {service}")
         if f"{kind.__module__.partition('.')[0]}/srv/{kind.__name__}" not in offered:
             raise UserError(f"{service} is of type {', '.join(offered)}, not {options.type}")
         client = node.create_client(kind, service)
@@ -381,10 +302,6 @@ def _service_call(options: argparse.Namespace) -> None:
             raise UserError(f"{service} was not ready within {PATIENCE:g} s")
         print(f"requester: making request: {request}\n")
         print(f"response:\n{answer_of(node, client.call_async(request), service)}\n")
-
-
-def _service_types(node: Node, service: str) -> list[str]:
-    return types_of(node.get_service_names_and_types, service, f"nobody offers the service {service}")
 
 
 @_verb(

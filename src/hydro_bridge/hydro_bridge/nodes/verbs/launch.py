@@ -364,18 +364,13 @@ def add_group(groups: Any) -> None:
     parser = groups.add_parser("launch", help="start what a launch file describes", allow_abbrev=False)
     parser.add_argument("package", help="or the path of a launch file")
     parser.add_argument("rest", nargs="*", metavar="FILE NAME:=VALUE", help="launch file and its arguments")
-    parser.add_argument("-s", "--show-args", action="store_true", help="only its arguments, and what they mean")
     parser.set_defaults(carry_out=_launch)
 
 
 def _launch(options: argparse.Namespace) -> int:
     provide()
     file, words = _file(options.package, options.rest)
-    described, values = load(file), _values(words)
-    if options.show_args:
-        _show(described)
-        return 0
-    return run(described, values)
+    return run(load(file), _values(words))
 
 
 def _file(package: str, rest: list[str]) -> tuple[Path, list[str]]:
@@ -398,12 +393,3 @@ def _values(words: list[str]) -> dict[str, str]:
         if ":=" not in word:
             raise UserError(f"{word}: name:=value is meant")
     return {name: value for name, _, value in (word.partition(":=") for word in words)}
-
-
-def _show(described: LaunchDescription) -> None:
-    print("Arguments (pass arguments as '<name>:=<value>'):\n")
-    for entity in described.entities:
-        if isinstance(entity, DeclareLaunchArgument):
-            choices = f" One of: {', '.join(entity.choices)}" if entity.choices else ""
-            default = "" if entity.default_value is None else f"\n        (default: '{entity.default_value}')"
-            print(f"    '{entity.name}':\n        {entity.description}{choices}{default}\n")

@@ -52,17 +52,6 @@ def as_yaml(value: Any) -> str:
     return text.removesuffix("...\n")
 
 
-def part(message: Any, field: str) -> Any:
-    """Return a field of a message, such as `header.stamp` or `status[0].name`; raises UserError."""
-    value = message
-    for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", field):
-        try:
-            value = getattr(value, name) if name else value[int(index)]
-        except (AttributeError, IndexError, TypeError):
-            raise UserError(f"--field {field}: {type(message).__name__} has no such field") from None
-    return value
-
-
 def parsed(text: str) -> dict[str, Any]:
     """Parse a mapping written as YAML, `{}` for none; raises UserError."""
     try:

@@ -15,8 +15,7 @@ from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.nodes.startup.options import plant_options
 from hydro_policy.task.mdp import BASE
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
-from hydro_sim.files.stamping import stamp_of
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched, stamp_of
 
 if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
     from hydro_policy.runs.initial_agent import InitialAgent

@@ -16,10 +16,10 @@ from hydro_sim.emulator.truth.effects import (
     FrictionPresliding,
     FrictionStribeck,
     LeakageInternal,
+    Outside,
     SensorLag,
     ValveLag,
 )
-from hydro_sim.emulator.truth.outside import Outside
 
 T = TypeVar("T")
 

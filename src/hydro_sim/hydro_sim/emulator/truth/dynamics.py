@@ -1,10 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The truth plant in time: Heun's method in steps of 25 us on oil contents, motion, spool and supply.
+"""The truth plant's equations, and their integration by Heun's method in steps of 25 us.
 
     content_a' = (q_sa - q_at - q_ab - q_ea) / v(p_a)        content_b' likewise
     m x'' = A_a p_a - A_b p_b - b x' - f_l + dry friction + ends + disturbance
 
 The bristle deflection and the spring's dragged end are advanced once per step, between the steps of the others.
+
+Oil. A chamber's state is its *content* W [m3]: the volume that its oil, free air included, would fill at zero gauge
+pressure. Mass is conserved exactly, and pressure follows from how far the content is squeezed::
+
+    V + c p = W v(p)        v(p) = (1 - phi) exp(-p / beta) + phi (p_0 / (p_0 + p))^(1/n)
+
+with the chamber's volume V, the hoses' compliance c, the air fraction phi at atmospheric pressure p_0 and the exponent
+n. A flow q [m3/s] at the chamber's pressure changes the content by q / v(p). For phi = c = 0 this is
+p' = beta / V (q - V').
+
+Valve. Spool positions are in amperes of the command that would hold them.
+
+Dry friction is static, smooth or LuGre: z' = v - sigma_0 |v| / g(v) z,  F = sigma_0 z + sigma_1 z'. Source: Canudas de
+Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with friction", IEEE TAC 40(3), 1995.
 """
 
 from __future__ import annotations
@@ -14,9 +28,233 @@ import math
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_sim.emulator.truth import friction, load, oil, valve
-from hydro_sim.emulator.truth.parameters import DELAY_SAMPLES, LUGRE, SUBSTEP, SUBSTEPS
+from hydro_sim.emulator.truth.parameters import ATMOSPHERE, DELAY_SAMPLES, LUGRE, SMOOTH, SUBSTEP, SUBSTEPS
 from hydro_sim.jit import njit
+
+VAPOR_PRESSURE = -0.95 * ATMOSPHERE  # Pa, gauge: below it a cavity opens instead
+
+
+@njit
+def specific_volume(p, pressure):
+    """Volume per content v(p), and its slope dv/dp [1/Pa]."""
+    oil = (1.0 - p.air_fraction) * math.exp(-pressure / p.bulk_modulus)
+    if p.air_fraction == 0.0:
+        return oil, -oil / p.bulk_modulus
+    air = p.air_fraction * (ATMOSPHERE / (ATMOSPHERE + pressure)) ** (1.0 / p.air_exponent)
+    return oil + air, -oil / p.bulk_modulus - air / (p.air_exponent * (ATMOSPHERE + pressure))
+
+
+@njit
+def pressure_of(p, content, volume, guess):
+    """Pressure [Pa] of `content` [m3] in `volume` [m3]; `guess` [Pa] is where Newton's iteration begins."""
+    if p.air_fraction == 0.0 and p.wall_compliance == 0.0:
+        return max(p.bulk_modulus * math.log(content / volume), VAPOR_PRESSURE)
+    pressure = guess
+    for _ in range(30):
+        v, slope = specific_volume(p, pressure)
+        change = (volume + p.wall_compliance * pressure - content * v) / (p.wall_compliance - content * slope)
+        # v is convex and steep near the vapor pressure: never go more than half of the way there in one iteration
+        pressure = max(pressure - change, 0.5 * (pressure + VAPOR_PRESSURE))
+        if abs(change) < 1e-3:
+            break
+    return max(pressure, VAPOR_PRESSURE)
+
+
+@njit
+def content_of(p, pressure, volume):
+    """Content [m3] that gives `pressure` [Pa] in `volume` [m3]."""
+    v, _ = specific_volume(p, pressure)
+    return (volume + p.wall_compliance * pressure) / v
+
+
+LAMINAR_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that its slope at zero drop is finite
+
+
+@njit
+def delayed_command(p, commands, sample, elapsed):
+    """Command [A] that reaches the valve `elapsed` seconds into `sample`; `commands` is a ring of the last ones."""
+    late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
+    return commands[(sample + int(late)) % DELAY_SAMPLES]
+
+
+@njit
+def spool_derivative(p, command, spool, spool_rate):
+    """Rate of the spool [A/s] and of its rate [A/s2]; both zero for an ideal spool, which follows by itself."""
+    target = command + p.valve_offset
+    if p.spool_order == 2.0:
+        pull = p.spool_frequency * (target - spool) - 2.0 * p.spool_damping * spool_rate
+        return min(max(spool_rate, -p.spool_rate_limit), p.spool_rate_limit), p.spool_frequency * pull
+    if p.spool_order == 1.0:
+        rate = p.spool_frequency * (target - spool)
+        return min(max(rate, -p.spool_rate_limit), p.spool_rate_limit), 0.0
+    return 0.0, 0.0
+
+
+@njit
+def opening(p, travel, overlap):
+    """Opening [A] of one edge, `travel` [A] being the spool's position in the edge's own direction."""
+    if p.softness == 0.0:
+        return max(travel - overlap, 0.0)
+    return max(_soft(travel - overlap, p.softness) - _soft(-overlap, p.softness), 0.0)
+
+
+@njit
+def _soft(x, width):
+    if x > 30.0 * width:
+        return x
+    return width * math.log1p(math.exp(x / width))
+
+
+@njit
+def null_leak(p, spool):
+    """Coefficient [m3/s/sqrt(Pa)] that every edge leaks besides its opening."""
+    if p.null_leak == 0.0:
+        return 0.0
+    distance = abs(spool) / p.null_width
+    if p.null_hyperbolic == 1.0:
+        return p.null_leak / (1.0 + distance)
+    return p.null_leak * math.exp(-distance * distance)
+
+
+@njit
+def orifice_flow(coefficient, drop):
+    """Flow [m3/s] with sqrt(|drop|) and the drop's sign, laminar below `LAMINAR_DROP`."""
+    return coefficient * drop / math.sqrt(math.sqrt(drop * drop + LAMINAR_DROP * LAMINAR_DROP))
+
+
+@njit
+def gain_over_time(p, time):
+    """Relative gain of all edges at `time` [s]: drift and warming up."""
+    warming = 0.0 if p.warm_change == 0.0 else p.warm_change * (1.0 - math.exp(-time / p.warm_time))
+    return max((1.0 + p.gain_drift * time) * (1.0 + warming), 0.0)
+
+
+@njit
+def edge_flows(p, spool, gain, pressure_a, pressure_b, supply):
+    """Flows [m3/s] supply -> A, A -> tank, supply -> B, B -> tank at the spool's position [A]."""
+    leak = null_leak(p, spool)
+    extending = gain * p.gain_positive * p.orifice * opening(p, spool, p.overlap_positive) + leak
+    retracting = gain * p.gain_negative * p.orifice * opening(p, -spool, p.overlap_negative) + leak
+    return (
+        orifice_flow(extending, supply - pressure_a),
+        orifice_flow(retracting, pressure_a - p.tank_pressure),
+        orifice_flow(retracting, supply - pressure_b),
+        orifice_flow(extending, pressure_b - p.tank_pressure),
+    )
+
+
+@njit
+def leak_a_to_b(p, drop):
+    """Flow [m3/s] past the piston's seal at `drop` = p_a - p_b [Pa]."""
+    return p.leak_internal * drop + orifice_flow(p.leak_internal_orifice, drop)
+
+
+ROUNDING = 1e-3  # m/s, over which the smooth form turns the sign
+
+
+@njit
+def friction_level(p, velocity, position, pressure_drop):
+    """Strength g [N] of dry friction at a velocity [m/s], a position [m] and a pressure across the seal [Pa]."""
+    level = p.coulomb_positive if velocity >= 0.0 else p.coulomb_negative
+    if p.breakaway > 0.0:
+        level += p.breakaway * math.exp(-((abs(velocity) / p.stribeck_velocity) ** p.stribeck_exponent))
+    if p.rib_force > 0.0:
+        level += 0.5 * p.rib_force * (1.0 + math.sin(2.0 * math.pi * position / p.rib_pitch))
+    return level + p.seal_friction * abs(pressure_drop)
+
+
+@njit
+def advance_bristle(p, bristle, velocity, level):
+    """Deflection z [m] one substep later: exact at constant velocity, so that no velocity makes it stiff."""
+    if level <= 0.0:
+        return 0.0
+    decay = p.bristle_stiffness * abs(velocity) / level
+    if decay * SUBSTEP < 1e-9:
+        return bristle + SUBSTEP * velocity
+    steady = level / p.bristle_stiffness * (1.0 if velocity > 0.0 else -1.0)
+    return steady + (bristle - steady) * math.exp(-decay * SUBSTEP)
+
+
+@njit
+def dry_friction(p, velocity, bristle, level, other_force):
+    """Force [N] on the mass, against motion; `other_force` [N] sums all others, which sticking must balance."""
+    if level <= 0.0:
+        return 0.0
+    if p.friction_form == LUGRE:
+        slip = velocity - p.bristle_stiffness * abs(velocity) / level * bristle
+        return -p.bristle_stiffness * bristle - p.bristle_damping * slip * math.exp(-((velocity / 0.01) ** 2))
+    if p.friction_form == SMOOTH:
+        return -level * velocity / math.sqrt(velocity * velocity + ROUNDING * ROUNDING)
+    # static: whatever brings the mass to rest within the substep, as far as friction reaches
+    holding = -(p.mass * velocity / SUBSTEP + other_force)
+    return min(max(holding, -level), level)
+
+
+STOP_STIFFNESS = 2e7  # N/m, metal on metal
+STOP_DAMPING = 2e3  # N s/m
+
+
+@njit
+def spring_deflection(p, position, spring_end):
+    """Deflection [m] of the spring; `spring_end` [m] is where its driven end lies in the `play` form."""
+    if p.backlash == 0.0:
+        return position - p.rest
+    if p.backlash_play == 1.0:
+        return spring_end - p.rest
+    travel = position - p.rest
+    return travel - min(max(travel, -0.5 * p.backlash), 0.5 * p.backlash)
+
+
+@njit
+def dragged(p, position, spring_end):
+    """Spring end [m] after the piston moved to `position` [m]: it stays while the piston crosses the play."""
+    return min(max(spring_end, position - 0.5 * p.backlash), position + 0.5 * p.backlash)
+
+
+@njit
+def load_force(p, position, spring_end, hysteresis):
+    """Force [N] between mass and load, positive when it resists extension."""
+    deflection = spring_deflection(p, position, spring_end)
+    return (p.stiffness + p.hardening * deflection * deflection) * deflection + p.hysteresis_force * hysteresis
+
+
+@njit
+def hysteresis_derivative(p, hysteresis, velocity):
+    """Rate [1/s] of the Bouc-Wen element's state w in [-1, 1]."""
+    if p.hysteresis_force == 0.0:
+        return 0.0
+    size = abs(hysteresis) ** p.hysteresis_exponent
+    toward = 1.0 if hysteresis >= 0.0 else -1.0
+    return (velocity - 0.5 * (abs(velocity) * toward + velocity) * size) / p.hysteresis_deflection
+
+
+@njit
+def end_force(p, position, velocity):
+    """Force [N] of cushions and end stops on the mass."""
+    force = _cushion(p, p.cushion_low - position, p.cushion_low_stiffness)
+    force -= _cushion(p, position - p.cushion_high, p.cushion_high_stiffness)
+    if position < 0.0:
+        force += max(-STOP_STIFFNESS * position - STOP_DAMPING * velocity, 0.0)  # a stop does not pull
+    elif position > p.stroke:
+        force -= max(STOP_STIFFNESS * (position - p.stroke) + STOP_DAMPING * velocity, 0.0)
+    return force
+
+
+@njit
+def _cushion(p, depth, stiffness):
+    if depth <= 0.0:
+        return 0.0
+    return stiffness * depth * depth if p.cushion_quadratic == 1.0 else stiffness * depth
+
+
+@njit
+def disturbance(p, time, walk):
+    """Force [N] on the mass from outside at `time` [s]; `walk` is the random force in units of its deviation."""
+    force = p.force_offset + p.walk_force * walk
+    if p.hum_amplitude > 0.0:
+        force += p.hum_amplitude * math.sin(2.0 * math.pi * p.hum_frequency * time)
+    return force
+
 
 STANDSTILL = 1e-5  # m/s, below which a direction of motion says nothing
 
@@ -54,8 +292,8 @@ def rest_state(p, state):
     drop = p.source_pressure - p.tank_pressure
     state.pressure_b = p.tank_pressure + 0.5 * drop * (1.0 + ratio**2) / (1.0 + ratio**3)
     state.pressure_a = ratio * state.pressure_b
-    state.y[CONTENT_A] = oil.content_of(p, state.pressure_a, p.dead_volume_a + p.area_a * p.rest)
-    state.y[CONTENT_B] = oil.content_of(p, state.pressure_b, p.dead_volume_b + p.area_b * (p.stroke - p.rest))
+    state.y[CONTENT_A] = content_of(p, state.pressure_a, p.dead_volume_a + p.area_a * p.rest)
+    state.y[CONTENT_B] = content_of(p, state.pressure_b, p.dead_volume_b + p.area_b * (p.stroke - p.rest))
     state.bristle = state.walk = 0.0
     state.commands[:] = 0.0
     state.sample = 0
@@ -67,11 +305,11 @@ def rest_state(p, state):
 def _settle(p, state):
     """Pressures and forces that belong to y."""
     y = state.y
-    state.pressure_a = oil.pressure_of(p, y[CONTENT_A], p.dead_volume_a + p.area_a * y[POSITION], state.pressure_a)
+    state.pressure_a = pressure_of(p, y[CONTENT_A], p.dead_volume_a + p.area_a * y[POSITION], state.pressure_a)
     volume_b = p.dead_volume_b + p.area_b * (p.stroke - y[POSITION])
-    state.pressure_b = oil.pressure_of(p, y[CONTENT_B], volume_b, state.pressure_b)
+    state.pressure_b = pressure_of(p, y[CONTENT_B], volume_b, state.pressure_b)
     state.hydraulic_force = p.area_a * state.pressure_a - p.area_b * state.pressure_b
-    state.load_force = load.load_force(p, y[POSITION], state.spring_end, y[HYSTERESIS])
+    state.load_force = load_force(p, y[POSITION], state.spring_end, y[HYSTERESIS])
 
 
 @njit
@@ -81,17 +319,17 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
     supply = y[SUPPLY]
     if p.ripple_amplitude > 0.0:
         supply += p.ripple_amplitude * math.sin(2.0 * math.pi * p.ripple_frequency * time)
-    gain = valve.gain_over_time(p, time)
-    into_a, out_of_a, into_b, out_of_b = valve.edge_flows(p, spool, gain, pressure_a, pressure_b, supply)
-    across = valve.leak_a_to_b(p, pressure_a - pressure_b)
+    gain = gain_over_time(p, time)
+    into_a, out_of_a, into_b, out_of_b = edge_flows(p, spool, gain, pressure_a, pressure_b, supply)
+    across = leak_a_to_b(p, pressure_a - pressure_b)
     lost_a = p.leak_external_a * (pressure_a - p.tank_pressure)
     lost_b = p.leak_external_b * (pressure_b - p.tank_pressure)
     state.draw = into_a + into_b
-    slope[CONTENT_A] = (into_a - out_of_a - across - lost_a) / oil.specific_volume(p, pressure_a)[0]
-    slope[CONTENT_B] = (into_b - out_of_b + across - lost_b) / oil.specific_volume(p, pressure_b)[0]
-    slope[SPOOL], slope[SPOOL_RATE] = valve.spool_derivative(p, command, y[SPOOL], y[SPOOL_RATE])
+    slope[CONTENT_A] = (into_a - out_of_a - across - lost_a) / specific_volume(p, pressure_a)[0]
+    slope[CONTENT_B] = (into_b - out_of_b + across - lost_b) / specific_volume(p, pressure_b)[0]
+    slope[SPOOL], slope[SPOOL_RATE] = spool_derivative(p, command, y[SPOOL], y[SPOOL_RATE])
     slope[SUPPLY] = (p.source_pressure - p.droop_resistance * state.draw - y[SUPPLY]) / p.droop_time
-    slope[HYSTERESIS] = load.hysteresis_derivative(p, y[HYSTERESIS], y[VELOCITY])
+    slope[HYSTERESIS] = hysteresis_derivative(p, y[HYSTERESIS], y[VELOCITY])
     slope[POSITION] = y[VELOCITY]
     slope[VELOCITY] = _acceleration(p, state, y, pressure_a, pressure_b, time)
 
@@ -100,13 +338,13 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
 def _acceleration(p, state, y, pressure_a, pressure_b, time):
     position, velocity = y[POSITION], y[VELOCITY]
     force = p.area_a * pressure_a - p.area_b * pressure_b - p.viscous * velocity
-    force += load.end_force(p, position, velocity) + load.disturbance(p, time, state.walk)
-    force -= load.load_force(p, position, load.dragged(p, position, state.spring_end), y[HYSTERESIS])
+    force += end_force(p, position, velocity) + disturbance(p, time, state.walk)
+    force -= load_force(p, position, dragged(p, position, state.spring_end), y[HYSTERESIS])
     # at standstill friction opposes where the other forces would move the mass, with the level of that direction
     sticks = p.friction_form != LUGRE and abs(velocity) < STANDSTILL
     heading = math.copysign(STANDSTILL, force) if sticks else velocity
-    level = friction.friction_level(p, heading, position, pressure_a - pressure_b)
-    dry = friction.dry_friction(p, velocity, state.bristle, level, force)
+    level = friction_level(p, heading, position, pressure_a - pressure_b)
+    dry = dry_friction(p, velocity, state.bristle, level, force)
     state.friction_force = p.viscous * velocity - dry
     return (force + dry) / p.mass
 
@@ -115,22 +353,22 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
 def _heun_step(p, state, time, command, work):
     y, guess, slope, slope_ahead = state.y, work[0], work[1], work[2]
     if p.friction_form == LUGRE:
-        level = friction.friction_level(p, y[VELOCITY], y[POSITION], state.pressure_a - state.pressure_b)
-        state.bristle = friction.advance_bristle(p, state.bristle, y[VELOCITY], level)  # lives half a step ahead of y
+        level = friction_level(p, y[VELOCITY], y[POSITION], state.pressure_a - state.pressure_b)
+        state.bristle = advance_bristle(p, state.bristle, y[VELOCITY], level)  # lives half a step ahead of y
     _derivative(p, state, y, state.pressure_a, state.pressure_b, time, command, slope)
     for i in range(8):
         guess[i] = y[i] + SUBSTEP * slope[i]
     volume_a = p.dead_volume_a + p.area_a * guess[POSITION]
     volume_b = p.dead_volume_b + p.area_b * (p.stroke - guess[POSITION])
-    pressure_a = oil.pressure_of(p, guess[CONTENT_A], volume_a, state.pressure_a)
-    pressure_b = oil.pressure_of(p, guess[CONTENT_B], volume_b, state.pressure_b)
+    pressure_a = pressure_of(p, guess[CONTENT_A], volume_a, state.pressure_a)
+    pressure_b = pressure_of(p, guess[CONTENT_B], volume_b, state.pressure_b)
     _derivative(p, state, guess, pressure_a, pressure_b, time + SUBSTEP, command, slope_ahead)
     for i in range(8):
         y[i] += 0.5 * SUBSTEP * (slope[i] + slope_ahead[i])
     y[SPOOL_RATE] = min(max(y[SPOOL_RATE], -p.spool_rate_limit), p.spool_rate_limit)
     if p.spool_order == 0.0:
         y[SPOOL] = command + p.valve_offset
-    state.spring_end = load.dragged(p, y[POSITION], state.spring_end)
+    state.spring_end = dragged(p, y[POSITION], state.spring_end)
 
 
 @njit
@@ -148,7 +386,7 @@ def advance_substep(p, state, index, work):
     elapsed = index * SUBSTEP
     time = state.sample * SAMPLE_PERIOD + elapsed
     # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
-    command = valve.delayed_command(p, state.commands, state.sample, elapsed)
+    command = delayed_command(p, state.commands, state.sample, elapsed)
     force_h, force_l = state.hydraulic_force, state.load_force
     _heun_step(p, state, time, command, work)
     _settle(p, state)

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, TruthSensors
-from hydro_sim.emulator.truth.effects import SENSORS, Effects, Ratio
-from hydro_sim.emulator.truth.outside import Outside
+from hydro_sim.emulator.truth.effects import SENSORS, Effects, Outside, Ratio
 
 SUBSTEPS = 40  # of 25 us: not the step of the simulated plant, and short enough for the end stops
 SUBSTEP = SAMPLE_PERIOD / SUBSTEPS

@@ -14,11 +14,9 @@ import numpy as np
 
 from hydro_sim.model import equations as eq
 from hydro_sim.model import grammar, tables
-from hydro_sim.model.edge_laws import edge_losses, shifted
 from hydro_sim.model.effects.base import Effect, hidden, parameter
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.law_signals import Signals, sensed
-from hydro_sim.model.laws import WIDEST, Element, Law, Number
+from hydro_sim.model.laws import WIDEST, Element, Law, Number, Signals, edge_losses, sensed, shifted
 from hydro_sim.model.tables import Table
 
 # --- where they act --------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects on the piston's motion: friction, cushions, stops, load.
 
-How dry friction holds is part of the model (`model.motion`); its effects give the level at which it yields. With
+How dry friction holds is part of the model (`model.rates`); its effects give the level at which it yields. With
 bristles nothing holds: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry
 et al. 1994, eq. 5; Dahl 1968.
 """

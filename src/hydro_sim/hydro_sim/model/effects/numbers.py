@@ -8,6 +8,16 @@ from typing import Any
 from hydro_sim.model.effects.base import Effect, parameter
 
 
+def wrong(number: str, scale: float) -> type[Effect]:
+    """The effect that a number of the bench file is wrong, under the number's name: its true value over the file's."""
+
+    def correct(self: Any, n: Any) -> None:
+        setattr(n, number, getattr(n, number) * self.ratio)
+
+    ratio = parameter("-", 0.01, 100.0, scale=scale, neutral=1.0)
+    return type(number, (Effect,), {"id": number, "ratio": ratio, "correct": correct})
+
+
 class FrictionViscous(Effect):
     """A change of b."""
 
@@ -28,16 +38,6 @@ class MovingMass(Effect):
         n.moving_mass = n.moving_mass + self.mass
 
 
-class SpringStiffness(Effect):
-    """Wrong k_s in the bench file."""
-
-    id = "spring_stiffness"
-    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
-
-    def correct(self, n: Any) -> None:
-        n.spring_stiffness = n.spring_stiffness * self.ratio
-
-
 class SpringRest(Effect):
     """The true x_rest."""
 
@@ -48,16 +48,6 @@ class SpringRest(Effect):
         n.spring_rest_position = self.position
 
 
-class SupplyPressure(Effect):
-    """Wrong p_s in the bench file."""
-
-    id = "supply_pressure"
-    ratio = parameter("-", 0.01, 100.0, scale=0.05, neutral=1.0)
-
-    def correct(self, n: Any) -> None:
-        n.supply_pressure = n.supply_pressure * self.ratio
-
-
 class TankPressure(Effect):
     """The true p_t."""
 
@@ -66,26 +56,6 @@ class TankPressure(Effect):
 
     def correct(self, n: Any) -> None:
         n.tank_pressure = self.pressure
-
-
-class PistonArea(Effect):
-    """Wrong A_p in the bench file."""
-
-    id = "piston_area"
-    ratio = parameter("-", 0.01, 100.0, scale=0.02, neutral=1.0)
-
-    def correct(self, n: Any) -> None:
-        n.piston_area = n.piston_area * self.ratio
-
-
-class AreaRatio(Effect):
-    """Wrong alpha in the bench file."""
-
-    id = "area_ratio"
-    ratio = parameter("-", 0.01, 100.0, scale=0.02, neutral=1.0)
-
-    def correct(self, n: Any) -> None:
-        n.area_ratio = n.area_ratio * self.ratio
 
 
 class DeadVolume(Effect):
@@ -101,6 +71,6 @@ class DeadVolume(Effect):
 
 
 EFFECTS = (
-    FrictionViscous, MovingMass, SpringStiffness, SpringRest, SupplyPressure, TankPressure, PistonArea, AreaRatio,
-    DeadVolume,
+    FrictionViscous, MovingMass, wrong("spring_stiffness", 0.1), SpringRest, wrong("supply_pressure", 0.05),
+    TankPressure, wrong("piston_area", 0.02), wrong("area_ratio", 0.02), DeadVolume,
 )  # fmt: skip

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Emulated benches that are not the believed one, from the beginning or during a run; for tests and benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
+from hydro_sim.emulator.truth.parameters import compile_parameters
+from hydro_sim.emulator.truth.plant import TruthPlant
+
+
+def modified_truth(change: Mapping[str, Any]) -> TruthConfig:
+    """The emulator's default truth with other `bench` numbers or `effects`."""
+    return truth_from_mapping({"profile": "default", **change})
+
+
+class ChangingPlant:
+    """An emulated bench whose parameters change during the run; the piston stays where it is.
+
+    Parameters
+    ----------
+    truths
+        One after the other.
+    samples
+        At which each but the first takes over.
+    """
+
+    def __init__(self, truths: Sequence[TruthConfig], samples: Sequence[int]) -> None:
+        self.plant, self._taken = TruthPlant(truths[0]), 0
+        self._parameters = [compile_parameters(truth) for truth in truths]
+        self._at = dict(zip(samples, self._parameters[1:], strict=True))
+
+    def reset(self, seed: int) -> FloatArray:
+        """See `hydro_sim.model.plant.Plant`."""
+        self._taken, self.plant.parameters = 0, self._parameters[0]
+        return self.plant.reset(seed)
+
+    def step(self, valve_current: float) -> FloatArray:
+        """See `hydro_sim.model.plant.Plant`."""
+        self._taken += 1
+        self.plant.parameters = self._at.get(self._taken, self.plant.parameters)
+        return self.plant.step(valve_current)
