@@ -258,7 +258,7 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
     assert recorder.stop() == 0
     recording = read_bag(tmp_path / "run")
     assert len(recording.state) > 1000 and recording.notes == ()
-    assert continuity(recording.state, tolerance=0.5).lost == 0
+    assert continuity(recording.state).lost == 0
     assert recording.metadata["hydro"]["seed"] == "3" and recording.metadata["hydro"]["code_version"]
     assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
     assert "/diagnostics" in recording.topics

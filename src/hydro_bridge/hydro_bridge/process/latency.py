@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Periodic execution against absolute deadlines, and percentiles of durations measured a thousand times a second."""
+"""Percentiles of durations measured a thousand times a second."""
 
 from __future__ import annotations
 
-import time
 from array import array
 from dataclasses import dataclass, field
 
@@ -46,42 +45,3 @@ class Latency:
         pairs = zip(named, self._percentiles(*named), strict=True)
         shown = "  ".join(f"p{percent:g} {1e3 * value:.3f}" for percent, value in pairs)
         return f"{shown}  max {1e3 * self.longest:.3f} ms"
-
-
-class Pacer:
-    """Deadlines at start + n period; delays are caught up, unless they are long.
-
-    Parameters
-    ----------
-    period
-        s between deadlines.
-    give_up
-        Delay [s] (the machine slept) from which on the lost time is not caught up, but skipped.
-    """
-
-    def __init__(self, period: float, *, give_up: float = 0.1) -> None:
-        self.period_ns, self._give_up_ns = round(1e9 * period), round(1e9 * give_up)
-        self.lateness = Latency()
-        self.late = 0
-        """Periods that began more than a period late."""
-        self.skipped = 0.0
-        """Time [s] skipped."""
-        self.restart()
-
-    def restart(self) -> None:
-        """Let the first deadline be now."""
-        self.deadline_ns = time.monotonic_ns()
-        """ns, monotonic time at which the present period was due."""
-
-    def wait(self) -> None:
-        """Sleep until the next deadline."""
-        self.deadline_ns += self.period_ns
-        left = self.deadline_ns - time.monotonic_ns()
-        if left > 0:
-            time.sleep(1e-9 * left)
-            left = self.deadline_ns - time.monotonic_ns()
-        self.lateness.add(max(0.0, -1e-9 * left))
-        self.late += -left > self.period_ns
-        if -left > self._give_up_ns:
-            self.skipped -= 1e-9 * left
-            self.deadline_ns -= left

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact timers, and a limit on run time, so that a SCHED_FIFO process cannot hang the machine.
+"""Deadlines, exact timers, and a limit on run time, so that a SCHED_FIFO process cannot hang the machine.
 
 A busy-looping real-time thread blocks its core for all others, including the shell that would end it. RLIMIT_RTTIME
 counts the CPU time of a real-time thread since it last slept. At `RUN_MAX` the kernel sends SIGXCPU: the process drops
@@ -14,10 +14,12 @@ import os
 import resource
 import signal
 import threading
+import time
 from contextlib import suppress
 from types import FrameType
 
 from hydro_bridge.process.endings import Ended
+from hydro_bridge.process.latency import Latency
 
 RUN_MAX = 1.0
 """s of uninterrupted CPU time, a hundred times what any of our processes needs."""
@@ -58,3 +60,42 @@ def drop_realtime() -> None:
 def _end(number: int, _: FrameType | None) -> None:
     drop_realtime()
     raise RanTooLong(number, f"ran {RUN_MAX:g} s by SCHED_FIFO without a pause: something in it spins; it ends here")
+
+
+class Pacer:
+    """Deadlines at start + n period; delays are caught up, unless they are long.
+
+    Parameters
+    ----------
+    period
+        s between deadlines.
+    give_up
+        Delay [s] (the machine slept) from which on the lost time is not caught up, but skipped.
+    """
+
+    def __init__(self, period: float, *, give_up: float = 0.1) -> None:
+        self.period_ns, self._give_up_ns = round(1e9 * period), round(1e9 * give_up)
+        self.lateness = Latency()
+        self.late = 0
+        """Periods that began more than a period late."""
+        self.skipped = 0.0
+        """Time [s] skipped."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Let the first deadline be now."""
+        self.deadline_ns = time.monotonic_ns()
+        """ns, monotonic time at which the present period was due."""
+
+    def wait(self) -> None:
+        """Sleep until the next deadline."""
+        self.deadline_ns += self.period_ns
+        left = self.deadline_ns - time.monotonic_ns()
+        if left > 0:
+            time.sleep(1e-9 * left)
+            left = self.deadline_ns - time.monotonic_ns()
+        self.lateness.add(max(0.0, -1e-9 * left))
+        self.late += -left > self.period_ns
+        if -left > self._give_up_ns:
+            self.skipped -= 1e-9 * left
+            self.deadline_ns -= left

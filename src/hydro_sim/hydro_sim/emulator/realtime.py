@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from hydro_bridge.process.latency import Pacer
-from hydro_bridge.process.realtime import exact_timers, limit_run
+from hydro_bridge.process.realtime import Pacer, exact_timers, limit_run
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.line.faults import CHANCES, LinkFaults

@@ -24,8 +24,7 @@ from functools import partial
 from typing import Annotated, Any
 
 from hydro_bridge.link.clock import HostClock, clock_step_message
-from hydro_bridge.process.latency import Pacer
-from hydro_bridge.process.realtime import exact_timers
+from hydro_bridge.process.realtime import Pacer, exact_timers
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.frames import LawState
 from hydro_bridge.settings import check, quantity
