@@ -70,7 +70,23 @@ def test_a_claim_that_misses_most_speeds_is_refused(size: float, refused: list[s
     found = fit(judged, (Claim(DRY, {"force": size}), Claim(mass, {"mass": 0.1})), iterations=0)
     bounds = [Interval(size, size, size, True), Interval(0.1, 0.0, 0.2, True)]
     points = curves(judged, found.claims)[FRICTION]
-    assert [*contradicted(judged, found, bounds, points, 0.1)] == refused
+    reasons = contradicted(judged, found, [], bounds, points, 0.1)
+    assert [label for label, reason in reasons.items() if "steady speeds" in reason] == refused
+
+
+def test_a_size_that_depends_on_names_that_are_not_claimed_is_refused() -> None:
+    judged = problem(0.0)
+    found, other = (fit(judged, (Claim(DRY, {"force": size}),), iterations=0) for size in (11.0, 7.0))
+    for earlier, refused in (([found], []), ([found, other], ["friction_coulomb"])):
+        assert [*contradicted(judged, found, earlier, [Interval(11.0, 10.0, 12.0, True)], (), 0.1)] == refused
+
+
+def test_evidence_counts_samples_that_are_independent() -> None:
+    judged = problem(0.0)
+    found = fit(judged, (Claim(DRY, {"force": 11.0}),))
+    for inflation, refused in ((1.0, []), (1e3, ["friction_coulomb"])):
+        bounds = [Interval(11.0, 10.0, 12.0, True, inflation)]
+        assert [*contradicted(judged, found, [], bounds, (), 0.1)] == refused
 
 
 def test_a_constant_is_no_name_where_the_force_does_not_follow_the_motion() -> None:
@@ -79,7 +95,7 @@ def test_a_constant_is_no_name_where_the_force_does_not_follow_the_motion() -> N
     judged = Problem([checked(table, BENCH).segments[0]], BENCH)
     offset = next(effect for effect in LIBRARY if effect.label == "force_offset")
     found = fit(judged, (Claim(offset, {"force": -100.0}),))
-    reasons = contradicted(judged, found, [Interval(-100.0, -101.0, -99.0, True)], (), 0.1)
+    reasons = contradicted(judged, found, [], [Interval(-100.0, -101.0, -99.0, True)], (), 0.1)
     assert "no better than the force's mean" in reasons["force_offset"]
 
 

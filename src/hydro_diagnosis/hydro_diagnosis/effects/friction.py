@@ -20,8 +20,13 @@ SLIP_VELOCITY = 3e-4
 """Velocity [m/s] over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
 
 
+STRONGEST = 5e3
+"""Largest force [N] of a claim, and `HEAVIEST` the largest damping [N s/m]: what a simulation takes."""
+HEAVIEST = 1e6
+
+
 def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> FitParameter:
-    return FitParameter(name=name, unit="N", low=low, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
+    return FitParameter(name=name, unit="N", low=low, high=STRONGEST, neutral=0.0, probes=probes, smallest=smallest)
 
 
 def down_to_nothing(of_bench: float, otherwise: float) -> float:
@@ -71,10 +76,10 @@ class FrictionViscous(_Motion):
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
-        low = down_to_nothing(self.reference, 1e4)
+        low = down_to_nothing(self.reference, HEAVIEST)
         return (
             FitParameter(
-                name="coefficient", unit="N s/m", low=low, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5
+                name="coefficient", unit="N s/m", low=low, high=HEAVIEST, neutral=0.0, probes=(30.0,), smallest=1.5
             ),
         )
 
@@ -128,7 +133,7 @@ class ForceOffset(_Motion):
     """m x_p'' = ... + F_0."""
 
     id = "force_offset"
-    parameters = (_force("force", low=-500.0, smallest=0.5),)
+    parameters = (_force("force", low=-STRONGEST, smallest=0.5),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -198,7 +203,7 @@ class MovingMass(_Motion):
 
 
 _COEFFICIENT = FitParameter(
-    name="coefficient_positive", unit="N s/m", low=-1e4, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5
+    name="coefficient_positive", unit="N s/m", low=-HEAVIEST, high=HEAVIEST, neutral=0.0, probes=(30.0,), smallest=1.5
 )
 
 

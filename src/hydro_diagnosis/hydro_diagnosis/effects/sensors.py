@@ -82,9 +82,7 @@ class LoadCellBias(_Bias):
     """Reading = force + bias."""
 
     id = "load_cell_bias"
-    parameters = (
-        FitParameter(name="force", unit="N", low=-500.0, high=500.0, neutral=0.0, probes=(5.0,), smallest=0.3),
-    )
+    parameters = (FitParameter(name="force", unit="N", low=-5e3, high=5e3, neutral=0.0, probes=(5.0,), smallest=0.3),)
 
     def sentence(self, values: Values) -> str:
         return f"A reading of {self.words} is off by {values['force']:.3g} N."

@@ -3,9 +3,9 @@
 
 A parameter is moved, all others are fitted anew, and the deviance must rise by 3.84. Residuals are not quite
 independent and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to
-the curvature (the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part
-covers the residuals' own discretisation, a fraction of the smallest size worth claiming, noise in what a parameter
-multiplies, and rows that were not recorded.
+the curvature (the sandwich), and by more where blocks resemble their neighbours (slow noise, drift); where a remainder
+is left unexplained that ratio grows by itself. The systematic part covers the residuals' own discretisation, a fraction
+of the smallest size worth claiming, noise in what a parameter multiplies, and rows that were not recorded.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from math import hypot, sqrt
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import QUANTILE, Fit, fit, pack, residual_variances, unpack
@@ -46,6 +47,8 @@ PROFILING = 4
 NEARER = 6
 """Points at most on either side."""
 _BLOCK = 0.25
+MOST_CORRELATED = 0.97
+"""Correlation of neighbouring blocks at most: of 60 s of data hardly any block is new beyond it."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ class Interval:
     low: float
     high: float
     identifiable: bool
+    inflation: float = 1.0
+    """Standard deviations that residuals as they are make of one by independent residuals."""
 
 
 def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
@@ -114,12 +119,33 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
     covariance = np.linalg.pinv(normal, hermitian=True)
     scores = found.jacobian * (found.residual * weight)[:, None]
     block = np.floor(layout.time / _BLOCK).astype(np.int64) + 10**6 * layout.segment
-    _, index = np.unique(block, return_inverse=True)
+    blocks, index = np.unique(block, return_inverse=True)
     summed = np.stack([np.bincount(index, scores[:, k]) for k in range(scores.shape[1])], axis=1)
-    sandwich = covariance @ (summed.T @ summed) @ covariance
+    moves = np.asarray(summed @ covariance, dtype=np.float64)
+    sandwich = np.sum(np.square(moves), axis=0) * _recurrence(moves, np.diff(blocks) == 1)
     plain = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    inflation = np.sqrt(np.maximum(np.diag(sandwich), 0.0)) / np.maximum(plain, 1e-300)
+    inflation = np.sqrt(sandwich) / np.maximum(plain, 1e-300)
     return plain, np.maximum(inflation, 1.0)
+
+
+def _recurrence(moves: FloatArray, adjacent: npt.NDArray[np.bool_]) -> FloatArray:
+    """Factor of the variance of sums over blocks that do not differ by chance from their neighbours.
+
+    Of a first-order process (Andrews and Monahan 1992); 1 where the blocks are not correlated beyond chance.
+
+    Parameters
+    ----------
+    moves
+        What each block moves each parameter by, shape (blocks, k).
+    adjacent
+        Whether a block follows upon the one before, shape (blocks - 1,).
+    """
+    pairs = moves[1:][adjacent] * moves[:-1][adjacent]
+    power = 0.5 * (np.square(moves[1:][adjacent]) + np.square(moves[:-1][adjacent]))
+    correlation = np.sum(pairs, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
+    correlation = np.where(correlation > QUANTILE / sqrt(max(len(pairs), 1)), correlation, 0.0)
+    correlation = np.minimum(correlation, MOST_CORRELATED)
+    return np.asarray((1.0 + correlation) / (1.0 - correlation))
 
 
 def _interval(
@@ -136,7 +162,7 @@ def _interval(
     low, high = (value + sign * hypot(side, systematic, attenuation) for sign, side in zip((-1, 1), sides, strict=True))
     at_bound = min(value - parameter.low, parameter.high - value) <= 1e-3 * (parameter.high - parameter.low) * 1e-3
     flat = not np.isfinite(reach) or reach > 0.5 * (parameter.high - parameter.low)
-    return Interval(value, max(low, parameter.low), min(high, parameter.high), not (at_bound or flat))
+    return Interval(value, max(low, parameter.low), min(high, parameter.high), not (at_bound or flat), inflation)
 
 
 def _profiled(problem: Problem, found: Fit, index: int, value: float, step: float, inflation: float) -> float:

@@ -98,12 +98,17 @@ def _look(problem: Problem, claim: Claim, direction: FloatArray, weight: FloatAr
     if power <= 1e-12:
         return Prospect(claim, 0.0)
     amount = -float(direction @ left) / power
-    amount = min(amount, 3.0 if len(effect.parameters[0].probes) > 1 else 100.0)
+    if len(effect.parameters[0].probes) > 1:
+        amount = min(amount, 3.0)
     if amount <= 0.0 and _bounded(effect):
         return Prospect(claim, 0.0)
     reached = deviance(problem, (left + amount * direction) / weight)
     moved = Claim(effect, _moved(effect, claim.values, amount))
     return Prospect(moved, deviance(problem, left / weight) - reached)
+
+
+NEARLY = 0.02
+"""Share of the way from a bound to the neutral value at which a start is at most."""
 
 
 def _bounded(effect: Effect) -> bool:
@@ -117,9 +122,6 @@ def _moved(effect: Effect, start: Values, amount: float) -> dict[str, float]:
     for parameter in effect.parameters:
         if parameter.smallest > 0.0:
             scaled = parameter.neutral + amount * (start[parameter.name] - parameter.neutral)
-            inside = 0.02 * (parameter.high - parameter.low)
-            if _bounded(effect):
-                moved[parameter.name] = scaled
-            else:
-                moved[parameter.name] = float(np.clip(scaled, parameter.low + inside, parameter.high - inside))
+            low, high = (end + NEARLY * (parameter.neutral - end) for end in (parameter.low, parameter.high))
+            moved[parameter.name] = float(np.clip(scaled, low, high))
     return moved

@@ -6,10 +6,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from hydro_diagnosis.effects.base import MOTION, Claim
-from hydro_diagnosis.estimation.fit import NOTICEABLE, Fit, fit
+from hydro_diagnosis.estimation.fit import NOTICEABLE, Fit, fit, without_one
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.selection.outcome import NAMES
 from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed, reproduced
 
 MOVED = 0.25
@@ -25,6 +28,7 @@ _CONFIRMING = 4
 def contradicted(
     problem: Problem,
     found: Fit,
+    earlier: Sequence[Fit],
     bounds: Sequence[Interval],
     points: Sequence[Point],
     noise: float,
@@ -33,6 +37,8 @@ def contradicted(
 
     Parameters
     ----------
+    earlier
+        Fits with names that are not claimed any more, and nothing else that is not in `found`.
     bounds
         Of the parameters of all claims, in their order.
     points, noise
@@ -40,9 +46,14 @@ def contradicted(
     """
     named = [claim for claim in found.judged if claim.effect.named]
     reasons = dict.fromkeys(moved(problem, found, bounds), "moves by more than a quarter without one of the recordings")
+    depends = "has another size beside names that are not claimed"
+    reasons |= dict.fromkeys((label for one in earlier for label in apart(found, one, bounds)), depends)
     if reproduced(problem, found.claims) <= 0.0:
         unfounded = "in motion the equation foretells the force no better than the force's mean would"
         reasons |= {claim.effect.label: unfounded for claim in named if MOTION in claim.effect.blocks}
+    for label, evidence in _evidence(problem, found, bounds).items():
+        if evidence < NAMES.threshold:
+            reasons[label] = "by the number of its independent samples it may be chance"
     off = missed(points, noise)
     if len(off) > MOST_SPEEDS * len(points):
         for claim in named:
@@ -51,6 +62,19 @@ def contradicted(
             if any(abs(without[one.at] - one.model) > noise for one in off):
                 reasons[claim.effect.label] = f"misses the force at {len(off)} of {len(points)} steady speeds"
     return reasons
+
+
+def _evidence(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> dict[str, float]:
+    """Evidence [BIC] of each named claim by its label, by as many samples as are worth one that is independent."""
+    evidence, k, needed = {}, 0, {name for claim in found.claims for name in claim.effect.needs}
+    for claim in found.claims:
+        count = len(claim.effect.parameters)
+        variance = max((bound.inflation**2 for bound in bounds[k : k + count]), default=1.0)
+        k += count
+        if claim.effect.named and not claim.effect.estimated and claim.effect.id not in needed:
+            rise = without_one(problem, found, claim).deviance - found.deviance
+            evidence[claim.effect.label] = rise / variance - count * float(np.log(len(found.residual) / variance))
+    return evidence
 
 
 def moved(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]:
@@ -65,13 +89,19 @@ def moved(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]
         fewer = Problem(
             others, problem.bench, problem.baseline, noise=problem.sensor_noise, estimated=problem.estimated
         ).weighed(found.claims)
-        again, k = fit(fewer, found.claims, iterations=_CONFIRMING), 0
-        for claim, other in zip(found.claims, again.claims, strict=True):
-            own = bounds[k : k + len(claim.effect.parameters)]
-            k += len(own)
-            if claim.effect.named and not claim.effect.estimated and _moves(claim, other, own):
-                labels.append(claim.effect.label)
+        labels += apart(found, fit(fewer, found.claims, iterations=_CONFIRMING), bounds)
     return list(dict.fromkeys(labels))
+
+
+def apart(found: Fit, other: Fit, bounds: Sequence[Interval]) -> list[str]:
+    """Named claims whose size in another fit differs by more than `MOVED`, and lies out of its interval."""
+    sizes, labels, k = {claim.effect.label: claim for claim in other.claims}, [], 0
+    for claim in found.claims:
+        label, own = claim.effect.label, bounds[k : k + len(claim.effect.parameters)]
+        k += len(own)
+        if label in sizes and claim.effect.named and not claim.effect.estimated and _moves(claim, sizes[label], own):
+            labels.append(label)
+    return labels
 
 
 def _moves(claim: Claim, other: Claim, bounds: Sequence[Interval]) -> bool:

@@ -60,15 +60,18 @@ def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
 def model_claims(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult:
     """Names that the recordings do not contradict, and laws for what they leave."""
     refused: dict[str, str] = {}
+    earlier: list[Fit] = []
     while True:
         found = withdraw_if_worse(model_remainder(names, library, progress), names)
         problem, fitted = found.problem, found.assessment.fit
         noise = found.proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
         points = curves(problem, fitted.claims).get(FRICTION, ()) if fitted.judged else ()
-        reasons = contradicted(problem, fitted, found.bounds, points, noise)
+        searched = [] if found.closures else [found.outcome.fit]
+        reasons = contradicted(problem, fitted, [*earlier, *searched], found.bounds, points, noise)
         if reasons.keys() <= refused.keys():
             return replace(found, refused=refused)
         refused |= reasons
+        earlier.append(fitted)
         claims = names.assessment.fit.claims
         kept = tuple(claim for claim in claims if claim.effect.label not in refused)
         ids = {claim.effect.id for claim in kept}
