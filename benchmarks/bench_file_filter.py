@@ -5,8 +5,9 @@ file         a bench file that says the change and what a diagnosis finds, its m
              without a filter and behind it at wide gains, sample by sample
 relearn      model and metric by `relearn` from a minute recorded under (90, 15), the same runs
 compensated  the compensated law at its own gains, through guard and estimator, on the default truth and on drawn ones:
-             without a filter, with that of a bench file with the truth's own parameters, and with the shipped one,
-             which answers BYPASSED; `mismatch` of the latter is what its watch says of the same samples
+             without a filter, with that of a bench file with the truth's own parameters (--diagnosed: of what a
+             diagnosis of two recordings finds), and with the shipped one, which answers BYPASSED; `mismatch` of the
+             latter is what its watch says of the same samples
 drawn_gains  the same benches, gains drawn 100 times a second at the law's own C_1 and at C_1 = 1, without a filter and
              with that of the bench file, whose metrics are for either
 """
@@ -25,6 +26,7 @@ import yaml
 
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._report import parser
+from benchmarks.compensated_law import diagnosed
 from benchmarks.controllers import SETTINGS, interquartile_mean
 from benchmarks.model_mismatch import outcome, play
 from hydro_bridge.cli.console import Table, command, progress
@@ -144,10 +146,21 @@ def by_truth(config: TruthConfig, folder: Path, law: str = "compensated") -> Mad
     return by_metric(folder / "bench.yaml", {}, effects, law)
 
 
+def by_diagnosis(config: TruthConfig, folder: Path, law: str) -> Made:
+    """The same on the file of a diagnosis."""
+    model = folder / "corrected.yaml"
+    return metric_for(model if model.exists() else diagnosed(config, folder), law)
+
+
 def by_metric(model: Path, numbers: Mapping[str, float], effects: Sequence[Any], law: str) -> Made:
-    """The filter on a bench file that is written there; a metric that is there already is taken."""
+    """The filter on a bench file that is written there."""
     content = Bench.nominal().to_mapping() | dict(numbers) | {"effects": [dict(one) for one in effects]}
     model.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return metric_for(model, law)
+
+
+def metric_for(model: Path, law: str) -> Made:
+    """The filter on this bench file; a metric beside it is taken."""
     out, table, began, said = (
         model.with_name("metric.safetensors"),
         model.with_name("metric.json"),
@@ -303,6 +316,7 @@ def main() -> None:
     options.add_argument("what", nargs="?", default="file", choices=("file", "relearn", "compensated", "drawn_gains"))
     options.add_argument("--bench", nargs="+", default=list(BENCHES), choices=list(BENCHES), help="default: all")
     options.add_argument("--draw", type=int, default=12, metavar="COUNT", help="drawn truths; default: %(default)s")
+    options.add_argument("--diagnosed", action="store_true", help="a diagnosis of the truth in place of its parameters")
     options.add_argument("--folder", type=Path, default=Path("runs/bench_file_filter"), help="default: %(default)s")
     asked = options.parse_args()
     truths: dict[str, TruthConfig] = dict.fromkeys(asked.bench)
@@ -312,12 +326,16 @@ def main() -> None:
         truths = {"default": profile("default"), **drawn}
     table, rows, shipped = Table(COLUMNS, title="The filter made for a bench"), list[dict[str, Any]](), default_filter()
     for name in progress(truths, total=len(truths), label="benches", unit="bench"):
-        folder = asked.folder / asked.what / name.translate(str.maketrans(" /", "__", "%"))
+        folder = (
+            asked.folder
+            / (asked.what + "_diagnosed" * asked.diagnosed)
+            / name.translate(str.maketrans(" /", "__", "%"))
+        )
         folder.mkdir(parents=True, exist_ok=True)
         try:
             if under_law:
                 laws, kind = "compensated" if asked.what == "compensated" else "both", name.partition("_")[0]
-                own = by_truth(truths[name], folder, laws)[0]
+                own = (by_diagnosis if asked.diagnosed else by_truth)(truths[name], folder, laws)[0]
                 runs = drawn_rows(truths[name], own) if laws == "both" else law_rows(truths[name], own, shipped)
                 rows += [{"bench": kind, **row} for row in runs]
                 continue

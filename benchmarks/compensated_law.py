@@ -191,19 +191,24 @@ def specimen(asked: argparse.Namespace) -> Table:
 
 def specimen_of(config: TruthConfig) -> tuple[dict[str, LoadCell | None], dict[str, list[dict[str, Any]]]]:
     """The load cell by belief, and rows of `evaluate`'s references under it."""
-    bench, known = Bench.nominal(), load_cell(config)
-    believed = replace(bench, valve_nominal_flow=CAUTIOUS * bench.valve_nominal_flow)
+    known = load_cell(config)
     with TemporaryDirectory() as folder:
-        bags = [Path(folder) / name for name in ("fitted", "held_out")]
-        for seed, (bag, segments) in enumerate(zip(bags, RECORDED, strict=True)):
-            with BagWriter(bag) as writer:
-                writer.write_states(record_offline(config, segments, bench=believed, seed=seed).states)
-        write_corrected(diagnose(bags[:1], holdout=bags[1:]).corrected, (), Path(folder) / "corrected.yaml")
-        found = LoadCell.load(Path(folder) / "corrected.yaml")
+        found = LoadCell.load(diagnosed(config, Path(folder)))
     cells = {"not known": None, "diagnosed": found, "known": known}
     for factor in (0.8, 1.2):
         cells[f"x {factor:g}"] = known and replace(known, bandwidth=factor * known.bandwidth)
     return cells, {name: compensated(config, SETTINGS.cases, cell=cell) for name, cell in cells.items()}
+
+
+def diagnosed(config: TruthConfig, folder: Path) -> Path:
+    """`corrected.yaml` of a diagnosis of this truth's two recordings, all of them in the folder."""
+    bench, bags = Bench.nominal(), [folder / name for name in ("fitted", "held_out")]
+    believed = replace(bench, valve_nominal_flow=CAUTIOUS * bench.valve_nominal_flow)
+    for seed, (bag, segments) in enumerate(zip(bags, RECORDED, strict=True)):
+        with BagWriter(bag) as writer:
+            writer.write_states(record_offline(config, segments, bench=believed, seed=seed).states)
+    write_corrected(diagnose(bags[:1], holdout=bags[1:]).corrected, (), folder / "corrected.yaml")
+    return folder / "corrected.yaml"
 
 
 def changes(asked: argparse.Namespace) -> Table:
