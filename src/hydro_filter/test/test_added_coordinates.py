@@ -175,7 +175,7 @@ def slopes_of(loop: Loop, memory: Any, x: FloatArray) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("case", ["1 ms", "both sensors 200 Hz", "a sensor 80 Hz", "all of it"])
-def test_the_certificate_foretells_how_twin_runs_of_the_whole_bench_part(case: str) -> None:
+def test_the_certificate_predicts_how_twin_runs_of_the_whole_bench_part(case: str) -> None:
     """Same sign of M_c, and the same next difference, as the simulated bench under the box's law has.
 
     What a lagging sensor shows is 2 to 4 % of the difference off: it sees the sum of the pressures move, too.

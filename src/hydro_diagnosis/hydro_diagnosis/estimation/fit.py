@@ -169,7 +169,7 @@ def fit(
 
     Numbers that the problem estimates are fitted too, before the claims. `fixed`: index of a parameter that stays where
     it is. `slopes`: the Jacobian nearby; it is then followed by secants (Broyden 1965), one residual a step, instead of
-    being computed at each. Beside tables that do not just add, a Jacobian that foretold a step serves for the next
+    being computed at each. Beside tables that do not just add, a Jacobian that predicted a step serves for the next
     one too; what is reached by it is confirmed by a fresh one.
     """
     claims = problem.with_estimated(claims)
@@ -238,7 +238,7 @@ def _many(effect: Effect) -> bool:
 
 
 def _share(missed: FloatArray, predicted: FloatArray, weight: FloatArray) -> float:
-    """Weighted size of what slopes missed of a step's effect, over what they foretold."""
+    """Weighted size of what slopes missed of a step's effect, over what they predicted."""
     return float(np.sqrt(missed**2 @ weight / max(float(predicted**2 @ weight), 1e-300)))
 
 

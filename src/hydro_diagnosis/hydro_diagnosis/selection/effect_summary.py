@@ -160,5 +160,5 @@ def not_predicted(holdout: Problem, claims: Sequence[Claim]) -> str:
     places = ", ".join(dict.fromkeys(place.equation for place in locate(holdout, residual, {})))
     return (
         f"the held-out recordings hold more than noise ({places}), which those that were fitted do not show: the "
-        "model that is handed back does not foretell them; fit recordings of all that the bench does"
+        "model that is handed back does not predict them; fit recordings of all that the bench does"
     )

@@ -49,7 +49,7 @@ def contradicted(
     depends = "has another size beside names that are not claimed"
     reasons |= dict.fromkeys((label for one in earlier for label in apart(found, one, bounds)), depends)
     if reproduced(problem, found.claims) <= 0.0:
-        unfounded = "in motion the equation foretells the force no better than the force's mean would"
+        unfounded = "in motion the equation predicts the force no better than the force's mean would"
         reasons |= {claim.effect.label: unfounded for claim in named if MOTION in claim.effect.blocks}
     for label, evidence in _evidence(problem, found, bounds).items():
         if evidence < NAMES.threshold:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names that fit but do not foretell are said to; those of the true cause are not."""
+"""Names that fit but do not predict are said to; those of the true cause are not."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def claims(*names: str) -> list[Claim]:
         ({}, [], True),
     ],
 )  # fmt: skip
-def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_foretell(
+def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_predict(
     record: Callable[..., StateArray], truth: dict[str, Sequence[object]], named: list[str], predicted: bool
 ) -> None:
     bench = replace(BENCH, **truth)
