@@ -51,12 +51,14 @@ from hydro_filter.model.sample import Sample  # noqa: E402
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
 from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
+from hydro_sim.emulator.offline import record_offline  # noqa: E402
+from hydro_sim.excitation.schedules import Segment  # noqa: E402
 from hydro_sim.files.learned_bench import digest as digest_of  # noqa: E402
 from hydro_sim.files.pairing import MadeFor  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
 from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
-from tests.changing_plant import ChangingPlant, modified_truth  # noqa: E402
+from tests.changing_plant import modified_truth  # noqa: E402
 
 
 class Source:
@@ -389,9 +391,8 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
 ) -> None:
     """A stiffer spring from the beginning; each sample waits for its answer, so that the age is no matter."""
     source = started("--metric", "learned", *PATIENT)
-    plant = ChangingPlant([modified_truth({"bench": {"spring_stiffness": 3e4}})], [])
-    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
-    records = simulate(plant, Bench.nominal(), Schedule(reference=signal, gains=(90.0, 15.0), seconds=1.0))
+    truth = modified_truth({"bench": {"spring_stiffness": 3e4}})
+    records = record_offline(truth, [Segment(seconds=1.0, amplitude=300.0, frequency=1.0)]).states
     for k, record in enumerate(records):
         source.publish(k, Sample.of(record))
         source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
