@@ -201,13 +201,15 @@ def specimen_of(config: TruthConfig) -> tuple[dict[str, LoadCell | None], dict[s
 
 
 def diagnosed(config: TruthConfig, folder: Path) -> Path:
-    """`corrected.yaml` of a diagnosis of this truth's two recordings, all of them in the folder."""
-    bench, bags = Bench.nominal(), [folder / name for name in ("fitted", "held_out")]
+    """`corrected.yaml` in the folder, of a diagnosis of this truth's two recordings."""
+    bench = Bench.nominal()
     believed = replace(bench, valve_nominal_flow=CAUTIOUS * bench.valve_nominal_flow)
-    for seed, (bag, segments) in enumerate(zip(bags, RECORDED, strict=True)):
-        with BagWriter(bag) as writer:
-            writer.write_states(record_offline(config, segments, bench=believed, seed=seed).states)
-    write_corrected(diagnose(bags[:1], holdout=bags[1:]).corrected, (), folder / "corrected.yaml")
+    with TemporaryDirectory() as place:
+        bags = [Path(place) / name for name in ("fitted", "held_out")]
+        for seed, (bag, segments) in enumerate(zip(bags, RECORDED, strict=True)):
+            with BagWriter(bag) as writer:
+                writer.write_states(record_offline(config, segments, bench=believed, seed=seed).states)
+        write_corrected(diagnose(bags[:1], holdout=bags[1:]).corrected, (), folder / "corrected.yaml")
     return folder / "corrected.yaml"
 
 
