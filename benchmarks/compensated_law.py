@@ -39,6 +39,7 @@ from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_policy.compensation.estimator import ADAPTS, STEP, Compensator, LoadCell
 from hydro_policy.envs import vector_runs
+from hydro_policy.envs.vector_env import DEAD_TIME_MAX
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -96,7 +97,7 @@ GAIN_CONDITIONS = (AS_IT_IS, Condition("valve gain x 0.6", 0.6), Condition("4 ms
 MARGIN_CONDITIONS = (
     AS_IT_IS,
     *(Condition(f"valve gain x {factor:g}", factor) for factor in (0.3, 0.4, 0.5, 0.6, 0.8, 1.25, 1.6, 2.5)),
-    *(Condition(f"{late} ms late", dead_time=late) for late in (1, 2, 4, 6, 8, 12)),
+    *(Condition(f"{late} ms late", dead_time=late) for late in (1, 2, 4, 6, DEAD_TIME_MAX)),
 )
 
 
