@@ -21,8 +21,9 @@ SLIP_VELOCITY = 3e-4
 
 
 STRONGEST = 5e3
-"""Largest force [N] of a claim, and `HEAVIEST` the largest damping [N s/m]: what a simulation takes."""
+"""Largest force [N] of a claim, which a simulation takes."""
 HEAVIEST = 1e6
+"""Largest damping [N s/m], the same."""
 
 
 def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> FitParameter:

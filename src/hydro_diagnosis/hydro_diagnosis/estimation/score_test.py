@@ -14,6 +14,9 @@ from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Values
 from hydro_diagnosis.estimation.fit import Fit, deviance, residual_variances
 from hydro_diagnosis.estimation.problem import Problem
 
+NEARLY = 0.02
+"""Share of the way from a bound to the neutral value, and no less, at which a search begins."""
+
 
 @dataclass(frozen=True)
 class Prospect:
@@ -105,10 +108,6 @@ def _look(problem: Problem, claim: Claim, direction: FloatArray, weight: FloatAr
     reached = deviance(problem, (left + amount * direction) / weight)
     moved = Claim(effect, _moved(effect, claim.values, amount))
     return Prospect(moved, deviance(problem, left / weight) - reached)
-
-
-NEARLY = 0.02
-"""Share of the way from a bound to the neutral value at which a start is at most."""
 
 
 def _bounded(effect: Effect) -> bool:
