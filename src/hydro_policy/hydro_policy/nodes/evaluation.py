@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from hydro_bridge.bags.writer import code_version
+from hydro_bridge.cli.console import UserError
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process.endings import undisturbed
@@ -36,6 +37,7 @@ from hydro_policy.nodes.graph.progress import EvaluationProgress
 from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box, require_matching_policy
 from hydro_policy.nodes.startup.companions import (
     LOAD_FORCE,
+    NO_FILTER,
     describe_policy,
     guard_range,
     protection_gap,
@@ -178,6 +180,11 @@ def evaluate(options: argparse.Namespace) -> int:
     make_controllers(options, expected_box(options))  # invalid input is refused before anything is created
     load_cell(options)
     evaluation_settings(options)
+    filtered = options.law != "compensated" or options.fixed or options.policy or options.grid
+    if options.filter.split() == list(NO_FILTER) and filtered:
+        raise UserError(
+            "--filter none leaves the compensated law: say --law compensated, without --fixed, --policy, --grid"
+        )
     with new_evaluation(Path(options.runs), options.name) as run:
         return evaluate_in(run, options)
 

@@ -85,7 +85,8 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         "--filter",
         default="",
         metavar="WORDS",
-        help='further words for the filter that is started, in one string: --filter="--contraction-rate 2"',
+        help='further words for the filter that is started, in one string: --filter="--contraction-rate 2"; none: no '
+        "filter, for the compensated law",
     )
     group.add_argument(
         "--rearm",
