@@ -33,8 +33,7 @@ from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice, warm_up
-from hydro_filter.controller.filter import Result
-from hydro_filter.controller.loop_filter import LoopFilter, default_filter
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
 from hydro_filter.training.relearn import METRIC, MODEL
@@ -206,8 +205,7 @@ def loaded(metric: Path, model: Path) -> LoopFilter:
     choice = FilterChoice(bench=Bench.nominal(), metric=str(metric), model=model)
     if trouble := choice.trouble():
         raise ValueError(trouble)
-    made = choice.make(choice.default_settings())
-    assert isinstance(made, LoopFilter)
+    made = choice.make(LoopFilterSettings())
     warm_up(made, choice.bench)
     return made
 

@@ -83,6 +83,10 @@ def test_step_falls_on_every_tenth_sequence_number_and_a_gap_spoils_it() -> None
     assert clock.add(60, sample, Flag.ARMED) is None, "the same sample twice"
     held = [clock.add(s, sample, Flag.ARMED | (Flag.FILTER_STALE if s == 65 else 0)) for s in range(61, 81)]
     assert [step.whole for step in held if step] == [False, True]
+    sample[STATE_FIELDS.index("proportional_gain")] = 60.0  # a plant that requires no filter: these gains act
+    for base, acts in ((None, False), ((15.0, 5.0), True), ((60.0, 0.0), False)):
+        steps = [clock.add(clock._last + 1, sample, Flag.ARMED | Flag.FILTER_STALE, base) for _ in range(20)]
+        assert [bool(step.held) for step in steps if step][-1] is not acts
 
 
 def test_disarmed_under_way_the_session_pauses_and_resumes_the_episode() -> None:

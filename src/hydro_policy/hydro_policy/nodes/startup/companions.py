@@ -30,7 +30,8 @@ from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.learned_bench import shipped
 
 if TYPE_CHECKING:
-    from hydro_filter.controller.factory import FilterChoice, Settings
+    from hydro_filter.controller.factory import FilterChoice
+    from hydro_filter.controller.loop_filter import LoopFilterSettings
 
 
 def bench_file(given: Path | None) -> Path:
@@ -51,10 +52,8 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Pat
 
 
 def of_filter(choice: FilterChoice) -> list[str]:
-    """Return key=value words: SHA-256 of the filter's metric and of its prediction model, or that it has none."""
-    return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()] or [
-        f"filter_metric={choice.metric}"
-    ]
+    """Return key=value words: SHA-256 of the filter's metric and of its prediction model."""
+    return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
 
 
 def describe_policy(path: Path) -> str:
@@ -72,7 +71,7 @@ def _digest(path: Path) -> str:
     return sha256(path.read_bytes()).hexdigest()
 
 
-def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, Settings]:
+def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, LoopFilterSettings]:
     """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program.
 
     Raises
@@ -117,23 +116,21 @@ def guard_parameters(gains: GainRange, words: Sequence[str]) -> list[str]:
 
 def filter_command(words: Sequence[str]) -> str:
     """Return the filter's command line with its metric named explicitly."""
-    from hydro_filter.controller.factory import DEFAULT
+    from hydro_filter.controller.factory import LEARNED
 
     named = any(word.split("=")[0] == "--metric" for word in words)
-    return " ".join(words if named else (f"--metric {DEFAULT}", *words))
+    return " ".join(words if named else (f"--metric {LEARNED}", *words))
 
 
 def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
     """Return why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
     if tuple(words) == NO_FILTER:
         return ""
-    choice, settings = requested_filter(words, bench)
+    _, settings = requested_filter(words, bench)
     if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
         return ""
     if settings.bypass:
         return "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
-    if choice.constant:
-        return "the constant metric does not protect from high gains: only the monitor and the box's force limit do"
     return ""
 
 
