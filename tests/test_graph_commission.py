@@ -17,7 +17,6 @@ import yaml
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import executable_path
-from hydro_policy.nodes.commission import main
 from hydro_policy.nodes.commissioning.gates import NAMES
 from hydro_policy.nodes.commissioning.record import FAILED, PASSED, PENDING, Record, best, digests
 from hydro_sim.model.bench import Bench
@@ -83,25 +82,6 @@ def test_a_foreign_bench_is_commissioned_without_a_word_typed(foreign: list[str]
     rmse = {key: max(found["comparison"][key]["rmse"].values()) for key in ("best_fixed", "compensated")}
     assert found["adopted"] == "compensated"
     assert rmse["compensated"] < 0.6 * rmse["best_fixed"]
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ("--site {}", "which bench?"),
-        ("--site {} --port /dev/null", "which bench.yaml does the box believe?"),
-        ("--site {} --port /dev/null --truth truth.yaml", "--truth is of the emulated bench"),
-    ],
-)
-def test_what_does_not_say_the_bench_is_refused(
-    words: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["commission", *words.format(tmp_path / "new").split()])
-    with pytest.raises(SystemExit) as end:
-        main()
-    assert end.value.code == 2
-    assert sentence in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
 
 
 def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:

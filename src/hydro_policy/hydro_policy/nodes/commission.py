@@ -49,6 +49,7 @@ def parser() -> argparse.ArgumentParser:
         "--amplitude", type=float, metavar="N",
         help="of the sines; default: 9.4 %% of piston area times supply pressure",
     )  # fmt: skip
+    result.add_argument("--policy", action="store_true", help="pretrain a policy in simulation, and compare it, too")
     repeat = result.add_mutually_exclusive_group()
     repeat.add_argument("--from", dest="start", choices=NAMES, metavar="GATE", help=f"repeat from: {', '.join(NAMES)}")
     repeat.add_argument(
@@ -64,7 +65,9 @@ def main() -> int:
     folder: Path = options.site
     record = Record.load(folder, NAMES)
     _take(options, folder, record)
-    first = record.hold(folder, NAMES.index(options.start) if options.start else len(GATES))
+    untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
+    start = options.start or ("policy" if untrained else None)
+    first = record.hold(folder, NAMES.index(start) if start else len(GATES))
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
     with ExitStack() as stack:
@@ -73,7 +76,14 @@ def main() -> int:
         if record.plant == "emulator" and any(gate.plant for gate in GATES[first:]):
             port = start_emulator(stack, folder, log, options.truth, options.seed)
         arm = options.arm or ("auto" if record.plant == "emulator" else "person")
-        at = Site(folder=folder, record=record, port=port, arm="auto" if arm == "auto" else "ask", log=log)
+        at = Site(
+            folder=folder,
+            record=record,
+            port=port,
+            arm="auto" if arm == "auto" else "ask",
+            policy=options.policy,
+            log=log,
+        )
         passed = all(_pass(at, gate) for gate in GATES[first:])
     print(f"\n{record.table().text()}\n")
     if record.comparison:

@@ -41,6 +41,8 @@ class Site:
     port: str
     arm: str
     """`auto` or `ask`, as `--rearm` of `evaluate`."""
+    policy: bool
+    """Whether a policy is to be trained."""
     log: IO[str]
     """Output of all executables."""
 
@@ -53,8 +55,8 @@ class Site:
         """Return the folder of a recording."""
         return self.folder / site.RECORDINGS / name
 
-    def run(self, package: str, executable: str, *words: str, within: float = 3600.0) -> None:
-        """Run an executable to its end; its output goes to the terminal and into the log.
+    def run(self, package: str, executable: str, *words: str, loud: bool = True) -> None:
+        """Run an executable to its end; its output goes into the log, and to the terminal if it is `loud`.
 
         Raises
         ------
@@ -62,10 +64,10 @@ class Site:
             It did not end with status 0; the reason is its last line.
         """
         self.log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
-        output = cast("IO[str]", _Both(self.log))
+        output = cast("IO[str]", _Both(self.log, loud=loud))
         running = Companion(package, executable, words, output=output, keys=True)
         try:
-            status = running.process.wait(within)
+            status = running.process.wait()
         except BaseException:
             running.stop(PATIENCE)
             raise
@@ -138,7 +140,7 @@ def read_json(path: Path) -> dict[str, Any]:
 class _Both:
     """Output of an executable: the log, and the terminal if it is `loud`."""
 
-    def __init__(self, log: IO[str], *, loud: bool = True) -> None:
+    def __init__(self, log: IO[str], *, loud: bool) -> None:
         self._log, self._loud = log, loud
 
     def write(self, text: str) -> int:
