@@ -2,17 +2,15 @@
 """One call of the contraction filter, and every tick's deadline.
 
 The samples are runs on the analytic bench under changing gains, half of the time unstable ones, with the filter in the
-loop. Filters see the same samples in turn, in one process. Then the learned filter alone takes `--ticks` samples, and
-calls beyond 1 ms are counted: by the clock, and by the time that the process itself was running, which leaves out what
-other programs on the machine did to it. Samples come round again and again; each one's best call shows whether a slow
-one was the sample's doing.
+loop. Then the filter takes `--ticks` samples, and calls beyond 1 ms are counted: by the clock, and by the time that the
+process itself was running, which leaves out what other programs on the machine did to it. Samples come round again and
+again; each one's best call shows whether a slow one was the sample's doing.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +18,8 @@ from benchmarks._report import parser, percentiles
 from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.ros.node import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.controller.factory import CONSTANT, LEARNED, Filter, FilterChoice, warm_up
-from hydro_filter.controller.loop_filter import LoopFilter
+from hydro_filter.controller.factory import FilterChoice, warm_up
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Trial, run
 from hydro_sim.model.bench import Bench
@@ -34,7 +32,7 @@ BURST = 1000
 """Ticks after which the process rests: one that runs by SCHED_FIFO without pause is held up by the kernel."""
 
 
-def runs(bench: Bench, contraction_filter: Filter, count: int) -> list[Sample]:
+def runs(bench: Bench, contraction_filter: LoopFilter, count: int) -> list[Sample]:
     """`count` samples of a 200 N sine, the gains drawn anew every half second: stable and unstable ones in turn."""
     samples: list[Sample] = []
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
@@ -49,19 +47,17 @@ def runs(bench: Bench, contraction_filter: Filter, count: int) -> list[Sample]:
     return samples[:count]
 
 
-def compare(filters: dict[str, Any], samples: list[Sample]) -> dict[str, list[float]]:
-    """Durations [s] of every call, by filter."""
-    durations: dict[str, list[float]] = {name: [] for name in filters}
-    for contraction_filter in filters.values():
-        contraction_filter.reset()
+def durations(contraction_filter: LoopFilter, samples: list[Sample]) -> list[float]:
+    """Duration [s] of every call."""
+    found: list[float] = []
+    contraction_filter.reset()
     for k, sample in enumerate(progress(samples, total=len(samples), label="calls", unit="sample")):
-        for name, contraction_filter in filters.items():
-            begin = time.perf_counter()
-            contraction_filter.correct(sample)
-            durations[name].append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+        contraction_filter.correct(sample)
+        found.append(time.perf_counter() - begin)
         if k % 1000 == 0:
             time.sleep(1e-3)  # a real-time process that never pauses is ended
-    return durations
+    return found
 
 
 def ticks(contraction_filter: LoopFilter, samples: list[Sample], count: int) -> tuple[FloatArray, FloatArray, int]:
@@ -87,26 +83,20 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, as the node does")
     asked = options.parse_args(arguments)
     bench = Bench.nominal()
-    choices = {name: FilterChoice(bench=bench, metric=name) for name in (LEARNED, CONSTANT)}
-    learned, constant = (choice.make(choice.default_settings()) for choice in choices.values())
-    assert isinstance(learned, LoopFilter)
-    filters = {"learned": learned, "constant": constant}
-    for each in filters.values():
-        warm_up(each, bench)
+    choice = FilterChoice(bench=bench)
+    learned = choice.make(LoopFilterSettings())
+    warm_up(learned, bench)
     samples = runs(bench, learned, asked.samples)
     scheduling = request_realtime(realtime=asked.realtime)
-    durations = compare(filters, samples)
-    shown = {name: percentiles(each) for name, each in durations.items()}
-    columns = {"filter": "", "p50": "us per call", "p99": "", "p99.9": "", "max": "", "ratio": "of p50 to the first"}
+    columns = {"filter": "", "p50": "us per call", "p99": "", "p99.9": "", "max": ""}
     table = Table(columns, title=f"Filter call, {len(samples)} samples, {scheduling}")
-    for name, each in shown.items():
-        table.add(filter=name, **each, ratio=each["p50"] / shown["learned"]["p50"])
+    table.add(filter="each sample once", **percentiles(durations(learned, samples)))
     clock, own, corrected = ticks(learned, samples, asked.ticks)
     rounds = len(clock) // len(samples)
     best = clock[: rounds * len(samples)].reshape(rounds, -1).min(axis=0) if rounds else clock
     rows = {"ticks, by the clock": clock, "ticks, while running": own, f"each sample's best of {rounds}": best}
     for name, each in rows.items():
-        table.add(filter=name, **percentiles(list(each)), ratio=float("nan"))
+        table.add(filter=name, **percentiles(list(each)))
     table.show(asked.json)
     late = [int((each > DEADLINE).sum()) for each in (clock, own)]
     print(

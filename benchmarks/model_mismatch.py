@@ -35,8 +35,7 @@ from hydro_bridge.signals import (
     StateArray,
     Waveform,
 )
-from hydro_filter.controller.filter import Result
-from hydro_filter.controller.loop_filter import LoopFilter, default_filter
+from hydro_filter.controller.loop_filter import LoopFilter, Result, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller

@@ -21,7 +21,7 @@ from hydro_bridge.ros.companion import executable_path
 from hydro_sim.compilations import VARIABLE, read_compilations
 
 NODES = ("hydro_sim emulator --link {out}/port", "hydro_bridge bridge --port {out}/none", "hydro_filter filter",
-         "hydro_filter filter --metric constant", "hydro_sim sim", "hydro_sim sim --model analytic",
+         "hydro_sim sim", "hydro_sim sim --model analytic",
          "hydro_bridge recorder --out {out}/recording")  # fmt: skip
 BAG = "hydro_sim emulator --offline --seconds 8 --out {bag}"
 COMMANDS = (

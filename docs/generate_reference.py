@@ -36,7 +36,6 @@ SETTINGS: dict[str, tuple[tuple[str, str], ...]] = {
         ("box.", "hydro_sim.box.box.BoxConfig"),
     ),
     "hydro_filter filter": (("", "hydro_filter.controller.loop_filter.LoopFilterSettings"),),
-    "hydro_filter filter --metric constant": (("", "hydro_filter.controller.filter.FilterSettings"),),
     "hydro_policy trainer": (
         ("", "hydro_policy.runs.run.TrainingSettings"),
         ("task.", "hydro_policy.task.mdp.TaskSettings"),

@@ -16,7 +16,7 @@ from types import ModuleType
 import numpy as np
 
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.controller import loop_decision, loop_header
+from hydro_filter.controller import header, loop_decision
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric.scheduled import ScheduledMetric
@@ -82,7 +82,7 @@ def uneven() -> Bench:
 
 def written(folder: Path, truth: Bench) -> Path:
     """`folder` with the generated header."""
-    (folder / "filter_config.h").write_text(loop_header.header(parts_of(truth), truth, "A test."))
+    (folder / "filter_config.h").write_text(header.header(parts_of(truth), truth, "A test."))
     return folder
 
 

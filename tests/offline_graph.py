@@ -21,7 +21,7 @@ from hydro_bridge.signals import (
     LawCommand,
     ReferenceSignal,
 )
-from hydro_filter.controller.filter import Result
+from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.compensation.live import LiveCompensation

@@ -27,7 +27,7 @@ from tests.graph_probe import Probe, trainer
 pytestmark = pytest.mark.graph
 
 LAW = BoxLaw()
-PLANT = PlantOptions(plant="emulator", filter=("--metric", "constant"))
+PLANT = PlantOptions(plant="emulator")
 STALE = 0.2
 """s, guard.gains_age_max."""
 CURVATURE = 0.1

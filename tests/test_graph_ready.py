@@ -41,7 +41,7 @@ def test_a_plant_that_was_armed_before_the_trainer_came_waits_for_the_person_who
     words = ("--plant", "external", "--from", "scratch", "--runs", str(tmp_path), "--name", "run")
     with ExitStack() as graph:
         graph.enter_context(Companion("hydro_sim", "sim", ["--model", "analytic"]))
-        graph.enter_context(Companion("hydro_filter", "filter", ["--metric", "constant"]))
+        graph.enter_context(Companion("hydro_filter", "filter"))
         probe.wait_for(STATE, lambda state: not state.flags & Flag.FILTER_STALE, 120.0)
         probe.arm(True)
         process = graph.enter_context(trainer(*words, *SHORT, stdin=typed[1]))

@@ -9,6 +9,7 @@ box; the shipped one is for the shipped box.
 from __future__ import annotations
 
 import importlib
+import shlex
 import shutil
 import sys
 from collections.abc import Callable
@@ -43,7 +44,8 @@ MODULES = {
 
 FOREIGN = "was made for bench"
 UNMARKED = "does not say which bench it was made for"
-CONSTANT = "--filter=--metric=constant"
+OWN = "--model @own_model.yaml --metric @own_metric.safetensors"
+"""The filter of `own.yaml`."""
 
 
 WRONG: dict[str, tuple[tuple[str, str], ...]] = {
@@ -78,7 +80,7 @@ WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     "hydro_policy trainer": (
         ("--runs @new --plant sim --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--runs @new --plant emulator --bench @own.yaml --configuration wide", FOREIGN),
-        (f"--runs @new --plant sim --bench @own.yaml {CONSTANT}", f"the agent pretrained_paper {FOREIGN}"),
+        (f"--runs @new --plant sim --bench @own.yaml --filter='{OWN}'", f"the agent pretrained_paper {FOREIGN}"),
         ("--runs @new --plant sim --from @own", f"the agent own {FOREIGN}"),
         ("--runs @new --plant sim --from @unmarked", UNMARKED),
         ("--runs @new --plant sim --base-gains 30 8", "was made for a box with base K_p 15, this one has 30"),
@@ -89,7 +91,10 @@ WRONG: dict[str, tuple[tuple[str, str], ...]] = {
         ("--runs @new --plant sim --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--runs @new --plant sim --policy @own", f"the policy own {FOREIGN}"),
         ("--runs @new --plant emulator --policy @unmarked", UNMARKED),
-        (f"--runs @new --plant sim --bench @own.yaml {CONSTANT} --policy @shipped", f"the policy shipped {FOREIGN}"),
+        (
+            f"--runs @new --plant sim --bench @own.yaml --policy @shipped --filter='{OWN}'",
+            f"the policy shipped {FOREIGN}",
+        ),
         ("--runs @new --plant sim --base-gains 30 8 --policy @shipped", "was made for a box with base K_p 15"),
         ("--runs @new --plant sim --filter=--metric=@unmarked_metric.safetensors", UNMARKED),
     ),
@@ -133,7 +138,7 @@ def test_a_wrong_pairing_is_one_sentence_and_status_2_and_leaves_nothing(
 
     def check(wrong: tuple[str, str, str]) -> None:
         command, words, sentence = wrong
-        arguments = [word.replace("@", f"{files}/") for word in words.split()]
+        arguments = [word.replace("@", f"{files}/") for word in shlex.split(words)]
         monkeypatch.setattr(sys, "argv", [command.split()[1], *arguments])
         with pytest.raises(SystemExit) as ended:
             importlib.import_module(MODULES[command]).main()
@@ -157,7 +162,7 @@ def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path)
         "another plant than the box believes may be simulated"
     )
     assert SimulationSetup(model=str(files / "own_model.yaml"), box=bench).trouble() == ""
-    requested_filter(("--metric", "constant"), files / "own.yaml")
+    requested_filter(OWN.replace("@", f"{files}/").split(), files / "own.yaml")
 
 
 def test_what_is_shipped_is_for_the_shipped_bench(files: Path) -> None:

@@ -9,18 +9,20 @@ the correction pushes the force away from its reference.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.paper.network import NetworkModel
 from benchmarks.paper.store import PRINTED
-from hydro_bridge.signals import FloatArray
-from hydro_filter.certificate.continuous import Certificate
-from hydro_filter.controller.filter import ContractionFilter, FilterSettings, Result
-from hydro_filter.model.dynamics import Linearization
-from hydro_filter.model.force_law import ForceLaw
+from hydro_bridge.signals import CorrectionStatus, FloatArray
+from hydro_filter.certificate.qp import closed_form
+from hydro_filter.controller.loop_filter import Result
+from hydro_filter.model import force_law
 from hydro_filter.model.sample import Sample
-from hydro_filter.model.state import STATES
+from hydro_filter.model.state import LOAD_FORCE, STATES
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
 PERIOD = 10
@@ -28,8 +30,16 @@ PERIOD = 10
 ROWS, COLUMNS = np.tril_indices(STATES)
 
 
+class Linearization(NamedTuple):
+    """A = df/dx, shape (8, 8), B = df/du, shape (8,), and x', shape (8,), SI units."""
+
+    state_matrix: FloatArray
+    input_vector: FloatArray
+    state_rate: FloatArray
+
+
 class NetworkDynamics:
-    """x' of the network model, with its exact slopes. See `hydro_filter.model.dynamics.Dynamics`."""
+    """x' of the network model, with its exact slopes."""
 
     def __init__(self, model: NetworkModel) -> None:
         self.model = model
@@ -41,7 +51,7 @@ class NetworkDynamics:
 
 @dataclass(frozen=True)
 class NetworkMetric:
-    """M(x) on normalized states. See `hydro_filter.metric.constant.Metric`.
+    """M(x) on normalized states.
 
     Parameters
     ----------
@@ -78,13 +88,34 @@ class NetworkMetric:
         return factors[0], factors[1]
 
 
-class AtRate:
-    """A filter that decides once in `PERIOD` samples and holds its correction in between."""
+class ForceLaw:
+    """Slope K = du/dx of the law that the box runs on the nominal bench."""
+
+    def __init__(self) -> None:
+        bench = Bench.nominal()
+        self.constants, self.current_max = bench.constants(), bench.valve_current_max
+        self.gain_floor = float(BoxConfig().constants(bench)["gain_floor"][0])
+
+    def gradient(self, sample: Sample) -> FloatArray:
+        """K [A per unit of each state], shape (8,)."""
+        out = np.empty(STATES)
+        gain = sample.proportional_gain
+        force_law.gradient(self.constants, sample.state, sample.nominal_current, gain, self.gain_floor, out)
+        return out
+
+
+class PaperFilter:
+    """The filter as the paper has it: lambda 0.1, no dead zone for noise, one decision in `PERIOD` samples.
+
+    M_c = v' (M' + sym(M (A + B K)) + 2 lambda M) v        v = [0, 0, f_l - f_r, 0, ...], of normalized states
+    a   = 2 v' M B,  b = -M_c                              a du <= b, the smallest |du| in the valve's rest
+    """
 
     mismatch = ""
 
-    def __init__(self, inner: ContractionFilter) -> None:
-        self.inner = inner
+    def __init__(self, metric: NetworkMetric, model: NetworkModel) -> None:
+        self.metric, self.dynamics, self.law = metric, NetworkDynamics(model), ForceLaw()
+        self.scale, self.contraction_rate = model.scale, float(PRINTED["val_cont"]["rate"])
         self.reset()
 
     def reset(self) -> None:
@@ -94,20 +125,32 @@ class AtRate:
     def skip(self) -> None:
         """Samples are missing before the next one."""
 
+    def certificate(self, sample: Sample) -> tuple[float, float]:
+        """Return a [1/A/s] and b [1/s] at a sample."""
+        v = np.zeros(STATES)
+        v[LOAD_FORCE] = (sample.state[LOAD_FORCE] - sample.reference_force) / self.scale[LOAD_FORCE]
+        limit, metric = self.law.current_max, self.metric.matrix(sample.state)
+        linear = self.dynamics.linearize(sample.state, min(max(sample.nominal_current, -limit), limit))
+        moved = self.scale * v
+        closed = linear.state_matrix @ moved + linear.input_vector * float(self.law.gradient(sample) @ moved)
+        turned = self.metric.rate(sample.state, linear.state_rate) @ v
+        drift = float(v @ metric @ (closed / self.scale))
+        m_c = float(v @ turned) + 2.0 * drift + 2.0 * self.contraction_rate * float(v @ metric @ v)
+        return 2.0 * float(v @ metric @ (linear.input_vector / self.scale)), -m_c
+
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide, or hold."""
         if self._count % PERIOD == 0:
-            self._held = self.inner.correct(sample, age)
+            self._held = self._decide(sample)
         self._count += 1
         return self._held
 
-
-def paper_filter(metric: NetworkMetric, model: NetworkModel, *, bypass: bool = False) -> AtRate:
-    """The filter as the paper has it: lambda 0.1, no dead zone for noise."""
-    bench = Bench.nominal()
-    settings = FilterSettings(contraction_rate=PRINTED["val_cont"]["rate"], noise_floor=0.0, bypass=bypass)
-    certificate = Certificate(
-        metric=metric, dynamics=NetworkDynamics(model), controller=ForceLaw(bench), scale=model.scale,
-        current_max=bench.valve_current_max, contraction_rate=settings.contraction_rate, noise_floor=0.0,
-    )  # fmt: skip
-    return AtRate(ContractionFilter(certificate, settings))
+    def _decide(self, sample: Sample) -> Result:
+        if not all(map(isfinite, (*sample.state, sample.nominal_current))):
+            return Result(0.0, nan, nan, CorrectionStatus.NAN)
+        a, b = self.certificate(sample)
+        limit = self.law.current_max
+        applied = min(max(sample.nominal_current, -limit), limit)
+        change, status = closed_form(a, b, -limit - applied, limit - applied)
+        delta_u = change + (applied - sample.nominal_current) if change else 0.0
+        return Result(delta_u, -b, a * change - b, CorrectionStatus(status))

@@ -18,12 +18,11 @@ import numpy as np
 import torch
 
 from benchmarks.paper import models
-from benchmarks.paper.certificate import COLUMNS, ROWS, NetworkDynamics, NetworkMetric
+from benchmarks.paper.certificate import COLUMNS, ROWS, ForceLaw, NetworkDynamics, NetworkMetric
 from benchmarks.paper.network import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.scheduled import ScheduledMetric
-from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import LOAD_FORCE, STATES
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
@@ -163,7 +162,7 @@ def windows(rollout: Rollout, model: NetworkModel, bench: Bench, seed: int) -> S
     """Windows at random places of a rollout."""
     starts = np.random.default_rng(seed).integers(SETTLED, len(rollout.states) - TABLE["horizon"], WINDOWS)
     places = starts[:, np.newaxis] + np.arange(TABLE["horizon"])
-    dynamics, law, limit = NetworkDynamics(model), ForceLaw(bench), bench.valve_current_max
+    dynamics, law, limit = NetworkDynamics(model), ForceLaw(), bench.valve_current_max
     seen = {int(k): _normalized(Sample.of(rollout.states[k]), dynamics, law, limit) for k in np.unique(places)}
     rows = np.array([[seen[int(k)] for k in row] for row in places])
     parts = [torch.from_numpy(rows[:, :, n]) for n in range(4)]

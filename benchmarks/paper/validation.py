@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.paper import metric, models
-from benchmarks.paper.certificate import paper_filter
+from benchmarks.paper.certificate import PaperFilter
 from benchmarks.paper.store import CASES, FILTERS, Result, Store
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.validation import cases, runs
@@ -35,7 +35,7 @@ def corrector(store: Store, chosen: str, seed: int) -> Corrector:
         return runs.make_filter(
             runs.Task(plant="emulator", case="stable", filter=shipped, seed=seed, seconds=1.0), Bench.nominal()
         )
-    return paper_filter(metric.load(store, chosen.removeprefix("paper-"), seed), models.network(store, "squared", seed))
+    return PaperFilter(metric.load(store, chosen.removeprefix("paper-"), seed), models.network(store, "squared", seed))
 
 
 def _run(store: Store, name: str, chosen: str, seed: int) -> Result:

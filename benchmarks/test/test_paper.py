@@ -10,10 +10,9 @@ import pytest
 import torch
 
 from benchmarks.paper import metric, report
-from benchmarks.paper.certificate import NetworkDynamics, NetworkMetric, paper_filter
+from benchmarks.paper.certificate import NetworkDynamics, NetworkMetric, PaperFilter
 from benchmarks.paper.network import NetworkModel
 from benchmarks.paper.store import FULL, QUICK, RESULTS, Store
-from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.model.sample import Sample
 from hydro_sim.files.recordings import Run
 
@@ -69,9 +68,8 @@ def test_the_metrics_rate_is_its_difference_along_the_motion(model: NetworkModel
 
 def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> None:
     made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
-    certificate = paper_filter(metric_of(made, model), model).inner.certificate
-    assert isinstance(certificate, Certificate)
-    rows = metric._normalized(sample, certificate.dynamics, certificate.controller, certificate.current_max)  # type: ignore[arg-type]
+    paper = PaperFilter(metric_of(made, model), model)
+    rows = metric._normalized(sample, paper.dynamics, paper.law, paper.law.current_max)
     parts = [torch.from_numpy(row)[None, None] for row in rows]
     grown, _ = metric.growth(made, metric.Samples(*parts, torch.tensor([[True]])))
-    assert -certificate.evaluate(sample).b == pytest.approx(float(grown.detach()), rel=1e-9)
+    assert -paper.certificate(sample)[1] == pytest.approx(float(grown.detach()), rel=1e-9)

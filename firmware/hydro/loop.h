@@ -12,7 +12,7 @@
 #ifndef HYDRO_LOOP_H
 #define HYDRO_LOOP_H
 
-#include "filter.h"
+#include "force_law.h"
 
 #ifndef HYDRO_EXP /* of the target; the compiler's own else */
 #ifdef HYDRO_SINGLE
@@ -27,6 +27,7 @@
 #define HYDRO_CLOSED 1e-9      /* A, where the spool is taken to stand in a sample in which it passes zero */
 #define HYDRO_BEND_MAX 2e5     /* N/s^2, largest f_r'' that is believed */
 #define HYDRO_PROBE 0.1        /* m/s, over which the velocity's part of the flows is taken; they are linear in it */
+#define HYDRO_SMALLEST_DROP 1e3 /* Pa, no slope of a square root is taken nearer to zero pressure drop */
 #define HYDRO_CREEP 2e-3       /* m/s, below which the sign of a velocity is noise, where dry friction can hold */
 #define HYDRO_STATES 16        /* of a model, at most */
 #define HYDRO_READINGS 5
@@ -93,6 +94,26 @@ typedef struct {
 typedef struct {
     hydro_real gain, stiffness, still, soft_a, soft_b;
 } hydro_sensitivity;
+
+/* Roots of both lands' pressure drops, and their slopes by the pressure of the land's own chamber. */
+typedef struct {
+    hydro_real root_a, root_b, slope_a, slope_b;
+} hydro_lands;
+
+static inline hydro_lands hydro_open_lands(
+    const hydro_bench *bench, hydro_real pressure_a, hydro_real pressure_b, hydro_real opening)
+{
+    bool forward = opening >= HYDRO_R(0);
+    hydro_real drop_a = forward ? bench->supply_pressure - pressure_a : pressure_a - bench->tank_pressure;
+    hydro_real drop_b = forward ? pressure_b - bench->tank_pressure : bench->supply_pressure - pressure_b;
+    hydro_real half = forward ? HYDRO_R(-0.5) : HYDRO_R(0.5);
+    hydro_lands lands;
+    lands.root_a = hydro_signed_sqrt(drop_a);
+    lands.root_b = hydro_signed_sqrt(drop_b);
+    lands.slope_a = half / HYDRO_SQRT(hydro_max(hydro_abs(drop_a), HYDRO_R(HYDRO_SMALLEST_DROP)));
+    lands.slope_b = -half / HYDRO_SQRT(hydro_max(hydro_abs(drop_b), HYDRO_R(HYDRO_SMALLEST_DROP)));
+    return lands;
+}
 
 /* The size of x with the sign of y. */
 static inline hydro_real hydro_copysign(hydro_real x, hydro_real y)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Optional: the default filter's decision, one sample at a time, for a metric without a network.
+/* Optional: the filter's decision, one sample at a time.
  *
  *   loop.h --> v, F, G, K --+
  *   table of K_p --> M -----+--> M_c(du) = bent du^2 + 2 slope du + level --> a du <= b --> smallest |du|
@@ -7,8 +7,8 @@
  *
  * docs/manual/explanation/safety.md has the certificate; hydro_filter.controller.loop_decision is the same in Python.
  * Samples must follow one another, each once; after a gap begin with a memory of zeros. One that is none of a bench gets
- * NAN, and the memory begins anew. A correction acts one sample after its own. `ros2 run hydro_filter export_c
- * --metric learned` writes HYDRO_LOOP_FILTER.
+ * NAN, and the memory begins anew. A correction acts one sample after its own. `ros2 run hydro_filter export_c`
+ * writes HYDRO_LOOP_FILTER.
  *
  * It knows the paper's law alone: under the compensated one (HYDRO_COMPENSATED) apply no correction, and begin with a
  * memory of zeros behind it.
@@ -22,7 +22,10 @@
 #include "loop.h"
 #include "protocol.h"
 
+#define HYDRO_LEAST_IMPROVEMENT 0.01 /* share of the violation that a correction at the valve's limit must remove */
 #define HYDRO_FACTOR (HYDRO_LOOP * (HYDRO_LOOP + 1) / 2) /* entries of a Cholesky factor, row by row */
+
+enum { HYDRO_PASS = 0, HYDRO_MODIFIED = 1, HYDRO_RELAXED = 2, HYDRO_INFEASIBLE = 3, HYDRO_NAN = 4 };
 
 typedef struct {
     hydro_loop loop;
@@ -34,6 +37,12 @@ typedef struct {
     hydro_real noise_size, foreign_noise_size; /* v'Mv up to which there is nothing but noise */
     hydro_real integral_allowance;           /* N/s that the law's integral may ask for */
 } hydro_loop_filter;
+
+typedef struct {
+    hydro_real delta_u;       /* A, finite */
+    hydro_real before, after; /* M_c without and with it, 1/s; 0 where something was not finite */
+    uint32_t status;
+} hydro_decision;
 
 /* M_c T as a function of du [A], and v'Mv when the correction acts. */
 typedef struct {
@@ -155,6 +164,27 @@ static inline hydro_quadratic hydro_problem(
     return made;
 }
 
+/* min |du| with a du <= b and low <= du <= high, low <= 0 <= high; never divides by an `a` that vanishes. */
+static inline hydro_real hydro_closed_form(
+    hydro_real a, hydro_real b, hydro_real low, hydro_real high, uint32_t *status)
+{
+    hydro_real bound = a > HYDRO_R(0) ? low : high, reach = a * bound;
+    *status = HYDRO_PASS;
+    if (b >= HYDRO_R(0)) {
+        return HYDRO_R(0);
+    }
+    if (reach <= b) {
+        *status = HYDRO_MODIFIED;
+        return b / a;
+    }
+    if (reach > HYDRO_R(HYDRO_LEAST_IMPROVEMENT) * b) {
+        *status = HYDRO_INFEASIBLE;
+        return HYDRO_R(0);
+    }
+    *status = HYDRO_RELAXED;
+    return bound;
+}
+
 /* The change [A] within [low, high] of the valve's current, low <= 0 <= high, and the status. */
 static inline hydro_real hydro_smallest(
     const hydro_quadratic *p, hydro_real low, hydro_real high, uint32_t *status)
@@ -177,6 +207,28 @@ static inline hydro_real hydro_smallest(
     }
     *status = HYDRO_RELAXED;
     return change;
+}
+
+/* Whether a chamber has half of its dead volume [m3] at least, `position` [m] from its end. */
+static inline bool hydro_has_room(hydro_real area, hydro_real dead, hydro_real position)
+{
+    return area * position > HYDRO_R(-0.5) * dead;
+}
+
+/* Whether a sample can be one of a bench, far beyond what its sensors show: within this nothing overflows. */
+static inline bool hydro_conceivable(
+    const hydro_bench *bench, const hydro_real *x, hydro_real nominal, hydro_real reference, hydro_real k_p)
+{
+    static const hydro_real most[HYDRO_MEASURED] = {
+        HYDRO_R(1e5), HYDRO_R(1e9), HYDRO_R(1e5), HYDRO_R(1e9), HYDRO_R(1e8), HYDRO_R(1e8), HYDRO_R(1), HYDRO_R(20)};
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        if (!hydro_within(x[i], most[i])) {
+            return false;
+        }
+    }
+    return hydro_within(nominal, HYDRO_R(1e4)) && hydro_within(reference, HYDRO_R(1e5))
+           && hydro_within(k_p, HYDRO_R(1e4)) && hydro_has_room(bench->piston_area, bench->dead_volume_a, x[6])
+           && hydro_has_room(bench->area_ratio * bench->piston_area, bench->dead_volume_b, bench->stroke - x[6]);
 }
 
 /* Whether a sample can be one of a bench: `hydro_conceivable`, also by the model. */

@@ -121,7 +121,7 @@ def coverage(folder: Path, source: Path = HERE / "test_box.c") -> dict[str, Reac
 SAMPLES = ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed", "greeting")
 """Samples of a box that are counted: COMMAND in and STATE out; with `greeting` HELLO, DETAILS and LAW besides."""
 
-PARTS = ("filter", "policy")
+PARTS = ("policy",)
 """Optional parts, of which one decision is counted."""
 
 

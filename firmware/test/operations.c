@@ -1,35 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Runs samples of one kind, for counting: operations KIND SAMPLES; `size` prints the bytes of a box instead.
  * A COMMAND comes in and a STATE goes out with each sample, with `greeting` a HELLO in, and HELLO, DETAILS, LAW, STATE out.
- * `host` is what this program does for the host; `filter` and `policy` are one decision each.
+ * `host` is what this program does for the host; `policy` is one decision.
  */
 #include "check.h"
 
-#include "../hydro/filter.h"
-
 #define HYDRO_POLICY_UNITS 32
 #include "../hydro/policy.h"
-
-/* Not inlined: what does not change from one call to the next is computed again, as on a box. */
-__attribute__((noinline)) static hydro_decision decided(
-    const hydro_filter *filter, const hydro_real *x, hydro_real nominal, hydro_real reference)
-{
-    return hydro_decide(filter, x, nominal, reference, HYDRO_R(60));
-}
-
-/* The path with a correction at the valve's limit; which numbers stand in the metric changes no count. */
-static void decisions(uint32_t samples)
-{
-    hydro_filter filter = {.gain_floor = 100000, .contraction_rate = HYDRO_R(0.1), .noise_floor = HYDRO_R(1.8)};
-    filter.bench = CONFIG.bench;
-    for (int i = 0; i < HYDRO_MEASURED; i++) {
-        filter.metric[i] = filter.scale[i] = HYDRO_R(1 + i);
-    }
-    for (uint32_t k = 0; k < samples; k++) {
-        hydro_decision made = decided(&filter, STILL, HYDRO_R(0.001), HYDRO_R(3) + HYDRO_R(k % 100));
-        CHECK(made.status != HYDRO_NAN);
-    }
-}
 
 static void actions(uint32_t samples)
 {
@@ -64,10 +41,6 @@ int main(int argc, char **argv)
     CHECK(argc > 2);
     if (strcmp(argv[1], "size") == 0) {
         printf("%zu\n", sizeof box);
-        return 0;
-    }
-    if (strcmp(argv[1], "filter") == 0) {
-        decisions(samples);
         return 0;
     }
     if (strcmp(argv[1], "policy") == 0) {

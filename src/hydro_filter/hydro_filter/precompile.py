@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_filter.controller.factory import CONSTANT, LEARNED, FilterChoice, warm_up
-from hydro_filter.controller.loop_filter import loop_filter
+from hydro_filter.controller.factory import FilterChoice, warm_up
+from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric.design import rest_loop
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
@@ -30,9 +30,9 @@ FOUND: tuple[dict[str, Any], ...] = (
 """Effects that a diagnosis finds on most benches. Others are compiled at first use; new parameter values need none."""
 
 
-def _filter(metric: str) -> None:
-    choice = FilterChoice(bench=Bench.nominal(), metric=metric)
-    warm_up(choice.make(choice.default_settings()), choice.bench)
+def _shipped() -> None:
+    choice = FilterChoice(bench=Bench.nominal())
+    warm_up(choice.make(LoopFilterSettings()), choice.bench)
 
 
 def _bench_file() -> None:
@@ -63,8 +63,7 @@ def _metric_learning() -> None:
 
 
 STEPS: dict[str, Callable[[], None]] = {
-    "filter, learned metric": lambda: _filter(LEARNED),
-    "filter, constant metric": lambda: _filter(CONSTANT),
+    "filter": _shipped,
     "filter, bench file": _bench_file,
     "validation": _validation,
     "metric learning": _metric_learning,

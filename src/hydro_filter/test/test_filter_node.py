@@ -44,7 +44,6 @@ from hydro_bridge.signals import (  # noqa: E402
     Waveform,
 )
 from hydro_filter.controller.factory import FilterChoice  # noqa: E402
-from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter  # noqa: E402
 from hydro_filter.metric.scheduled import ScheduledMetric  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
@@ -138,30 +137,18 @@ def samples(still: FloatArray, count: int) -> list[Sample]:
 
 # an old state in a test on a busy machine is not the node's fault: only the tests about age keep the 5 ms
 PATIENT = ("--state-age-max", "0.1")
-CONSTANT = ("--metric", "constant", *PATIENT)
 
 
-def test_every_state_gets_exactly_one_correction_with_the_cores_numbers(
-    started: Callable[..., Source], still: FloatArray
-) -> None:
-    source = started(*CONSTANT)
-    sent = samples(still, 300)
+def test_every_state_gets_exactly_one_correction(started: Callable[..., Source], still: FloatArray) -> None:
+    source = started(*PATIENT)
     first = 2**32 - 100  # the sequence wraps under way
-    for k, sample in enumerate(sent):
+    for k, sample in enumerate(samples(still, 300)):
         source.publish((first + k) % 2**32, sample)
         source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
     source.wait(lambda: len(source.diagnostics) > 1)  # time for a second answer to anything
     assert [message.sequence for message in source.corrections] == [(first + k) % 2**32 for k in range(300)]
-    core, seen = ContractionFilter.for_bench(Bench.nominal()), set()
-    for sample, message in zip(sent, source.corrections, strict=True):
-        expected = core.correct(sample)
-        assert message.status == expected.status
-        assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
-        assert message.certificate_before == expected.before
-        assert message.active == (expected.delta_u != 0.0)
-        assert message.infeasible == (expected.status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE))
-        seen.add(expected.status)
-    assert {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.INFEASIBLE} <= seen
+    assert all(message.active == (message.delta_u != 0.0) for message in source.corrections)
+    assert {message.status for message in source.corrections} >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
 
 
 def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[..., Source], still: FloatArray) -> None:
@@ -175,7 +162,7 @@ def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[.
 
 
 def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*CONSTANT)
+    source = started(*PATIENT)
     good = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
     for sequence, sample in enumerate([good, good._replace(state=np.full(8, np.nan)), good]):
         source.publish(sequence, sample)
@@ -188,7 +175,7 @@ def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[.
 
 
 def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started("--bypass", *CONSTANT)
+    source = started("--bypass", *PATIENT)
     source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
     source.wait(lambda: bool(source.corrections))
     assert source.corrections[0].status == CorrectionStatus.BYPASSED
@@ -201,7 +188,7 @@ def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> No
 def test_a_metric_of_the_papers_law_bypasses_the_compensated_one_and_answers_the_papers_as_ever(
     started: Callable[..., Source], still: FloatArray
 ) -> None:
-    source = started(*CONSTANT)
+    source = started(*PATIENT)
     laws = create_publisher(source.node, LAW_STATE)
     source.wait(lambda: laws.get_subscription_count() > 0)
     sample = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
@@ -299,15 +286,6 @@ def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still
     assert statuses[5] == CorrectionStatus.STALE and statuses.count(CorrectionStatus.STALE) == 1
 
 
-def test_every_tenth_sample_is_a_hundred_hertz(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started("--every", "10", *CONSTANT)
-    for k in range(35):
-        source.publish(k, samples(still, 1)[0])
-    source.wait(lambda: len(source.corrections) >= 4)
-    source.wait(lambda: len(source.diagnostics) > 1)
-    assert [message.sequence for message in source.corrections] == [0, 10, 20, 30]
-
-
 def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:
     """Its stamps are /clock's; nobody told the filter, and it finds out within a second or two."""
     source = started()
@@ -355,7 +333,7 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
 def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_again(
     started: Callable[..., Source], still: FloatArray
 ) -> None:
-    source = started(*CONSTANT)
+    source = started(*PATIENT)
     told = create_publisher(source.node, BOX)
     bad = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
     digests = (Bench.nominal().digest, "0123456789ab", "", Bench.nominal().digest)
@@ -423,7 +401,7 @@ def _another_box_comes(source: Source, sequence: int, still: Sample) -> None:
 
 
 def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*CONSTANT)
+    source = started(*PATIENT)
     rival = create_publisher(source.node, STATE)
     source.wait(lambda: "2 nodes publish /hydro/state" in source.diagnostics[-1].message)
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR

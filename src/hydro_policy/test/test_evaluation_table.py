@@ -47,10 +47,12 @@ def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path
     trace.states["sequence"], trace.states["load_force"] = (7, 8, load_force.SAMPLES + 9), 1.0
     for sequence in trace.states["sequence"]:
         load_force.keep(ring, int(sequence), 3.0)
-    found = score(trace, 0, load_force.read(tmp_path / "load_force", trace.states["sequence"]))
+    found = score(trace, 0, felt=load_force.read(tmp_path / "load_force", trace.states["sequence"]))
     assert (found.rmse, found.true_rmse) == (1.0, 3.0)
     trace.states["sequence"][2] = 9  # not kept any more
-    assert math.isnan(score(trace, 0, load_force.read(tmp_path / "load_force", trace.states["sequence"])).true_rmse)
+    assert math.isnan(
+        score(trace, 0, felt=load_force.read(tmp_path / "load_force", trace.states["sequence"])).true_rmse
+    )
 
     graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
     session = EvaluationSession(EvaluationSettings(frequencies=(1.0,)), [FixedGains(90.0, 15.0)], graph)

@@ -26,7 +26,7 @@ from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded
-from hydro_filter.controller.factory import DEFAULT
+from hydro_filter.controller.factory import LEARNED
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.graph.node import GraphNode
@@ -264,7 +264,7 @@ def test_companions_of_each_plant() -> None:
     }
     wide = commands(PlantOptions(plant="sim"), GainRange(delta_kp_max=285.0), Path("run"))
     assert "guard.delta_kp_max:=285.0" in wide[-1][2]
-    assert wide[-1][2][-1] == f"guard.relies_on:=--metric {DEFAULT}", "nothing opens the guard in silence"
+    assert wide[-1][2][-1] == f"guard.relies_on:=--metric {LEARNED}", "nothing opens the guard in silence"
     named = PlantOptions(plant="sim", filter=("--contraction-rate", "2"))
     started = commands(named, GainRange(delta_kp_max=285.0), Path("run"))
     assert started[0][2][-2:] == ["--contraction-rate", "2"]

@@ -12,7 +12,7 @@ import pytest
 
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import CorrectionStatus, Flag, Waveform
-from hydro_filter.controller.filter import Result
+from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_policy.evaluation.policy_examination import LEAD
 from hydro_policy.runs.run import TrainingSettings

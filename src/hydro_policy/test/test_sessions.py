@@ -10,6 +10,7 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.report import best
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
@@ -83,6 +84,10 @@ def test_step_falls_on_every_tenth_sequence_number_and_a_gap_spoils_it() -> None
     assert clock.add(60, sample, Flag.ARMED) is None, "the same sample twice"
     held = [clock.add(s, sample, Flag.ARMED | (Flag.FILTER_STALE if s == 65 else 0)) for s in range(61, 81)]
     assert [step.whole for step in held if step] == [False, True]
+    sample[STATE_FIELDS.index("proportional_gain")] = 60.0  # a plant that requires no filter: these gains act
+    for base, acts in ((None, False), ((15.0, 5.0), True), ((60.0, 0.0), False)):
+        steps = [clock.add(clock._last + 1, sample, Flag.ARMED | Flag.FILTER_STALE, base) for _ in range(20)]
+        assert [bool(step.held) for step in steps if step][-1] is not acts
 
 
 def test_disarmed_under_way_the_session_pauses_and_resumes_the_episode() -> None:
@@ -119,6 +124,17 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
     assert rows[:, -1].sum() >= 1
     np.testing.assert_array_equal(rows[rows[:, -1] == 1, -2], -1000.0)
     assert any("force_limit" in sentence for sentence in graph.sentences)
+
+
+def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> None:
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session = EvaluationSession(settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], graph)
+    graph.run(session, session.seconds + 5.0)
+    narrowed, own = session.scores
+    assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 acted, not 300") and np.isnan(narrowed.rmse)
+    assert not own.tripped
+    assert best(session) == "", "nothing is compared with what did not act"
 
 
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:

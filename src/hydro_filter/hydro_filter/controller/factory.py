@@ -1,16 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Factory of filters: the scheduled metric on the learned model, or the constant one on the analytic model.
-
-=============== ============================================= ==========================================
-metric          scheduled (a file of `learn_metric`)          constant (solved for the bench file)
-model           a bench file of `learn` or `diagnose`         analytic, the bench file
-certificate     sampled, of the whole loop, with its delay    the paper's, in continuous time
-displacement    of the whole loop from its reference          of the load force alone (eq. v)
-settings        `LoopFilterSettings`                          `FilterSettings`
-=============== ============================================= ==========================================
-
-Guarantees and limits of each: safety.md.
-"""
+"""Factory of filters: a metric of `learn_metric` on a bench file. Guarantees and limits: safety.md."""
 
 from __future__ import annotations
 
@@ -23,7 +12,6 @@ import numpy as np
 
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_filter.certificate.qp import QpCounts
-from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric.scheduled import ScheduledMetric, shipped
 from hydro_filter.model.loop import effects_to_compile
@@ -35,12 +23,8 @@ from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import rest_state
 
-WAYS_ON = "or run `--metric constant`, which keeps to the bench file, with narrow gains"
-LEARNED, CONSTANT = "learned", "constant"
-DEFAULT = LEARNED
-
-Settings = FilterSettings | LoopFilterSettings
-Filter = ContractionFilter | LoopFilter
+LEARNED = "learned"
+"""Name of the shipped metric."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,28 +35,19 @@ class FilterChoice:
     """Bench assumed by the box."""
     bench_file: Path | None = None
     """Path of its file; None: the bench.yaml of hydro_sim."""
-    metric: str = DEFAULT
-    """`learned` (the shipped one), `constant`, or a file."""
+    metric: str = LEARNED
+    """`learned` (the shipped one), or a file."""
     model: Path | None = None
-    """Bench file of the learned bench; None: the shipped one. The constant metric has none."""
-
-    @property
-    def constant(self) -> bool:
-        """Whether the metric is the constant one."""
-        return self.metric == CONSTANT
+    """Bench file of the model; None: the shipped one."""
 
     @property
     def files(self) -> dict[str, Path]:
-        """Files by kind; none for the constant metric."""
-        if self.constant:
-            return {}
+        """Files by kind."""
         metric = shipped() if self.metric == LEARNED else Path(self.metric)
         return {"metric": metric, "model": self.model or learned_bench.shipped()}
 
     def describe(self) -> dict[str, str]:
         """Return its description with the files' digests and certified gains, for logs and /diagnostics."""
-        if self.constant:
-            return {"metric": "constant, solved for the bench file", "model": "analytic, the bench file"}
         told = {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
         ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.certificates)
         certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
@@ -91,12 +66,10 @@ class FilterChoice:
         WeightsError
             A file is missing or unreadable.
         """
-        if self.constant:
-            return ""
         box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
         metric, digest = self.stamps
-        learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
-        learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
+        learn = "make one of its recordings with `ros2 run hydro_diagnosis diagnose`, or take its bench.yaml (--model)"
+        learn_metric = "make one with `ros2 run hydro_filter learn_metric` and its --bench and --model"
         path = self.files["model"]
         return (
             learned_bench.box_mismatch(path, box, learn)
@@ -127,19 +100,13 @@ class FilterChoice:
         """Location of the bench file, as text."""
         return str(self.bench_file or "bench.yaml of hydro_sim")
 
-    def default_settings(self) -> Settings:
-        """Return the default settings of this filter."""
-        return FilterSettings() if self.constant else LoopFilterSettings()
-
     @property
     def uncompiled(self) -> str:
         """Return what must be compiled before it can run, as text; empty if set-up or an earlier start did so."""
-        if self.constant:
-            return ""
         effects = effects_to_compile(learned_bench.read(self.files["model"]))
         return effects and f"the model of a bench with {effects}"
 
-    def make(self, settings: Settings) -> Filter:
+    def make(self, settings: LoopFilterSettings) -> LoopFilter:
         """Create the filter.
 
         Raises
@@ -147,16 +114,14 @@ class FilterChoice:
         WeightsError
             A file is missing, unreadable, or of a model that has no certificate.
         ValueError
-            There is no constant metric for this bench.
+            As `loop_parts`.
         """
-        if isinstance(settings, FilterSettings):
-            return ContractionFilter.for_bench(self.bench, settings)
         files = self.files
         metric, model = self.stored_metric, learned_bench.load_model(files["model"])
         return loop_filter(metric, model, self.bench, settings)
 
 
-def warm_up(contraction_filter: Filter, bench: Bench) -> None:
+def warm_up(contraction_filter: LoopFilter, bench: Bench) -> None:
     """Run all code paths of a filter, so that nothing is compiled later; then reset it."""
     still, x = rest_state(bench.constants()[0]), np.zeros(STATES)
     x[PRESSURE_A], x[PRESSURE_B], x[POSITION] = still[:3]

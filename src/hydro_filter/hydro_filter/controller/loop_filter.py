@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Filter with the learned metric as an object, for the node.
+"""The contraction filter as an object, for the node.
 
 ::
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numba
 import numpy as np
@@ -27,7 +27,6 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate.qp import QpFilter
 from hydro_filter.controller import innovations, loop_decision
-from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_decision import LoopParts, Problem
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model import observer
@@ -57,6 +56,18 @@ class LoopFilterSettings:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+class Result(NamedTuple):
+    """Result of one sample."""
+
+    delta_u: float
+    """A, finite, 0 unless status is MODIFIED or RELAXED."""
+    before: float
+    """M_c [1/s] without the correction; NaN if it was not evaluated or not finite."""
+    after: float
+    """M_c [1/s] with it."""
+    status: CorrectionStatus
 
 
 certificate_before_after, least_violation, correction_of = (

@@ -13,63 +13,18 @@ than a floor (there dg/dx = 0) and the position is one within the stroke. The in
 own memory and no function of x: K_i has no place in K, and the certificate does not see it.
 
 K is that of the law before the valve's limit. Beyond the limit the valve passes none of it on: the remaining authority
-of the correction is in the QP's bounds (`filter`, `loop_decision`), not in K.
+of the correction is in the QP's bounds (`loop_decision`), not in K.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
-
-import numpy as np
-
-from hydro_bridge.signals import FloatArray
 from hydro_filter.model.analytic_kernels import force_rate_slopes
-from hydro_filter.model.sample import Sample
-from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
-from hydro_sim.box.box import BoxConfig
+from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 from hydro_sim.jit import njit
-from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import input_gain
 
 PAPER_SCALES = (1.0, 1.0)
 """C_1 and C_2 of the paper's law."""
-
-
-class Controller(Protocol):
-    """A differentiable feedback law."""
-
-    def gradient(self, sample: Sample) -> FloatArray:
-        """Return K = du/dx [A per unit of each state] at a sample, shape (8,)."""
-
-
-class ForceLaw:
-    """The force law with feedback of the load force, as the box runs it on the nominal bench.
-
-    Parameters
-    ----------
-    bench
-        Bench assumed by the box.
-    box
-        Settings of the box.
-
-    Raises
-    ------
-    ValueError
-        If the box feeds back another force than that of the certificate.
-    """
-
-    def __init__(self, bench: Bench, box: BoxConfig | None = None) -> None:
-        box = box or BoxConfig()
-        if box.feedback != "load":
-            raise ValueError(f"the certificate needs feedback of the load force, not {box.feedback!r}")
-        self.constants = bench.constants()
-        self.gain_floor = float(box.constants(bench)["gain_floor"][0])
-
-    def gradient(self, sample: Sample) -> FloatArray:
-        """See `Controller.gradient`."""
-        out = np.empty(STATES)
-        gradient(self.constants, sample.state, sample.nominal_current, sample.proportional_gain, self.gain_floor, out)
-        return out
 
 
 @njit

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter node: one Correction for every BenchState, even if zero, so that silence means failure.
 
-ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--bench FILE] [--every N] [--bypass]
+ros2 run hydro_filter filter [--metric FILE] [--model FILE] [--bench FILE] [--bypass]
 
 States are answered in order, each once, with the epoch of the session (/hydro/authority). States of two plants are not
 answered, and beside another filter none. After a hold-up those older than `state_age_max` are answered STALE without
-being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
-missing it begins anew.
+being acted upon. The filter follows the valve's spool from sample to sample: where samples are missing it begins
+anew.
 
 Where the model is not this bench's every answer is MISMATCH: nothing is corrected, and the plant narrows the gains.
 Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
@@ -32,6 +32,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
 from hydro_bridge.cli.console import command
+from hydro_bridge.files.site import ANEW
 from hydro_bridge.process import endings
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
@@ -52,10 +53,9 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.settings import check
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
-from hydro_filter.controller.factory import Filter, FilterChoice, Settings, warm_up
-from hydro_filter.controller.filter import Result
+from hydro_filter.controller.factory import FilterChoice, warm_up
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
 from hydro_filter.model.sample import Sample
 from hydro_filter.nodes.options import arguments
@@ -80,8 +80,6 @@ BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
 MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
 
-REMEDY = "start it with --model and --metric of this bench (`learn`, `learn_metric`), or with --metric constant"
-
 
 class FilterNode(Node):
     """Passes states to the filter and publishes its corrections.
@@ -92,14 +90,11 @@ class FilterNode(Node):
         Filter to run.
     settings
         Defaults of the ROS parameters.
-    every
-        Answer every n-th sample (of the sequence), 1 or more; 10 is the paper's 100 Hz. For the constant metric only:
-        the learned one certifies a correction for one sample, and held for ten it loses control of the bench.
     realtime
         Request SCHED_FIFO.
     """
 
-    def __init__(self, choice: FilterChoice, settings: Settings, *, every: int = 1, realtime: bool = False) -> None:
+    def __init__(self, choice: FilterChoice, settings: LoopFilterSettings, *, realtime: bool = False) -> None:
         super().__init__("filter")
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
@@ -111,7 +106,7 @@ class FilterNode(Node):
         self._identity: object = None
         """The box's description and assumed bench, once received."""
         self._mismatch = ""
-        self._every, self._age = every, 0.0
+        self._age = 0.0
         self._choice = choice
         self._message = Correction()
         self._publisher: Publisher | None = None  # as long as another filter answers
@@ -150,7 +145,7 @@ class FilterNode(Node):
         if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone
             self._message.epoch = message.epoch
 
-    def _compiled(self, choice: FilterChoice) -> Filter:
+    def _compiled(self, choice: FilterChoice) -> LoopFilter:
         """Compile now, not at the first sample, and report it: until then nothing is corrected."""
         say = self.get_logger().info
         begin = time.monotonic()
@@ -197,8 +192,6 @@ class FilterNode(Node):
         else:
             result = self.filter.correct(sample_of(message, law), self._age)
         result = self._fitting(result)
-        if message.sequence % self._every:
-            return
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
 
@@ -246,7 +239,7 @@ class FilterNode(Node):
             result = MISMATCHED
         if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
             seen = self.filter.mismatch
-            self._tell_mismatch(self.foreign or (f"{seen}; {REMEDY}" if seen else ""))
+            self._tell_mismatch(self.foreign or (f"{seen}; {ANEW}" if seen else ""))
         return result
 
     def _tell_mismatch(self, reason: str) -> None:
@@ -322,9 +315,8 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     choice, settings, asked = arguments(own)
-    check(settings)
     choice.describe()  # a missing file is refused before ROS starts
-    run_node(lambda: FilterNode(choice, settings, every=asked.every, realtime=asked.realtime), ros)
+    run_node(lambda: FilterNode(choice, settings, realtime=asked.realtime), ros)
 
 
 if __name__ == "__main__":

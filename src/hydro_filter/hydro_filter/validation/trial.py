@@ -30,7 +30,7 @@ from hydro_bridge.signals import (
     ReferenceSignal,
     StateArray,
 )
-from hydro_filter.controller.filter import Result
+from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.model.bench import Bench

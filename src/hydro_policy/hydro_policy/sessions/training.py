@@ -111,7 +111,8 @@ class TrainingSession:
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Process a sample [14]; returns True if gains were sent."""
         self.watch.on_sample(flags, now)
-        step = self.clock.add(sequence, sample, flags)
+        base = None if self.watch.mismatched else self.settings.base_gains
+        step = self.clock.add(sequence, sample, flags, base)
         if self.finished:
             return False
         if not flags & Flag.ARMED:

@@ -11,7 +11,6 @@ import numpy as np
 
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
-from hydro_policy.task.step_aggregator import HELD
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ class Trace:
     states: StateArray  # shape (n,)
 
 
-def score(trace: Trace, repeat: int, felt: FloatArray | None = None) -> Score:
+def score(trace: Trace, repeat: int, held: int = 0, felt: FloatArray | None = None) -> Score:
     """Compute the score of a completed run; `felt` is the force on the specimen [N], shape (n,), if it is known."""
     states = trace.states
     error = states["reference_force"] - states["load_force"]
@@ -158,5 +157,5 @@ def score(trace: Trace, repeat: int, felt: FloatArray | None = None) -> Score:
         proportional_gain=float(states["proportional_gain"].mean()),
         integral_gain=float(states["integral_gain"].mean()),
         lost=int((steps - 1).sum()),
-        held=int(np.count_nonzero(states["flags"] & HELD)),
+        held=held,
     )

@@ -8,6 +8,7 @@ sequence   ... 19 | 20 21 22 23 24 25 26 27 28 29 | 30 ...
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,28 @@ from hydro_bridge.signals import SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArra
 from hydro_policy.task.mdp import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
 
 HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)
-"""Flags with which the box held base gains, so that the result is not due to the action."""
+"""Flags with which the box held base gains, so that the result is not due to the action: see `held`."""
 
-VALVE_CURRENT = STATE_FIELDS.index("valve_current")
+VALVE_CURRENT, KP, KI = map(STATE_FIELDS.index, ("valve_current", "proportional_gain", "integral_gain"))
+
+
+def held(flags: Any, k_p: Any, k_i: Any, base: tuple[float, float] | None) -> Any:
+    """Return the bits of `HELD` with which the box held base gains.
+
+    A plant that requires no filter (`guard.require_filter`) passes other gains with FILTER_STALE, too: they act.
+
+    Parameters
+    ----------
+    flags, k_p, k_i
+        Of one sample, or arrays of one shape; 1/s and 1/s^2.
+    base
+        Base gains K_p, K_i; None: each flagged sample counts (MISMATCH, under which narrow gains act; another law).
+    """
+    bits = flags & HELD
+    if base is None:
+        return bits
+    acts = ~(np.isclose(k_p, base[0], rtol=1e-5) & np.isclose(k_i, base[1], rtol=1e-5))
+    return np.where(acts & (bits == Flag.FILTER_STALE), 0, bits)
 
 
 @dataclass(frozen=True)
@@ -43,14 +63,16 @@ class StepClock:
         self._rates: list[float] = []
         self._currents: list[float] = []
         self._last = -1
-        self._flags = 0
+        self._held = 0
         self._common = ~0
         self._gap = True
         self.lost = 0
         """Sequence numbers that never arrived."""
 
-    def add(self, sequence: int, sample: FloatArray, flags: int) -> Step | None:
-        """Add a sample; returns the step that it completes, if any. Repeated samples are ignored."""
+    def add(
+        self, sequence: int, sample: FloatArray, flags: int, base: tuple[float, float] | None = None
+    ) -> Step | None:
+        """Add a sample; returns the step that it completes, if any. Repeated samples are ignored. `base`: of `held`."""
         if sequence == self._last:
             return None
         if sequence != self._last + 1:
@@ -62,16 +84,17 @@ class StepClock:
         self._errors.append(float(sample[REFERENCE] - sample[LOAD_FORCE]))
         self._rates.append(float(sample[REFERENCE_RATE] - sample[LOAD_FORCE_RATE]))
         self._currents.append(float(sample[VALVE_CURRENT]))
-        self._flags |= flags
+        if flags & HELD:
+            self._held |= int(held(flags, sample[KP], sample[KI], base))
         self._common &= flags
         return self._complete(sample) if block_changed else None
 
     def _complete(self, sample: FloatArray) -> Step:
-        held = self._flags & HELD
-        whole = not self._gap and len(self._errors) == SAMPLES_PER_STEP and not held and bool(self._common & Flag.ARMED)
+        complete = not self._gap and len(self._errors) == SAMPLES_PER_STEP
+        whole = complete and not self._held and bool(self._common & Flag.ARMED)
         error, rate, current = (np.array(values) for values in (self._errors, self._rates, self._currents))
-        step = Step(sample, error, rate, current, whole, held)
+        step = Step(sample, error, rate, current, whole, self._held)
         for values in (self._errors, self._rates, self._currents):
             values.clear()
-        self._flags, self._common, self._gap = 0, ~0, False
+        self._held, self._common, self._gap = 0, ~0, False
         return step

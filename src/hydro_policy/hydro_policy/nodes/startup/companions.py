@@ -6,6 +6,8 @@
 --plant bench       bridge, filter, recorder
 --plant external    none: everything runs already
 
+With `--filter none` there is no filter: the compensated law needs none, and of the paper's law base gains are in force.
+
 The guard is widened to the policy's range of gains, and told which filter that range relies on. A recording gets the
 bench file, and digests of all weights involved.
 """
@@ -28,7 +30,8 @@ from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.learned_bench import shipped
 
 if TYPE_CHECKING:
-    from hydro_filter.controller.factory import FilterChoice, Settings
+    from hydro_filter.controller.factory import FilterChoice
+    from hydro_filter.controller.loop_filter import LoopFilterSettings
 
 
 def bench_file(given: Path | None) -> Path:
@@ -49,10 +52,8 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Pat
 
 
 def of_filter(choice: FilterChoice) -> list[str]:
-    """Return key=value words: SHA-256 of the filter's metric and of its prediction model, or that it has none."""
-    return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()] or [
-        f"filter_metric={choice.metric}"
-    ]
+    """Return key=value words: SHA-256 of the filter's metric and of its prediction model."""
+    return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
 
 
 def describe_policy(path: Path) -> str:
@@ -70,7 +71,7 @@ def _digest(path: Path) -> str:
     return sha256(path.read_bytes()).hexdigest()
 
 
-def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, Settings]:
+def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, LoopFilterSettings]:
     """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program.
 
     Raises
@@ -84,6 +85,10 @@ def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[F
     return choice, settings
 
 
+NO_FILTER = ("none",)
+"""Words of `--filter none`."""
+
+
 def guard_range(gains: GainRange) -> GainRange:
     """Return the gain changes allowed by the plant's guard: its defaults, widened to the policy's range if larger."""
     default = GuardSettings()
@@ -95,12 +100,15 @@ def guard_range(gains: GainRange) -> GainRange:
     )
 
 
-def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
+def guard_parameters(gains: GainRange, words: Sequence[str]) -> list[str]:
     """Return the ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
 
-    The guard is given the filter on which the wider range relies, and reports it: it is never widened silently.
+    The guard is given the filter on which the wider range relies, by its command line's `words`, and reports it: it is
+    never widened silently, nor without a filter.
     """
-    default, wanted = GuardSettings(), asdict(guard_range(gains))
+    if tuple(words) == NO_FILTER:
+        return []
+    default, wanted, relies_on = GuardSettings(), asdict(guard_range(gains)), filter_command(words)
     changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
     words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
     return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
@@ -108,21 +116,21 @@ def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
 
 def filter_command(words: Sequence[str]) -> str:
     """Return the filter's command line with its metric named explicitly."""
-    from hydro_filter.controller.factory import DEFAULT
+    from hydro_filter.controller.factory import LEARNED
 
     named = any(word.split("=")[0] == "--metric" for word in words)
-    return " ".join(words if named else (f"--metric {DEFAULT}", *words))
+    return " ".join(words if named else (f"--metric {LEARNED}", *words))
 
 
 def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
     """Return why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
-    choice, settings = requested_filter(words, bench)
+    if tuple(words) == NO_FILTER:
+        return ""
+    _, settings = requested_filter(words, bench)
     if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
         return ""
     if settings.bypass:
         return "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
-    if choice.constant:
-        return "the constant metric does not protect from high gains: only the monitor and the box's force limit do"
     return ""
 
 
@@ -158,7 +166,7 @@ class PlantOptions:
     policies: tuple[Path, ...] = ()
     """Policy files that act in this run; the recording keeps their digests."""
     filter: tuple[str, ...] = ()
-    """Further words for the filter's command line, its metric for instance."""
+    """Further words for the filter's command line, its metric for instance; `NO_FILTER`: there is none."""
     seed: int = 0
     """Of the noise of simulation or emulator."""
 
@@ -187,11 +195,12 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
-    guard = guard_parameters(gains, filter_command(options.filter))
+    guard = guard_parameters(gains, options.filter)
     started: list[tuple[str, str, list[str]]] = []
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
-    started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
+    if options.filter != NO_FILTER:
+        started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
     if options.plant == "sim":
         words = ["--realtime", "--seed", str(options.seed), *_with_base_gains(guard, options.base_gains)]
         model = ["--model", str(options.model)] if options.model else []
@@ -220,7 +229,8 @@ def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = weights(options.plant, options.bench, options.policies, options.model)
-    digests += of_filter(requested_filter(options.filter, options.bench)[0])
+    if options.filter != NO_FILTER:
+        digests += of_filter(requested_filter(options.filter, options.bench)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
