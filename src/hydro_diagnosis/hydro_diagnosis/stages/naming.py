@@ -65,8 +65,9 @@ def model_claims(names: StageResult, search: Search) -> StageResult:
         library = [effect for effect in search.library if effect.named and effect.label not in refused]
         found = withdraw_if_worse(model_remainder(names, library, search.progress), names)
         reasons = _contradicted(found, earlier, search.settings.threshold)
-        if found.closures and reasons and names.names and not _contradicted(names, earlier, search.settings.threshold):
-            found, reasons = names, {}  # it is the law beside which sizes are unsure
+        unsure = found.closures and reasons and reasons.keys() <= names.names
+        if unsure and not _contradicted(names, earlier, search.settings.threshold):
+            found, reasons = names, {}  # alone they hold: it is the law beside which they do not
         if not reasons:
             return replace(found, refused=refused)
         refused |= reasons
