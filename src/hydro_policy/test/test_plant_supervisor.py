@@ -9,9 +9,9 @@ from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import (
-    HOW_TO_GET_A_FILTER,
     FITS,
     HOW_TO_ARM,
+    HOW_TO_GET_A_FILTER,
     IDLE,
     MISMATCH,
     NO_FILTER,

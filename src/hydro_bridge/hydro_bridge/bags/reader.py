@@ -44,7 +44,8 @@ class Recording:
     def __getitem__(self, topic: str) -> Table:
         """Return the array of a topic; raises RecordingError if there is none."""
         if topic not in self.tables:
-            raise RecordingError(_no_topic(self.path, topic, self.topics))
+            there = ", ".join(sorted(self.topics)) or "nothing"
+            raise RecordingError(f"{self.path} has no messages on {topic}; there is {there}")
         return self.tables[topic]
 
     @cached_property
