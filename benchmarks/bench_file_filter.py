@@ -3,7 +3,6 @@
 
 file         a bench file that says the change and what a diagnosis finds, its metric by `learn_metric`:
              without a filter and behind it at wide gains, sample by sample
-relearn      model and metric by `relearn` from a minute recorded under (90, 15), the same runs
 compensated  the compensated law at its own gains, through guard and estimator, on the default truth and on drawn ones:
              without a filter, with that of a bench file with the truth's own parameters (--diagnosed: of what a
              diagnosis of two recordings finds), and with the shipped one, which answers BYPASSED; `mismatch` of the
@@ -36,7 +35,6 @@ from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
-from hydro_filter.training.relearn import METRIC, MODEL
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.task.cases import Case
@@ -172,17 +170,6 @@ def metric_for(model: Path, law: str) -> Made:
     return loaded(out, model), told(table, said, began)
 
 
-def by_relearn(name: str, folder: Path) -> Made:
-    """The filter that `relearn` makes of a minute of recordings."""
-    truth, bag, out = folder / "truth.yaml", folder / "recording", folder / "relearned"
-    truth.write_text(yaml.safe_dump({"profile": "default", **truth_of(name)}), encoding="utf-8")
-    words = ["--offline", "--truth", str(truth), "--seconds", "60", "--seed", "1", "--out", str(bag)]
-    run("hydro_sim.emulator.command", *words)
-    began = time.monotonic()
-    said = run("hydro_filter.training.relearn", str(bag), "--out", str(out))
-    return loaded(out / METRIC, out / MODEL), told(out / "metric.json", said, began)
-
-
 def run(module: str, *words: str) -> str:
     """What a command of ours says on stderr (raises ValueError with its own words)."""
     start = f"import sys; from hydro_bridge.process.start import main_of; sys.exit(main_of.{module}())"
@@ -311,7 +298,7 @@ def law_table(rows: Sequence[dict[str, Any]]) -> Table:
 def main() -> None:
     """Measure, print, write."""
     options = parser("bench_file_filter", __doc__)
-    options.add_argument("what", nargs="?", default="file", choices=("file", "relearn", "compensated", "drawn_gains"))
+    options.add_argument("what", nargs="?", default="file", choices=("file", "compensated", "drawn_gains"))
     options.add_argument("--bench", nargs="+", default=list(BENCHES), choices=list(BENCHES), help="default: all")
     options.add_argument("--draw", type=int, default=12, metavar="COUNT", help="drawn truths; default: %(default)s")
     options.add_argument("--diagnosed", action="store_true", help="a diagnosis of the truth in place of its parameters")
@@ -337,7 +324,7 @@ def main() -> None:
                 runs = drawn_rows(truths[name], own) if laws == "both" else law_rows(truths[name], own, shipped)
                 rows += [{"bench": kind, **row} for row in runs]
                 continue
-            made = by_file(name, folder) if asked.what == "file" else by_relearn(name, folder)
+            made = by_file(name, folder)
         except ValueError as error:
             print(f"{name}: {error}", file=sys.stderr)
             made = None

@@ -38,6 +38,7 @@ REFUSED = {
         ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
         ("--port /dev/null", "/dev/null is another device, not a serial port"),
         ("--ros-args -p guard.abandoned_after:=3.0", "no parameter guard.abandoned_after"),
+        ("--bench @corrected.yaml", "has effects, which no force law believes"),
     ),
     "hydro_bridge recorder": (
         ("--out /dev/null/bag", "/dev/null is no folder: choose another place"),
@@ -87,6 +88,7 @@ REFUSED = {
     "hydro_filter filter": (
         ("--metric /nowhere.safetensors", "cannot be read as weights"),
         ("--metric constant", "there is no constant metric any more"),
+        ("--site @", "bench.yaml is not there: `ros2 run hydro_policy commission` has not come so far"),
     ),
     "hydro_filter export_c": (("--out @new --contraction-rate -1", "contraction_rate"),),
     "hydro_filter learn_metric": (("--out /dev/null/x", "/dev/null"),),
@@ -115,6 +117,15 @@ REFUSED = {
         ("--runs @new --fixed nan 5", "fixed gains are two finite numbers, not nan and 5"),
         ("--runs @new --repeats 0", "repeats must be within [1, 1000], not 0"),
         ("--runs @new --json /dev/null/figures.json", "/dev/null is no folder: choose another place"),
+        ("--runs @new --record @new", "--record is of no use where the plant runs already"),
+        ("--runs @new --plant sim --site @ --bench b.yaml", "--bench is told by --site"),
+        ("--runs @new --plant sim --filter none", "--filter none leaves the compensated law"),
+    ),
+    "hydro_policy commission": (
+        ("--site @new", "which bench? Name its --port"),
+        ("--site @new --port /dev/null", "which bench.yaml does the box believe?"),
+        ("--site @new --port /dev/null --truth t.yaml", "--truth is of the emulated bench"),
+        ("--site @new --plant emulator --from nowhere", "invalid choice: 'nowhere'"),
     ),
 }
 
@@ -123,6 +134,8 @@ REFUSED = {
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     (folder / "plain.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
+    effects = [{"id": "friction_coulomb", "parameters": {"force": 12.0}}]
+    (folder / "corrected.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping() | {"effects": effects}))
     for name, segments in SCHEDULES.items():
         (folder / name).write_text(f"segments: {segments}\n")
     with BagWriter(folder / "bag") as bag:
@@ -160,5 +173,5 @@ def test_a_former_name_is_refused_with_the_present_one(
         text = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
         for former, present in re.findall(r'"(\w+) = hydro_bridge\.process\.start:renamed_to\.(\w+)"', text):
             monkeypatch.setattr(sys, "argv", [f"/lib/{package}/{former}"])
-            assert present in executables(package) and getattr(renamed_to, present)() == 2
+            assert any(present in executables(one) for one in PACKAGES) and getattr(renamed_to, present)() == 2
             assert capfd.readouterr().err == f"error: `{former}` is now `{present}`\n"

@@ -25,6 +25,7 @@ setup(
     entry_points={
         "console_scripts": [
             "pretrain = hydro_bridge.process.start:main_of.hydro_policy.pretraining.pretrain",
+            "commission = hydro_bridge.process.start:main_of.hydro_policy.nodes.commission",
             "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer",
             "evaluate = hydro_bridge.process.start:main_of.hydro_policy.nodes.evaluate",
             "export_c = hydro_bridge.process.start:main_of.hydro_policy.sac.header",

@@ -10,6 +10,7 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.report import best
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
@@ -123,6 +124,17 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
     assert rows[:, -1].sum() >= 1
     np.testing.assert_array_equal(rows[rows[:, -1] == 1, -2], -1000.0)
     assert any("force_limit" in sentence for sentence in graph.sentences)
+
+
+def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> None:
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session = EvaluationSession(settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], graph)
+    graph.run(session, session.seconds + 5.0)
+    narrowed, own = session.scores
+    assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 acted, not 300") and np.isnan(narrowed.rmse)
+    assert not own.tripped
+    assert best(session) == "", "nothing is compared with what did not act"
 
 
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:

@@ -51,6 +51,23 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
         raise UserError(f"{path} is no bench.yaml: {' '.join(str(error).split())}") from error
 
 
+def read_believed(path: str | Path) -> dict[str, Any]:
+    """Return the numbers of the bench.yaml that a box believes.
+
+    Raises
+    ------
+    UserError
+        As `read_numbers`, or the file says what a bench is beyond these numbers.
+    """
+    numbers = read_numbers(path)
+    if found := [key for key in _LISTS if numbers.get(key)]:
+        told = f"{path} has {' and '.join(found)}, which no force law believes"
+        raise UserError(
+            f"{told}: it is the model of a bench (--model of filter and sim), name the box's own bench.yaml"
+        )
+    return numbers
+
+
 def shipped() -> Path | None:
     """Return the bench.yaml installed by hydro_sim, by the ament index; None if hydro_sim is not installed."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)

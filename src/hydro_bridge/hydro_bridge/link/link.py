@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from math import isclose
 
 from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
 from hydro_bridge.process.latency import Latency
@@ -65,6 +66,7 @@ def connection_remarks(
         f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"
         for entry in fields(wanted)
         if getattr(wanted, entry.name) != getattr(allowed, entry.name)
+        and not isclose(getattr(wanted, entry.name), getattr(allowed, entry.name), rel_tol=1e-6)  # HELLO has float32
     ]
     if changed:
         said.append(f"the box narrows the guard: {', '.join(changed)}")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.files import bench_file
+from hydro_bridge.files import bench_file, site
 from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import PlantNode
 from hydro_bridge.ros.diagnostics import Level, Status
@@ -133,6 +133,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: the nominal bench"
     )
+    site.add_site_option(result, "--bench")
     result.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     return result
 
@@ -164,7 +165,8 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     options = parser().parse_args(own)
+    site.take_site(options, bench=site.BENCH)
     port, file = PortSettings(path=options.port, baud=options.baud), options.bench or bench_file.shipped()
-    bench = bench_file.read_numbers(file) if file else None
+    bench = bench_file.read_believed(file) if file else None
     refuse_unusable_port(port)
     run_node(lambda: BridgeNode(port, bench, realtime=options.realtime), ros)

@@ -62,6 +62,8 @@ class Companion:
     output
         Destination of its output; standard error by default, so that a progress bar or a table on standard output
         stays intact.
+    keys
+        Whether it reads this program's standard input, by which a person arms; it gets none by default.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Companion:
         *,
         name: str = "",
         output: IO[str] | None = None,
+        keys: bool = False,
     ) -> None:
         self.name = name or executable
         self._output = output or sys.stderr
@@ -79,7 +82,7 @@ class Companion:
         parent = os.getpid()
         self.process = subprocess.Popen(
             [str(executable_path(package, executable)), *arguments],
-            stdin=subprocess.DEVNULL,
+            stdin=None if keys else subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -20,6 +20,12 @@ from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure, from_mapping
 from hydro_sim.model.bench import Bench
 
+HEADER = """\
+# What the bench is, by a diagnosis; SI units. The model: of filter and metric (--model), of a simulation.
+# The box believes its own bench.yaml, and goes on with that: nothing of this file belongs into it, unless a number
+# here (not under effects or closures) differs from there and you want the force law to know.
+"""
+
 
 def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
     """A bench with its values replaced and the remaining claims in `effects`, after those it had.
@@ -57,7 +63,7 @@ def _overrides(effect: Effect, hook: str) -> bool:
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
     """Write corrected.yaml, of a bench of which little is known what is known."""
     content = yaml.safe_dump(corrected_bench(bench, claims).to_mapping(), sort_keys=False)
-    write_whole(path, f"# bench.yaml with what a diagnosis found; SI units.\n{content}".encode())
+    write_whole(path, f"{HEADER}{content}".encode())
 
 
 def claims_of(bench: Bench) -> tuple[Claim, ...]:

@@ -32,6 +32,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
 from hydro_bridge.cli.console import command
+from hydro_bridge.files.site import ANEW
 from hydro_bridge.process import endings
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
@@ -80,8 +81,6 @@ BUSY = "stale ones came too late to act upon: the machine is busy; end what else
 BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
 MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
-
-REMEDY = "start it with --model and --metric of this bench (`diagnose`, then `learn_metric --model corrected.yaml`)"
 
 
 class FilterNode(Node):
@@ -244,7 +243,7 @@ class FilterNode(Node):
             result = MISMATCHED
         if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
             seen = self.filter.mismatch
-            self._tell_mismatch(self.foreign or (f"{seen}; {REMEDY}" if seen else ""))
+            self._tell_mismatch(self.foreign or (f"{seen}; {ANEW}" if seen else ""))
         return result
 
     def _tell_mismatch(self, reason: str) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from hydro_bridge.files import site
 from hydro_bridge.settings import describe
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings
@@ -22,15 +23,14 @@ def parser() -> argparse.ArgumentParser:
         prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
     )
     result.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
-    result.add_argument(
-        "--metric", default=LEARNED, metavar="FILE", help=f"of `learn_metric`; default: {LEARNED}, the shipped one"
-    )
+    result.add_argument("--metric", metavar="FILE", help=f"of `learn_metric`; default: {LEARNED}, the shipped one")
     result.add_argument(
         "--model",
         type=Path,
         metavar="FILE",
         help="bench file that the metric was made for; default: the shipped one",
     )
+    site.add_site_option(result, "--bench, --metric and --model")
     docs = describe(LoopFilterSettings)
     for name in NUMBERS:
         result.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=docs[name].text)
@@ -48,12 +48,13 @@ def arguments(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argpa
         Metric, model and bench do not belong together.
     """
     asked = parser().parse_args(given)
+    site.take_site(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
     if asked.metric == "constant":
         parser().error(
             "there is no constant metric any more: `learn_metric --model bench.yaml` makes one of a bench file"
         )
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-    choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=asked.metric, model=asked.model)
+    choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=str(asked.metric or LEARNED), model=asked.model)
     numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}
     raise_if_mismatched(choice.trouble())
     return choice, LoopFilterSettings(bypass=asked.bypass, **numbers), asked

@@ -15,7 +15,7 @@ from hydro_bridge.cli.console import command, writable, writable_folder
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_policy.nodes.startup.options import LAWS, add_plant_options
+from hydro_policy.nodes.startup.options import LAWS, add_plant_options, take_site
 
 
 def parser() -> argparse.ArgumentParser:
@@ -79,6 +79,7 @@ def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
     options = parser().parse_args(own)
+    take_site(options)
     import rclpy
 
     from hydro_policy.nodes.evaluation import evaluate  # with compiled code: not for --help or a wrong option

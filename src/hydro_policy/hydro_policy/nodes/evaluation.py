@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from hydro_bridge.bags.writer import code_version
+from hydro_bridge.cli.console import UserError
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process.endings import undisturbed
@@ -36,6 +37,7 @@ from hydro_policy.nodes.graph.progress import EvaluationProgress
 from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box, require_matching_policy
 from hydro_policy.nodes.startup.companions import (
     LOAD_FORCE,
+    NO_FILTER,
     describe_policy,
     guard_range,
     protection_gap,
@@ -178,6 +180,14 @@ def evaluate(options: argparse.Namespace) -> int:
     make_controllers(options, expected_box(options))  # invalid input is refused before anything is created
     load_cell(options)
     evaluation_settings(options)
+    if options.record and options.plant == "external":
+        record = f"ros2 run hydro_bridge recorder --out {options.record}"
+        raise UserError(f"--record is of no use where the plant runs already: start `{record}` beside it")
+    filtered = options.law != "compensated" or options.fixed or options.policy or options.grid
+    if options.filter.split() == list(NO_FILTER) and filtered:
+        raise UserError(
+            "--filter none leaves the compensated law: say --law compensated, without --fixed, --policy, --grid"
+        )
     with new_evaluation(Path(options.runs), options.name) as run:
         return evaluate_in(run, options)
 
@@ -194,8 +204,9 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)
         stack.enter_context(remove_rejected_evaluation(run, node))
+        node.box_fault = partial(box_mismatch, box)
         if options.plant != "external":
-            start_plant(stack, node, options, box, wanted, run)
+            start_plant(stack, node, options, wanted, run)
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())
         if not node.wait_for_plant(law=options.law != "paper") or node.box is None:
@@ -246,7 +257,6 @@ def start_plant(
     stack: ExitStack,
     node: GraphNode,
     options: argparse.Namespace,
-    box: BoxIdentity,
     wanted: GainRange,
     run: RunDirectory,
 ) -> None:
@@ -258,7 +268,6 @@ def start_plant(
     plant = plant_options(options, recording=recording, seed=options.seed, policies=policies)
     if sentence := protection_gap(wanted, plant.filter, plant.bench):
         node.say(sentence, warning=True)
-    node.box_fault = partial(box_mismatch, box)
     node.watch_companions(start_companions(stack, plant, wanted, folder, node.announcer.keep), recording)
     node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
 
@@ -327,6 +336,7 @@ def evaluate_on(
         compensation=compensation,
         felt=node.load_force,
     )
+    node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
     bar = EvaluationProgress(session)
     try:
         node.run_session(session, bar.tick)

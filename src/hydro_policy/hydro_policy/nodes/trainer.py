@@ -17,7 +17,7 @@ from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options
+from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options, take_site
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration_of
 from hydro_policy.runs.run import RunDirectory
 
@@ -108,6 +108,7 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
         refuse_changes(parser(), words, str(run.path), {**begun, **place})
         restore_plant_options(result, run.load_plant(), explicit_options(parser(), words))
         options = result.parse_args(words)
+    take_site(options)
     options.plant_named = options.demo or options.resume is not None or "plant" in explicit_options(parser(), words)
     return options
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from hydro_bridge.files.site import ANEW
 from hydro_bridge.safety.limits import NARROW
 from hydro_bridge.safety.readiness import Readiness, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
@@ -44,7 +45,7 @@ def corrections(ready: Callable[[], bool]) -> Requirement:
 
 def fitting_filter(ready: Callable[[], bool]) -> Requirement:
     """The filter's model fits this bench, by the filter's own monitor of its predictions."""
-    hint = "its model is not this bench's: start it with model and metric of this bench"
+    hint = f"its model is not this bench's: {ANEW}"
     missing = f"the filter says MISMATCH for 300 s: {hint}"
     return Requirement(name="a filter that fits", ready=ready, hint=hint, within=300.0, missing=missing)
 
@@ -141,7 +142,7 @@ TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so t
 UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law begins anew"
 MISMATCH = (
     "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
-    "range, nothing is learned or begun; start it with model and metric of this bench"
+    f"range, nothing is learned or begun; {ANEW}"
 )
 FITS = "the filter's model fits again: going on"
 UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"

@@ -11,11 +11,13 @@ import argparse
 import threading
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 from rosgraph_msgs.msg import Clock
 
 from hydro_bridge.cli.console import command
+from hydro_bridge.files import site
 from hydro_bridge.nodes.plant_node import PlantNode
 from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
@@ -149,8 +151,14 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
     for name in ("model", "bench", "box_bench", "speed", "noise", "seed"):
         default = getattr(defaults, name)
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=texts[name].text)
+    site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
-    options = vars(parser.parse_args(own))
+    asked = parser.parse_args(own)
+    site.take_site(asked, bench=site.BENCH, model=site.MODEL)
+    options: dict[str, Any] = {
+        name: str(value) if isinstance(value, Path) else value for name, value in vars(asked).items()
+    }
+    del options["site"]
     realtime = options.pop("realtime")
     return replace(defaults, **options), realtime
 

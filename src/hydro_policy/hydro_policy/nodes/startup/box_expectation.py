@@ -24,7 +24,9 @@ PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --b
 
 
 def expected_box(options: argparse.Namespace) -> BoxIdentity:
-    """Return the expected box: by --bench and --base-gains, or the nominal one; unknown for a plant that already runs.
+    """Return the expected box: by --bench and --base-gains, or the nominal one.
+
+    Of a plant that runs already nothing is expected but what --bench says.
 
     Raises
     ------
@@ -37,7 +39,7 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
     if options.model is not None and not options.model.is_file():
         raise UserError(f"--model {options.model}: there is no such file")
     if options.plant == "external":
-        return BoxIdentity(digest="", source="the plant that runs")
+        return BoxIdentity.of_file(options.bench) if options.bench else BoxIdentity(digest="", source="what runs")
     box = BoxIdentity.of_file(options.bench, tuple(options.base_gains or BASE))
     return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
 

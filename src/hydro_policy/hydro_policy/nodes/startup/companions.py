@@ -6,6 +6,8 @@
 --plant bench       bridge, filter, recorder
 --plant external    none: everything runs already
 
+With `--filter none` there is no filter: the compensated law needs none, and of the paper's law base gains are in force.
+
 The guard is widened to the policy's range of gains, and told which filter that range relies on. A recording gets the
 bench file, and digests of all weights involved.
 """
@@ -83,6 +85,10 @@ def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[F
     return choice, settings
 
 
+NO_FILTER = ("none",)
+"""Words of `--filter none`."""
+
+
 def guard_range(gains: GainRange) -> GainRange:
     """Return the gain changes allowed by the plant's guard: its defaults, widened to the policy's range if larger."""
     default = GuardSettings()
@@ -94,12 +100,15 @@ def guard_range(gains: GainRange) -> GainRange:
     )
 
 
-def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
+def guard_parameters(gains: GainRange, words: Sequence[str]) -> list[str]:
     """Return the ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
 
-    The guard is given the filter on which the wider range relies, and reports it: it is never widened silently.
+    The guard is given the filter on which the wider range relies, by its command line's `words`, and reports it: it is
+    never widened silently, nor without a filter.
     """
-    default, wanted = GuardSettings(), asdict(guard_range(gains))
+    if tuple(words) == NO_FILTER:
+        return []
+    default, wanted, relies_on = GuardSettings(), asdict(guard_range(gains)), filter_command(words)
     changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
     words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
     return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
@@ -115,6 +124,8 @@ def filter_command(words: Sequence[str]) -> str:
 
 def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
     """Return why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
+    if tuple(words) == NO_FILTER:
+        return ""
     _, settings = requested_filter(words, bench)
     if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
         return ""
@@ -155,7 +166,7 @@ class PlantOptions:
     policies: tuple[Path, ...] = ()
     """Policy files that act in this run; the recording keeps their digests."""
     filter: tuple[str, ...] = ()
-    """Further words for the filter's command line, its metric for instance."""
+    """Further words for the filter's command line, its metric for instance; `NO_FILTER`: there is none."""
     seed: int = 0
     """Of the noise of simulation or emulator."""
 
@@ -184,11 +195,12 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
-    guard = guard_parameters(gains, filter_command(options.filter))
+    guard = guard_parameters(gains, options.filter)
     started: list[tuple[str, str, list[str]]] = []
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
-    started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
+    if options.filter != NO_FILTER:
+        started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
     if options.plant == "sim":
         words = ["--realtime", "--seed", str(options.seed), *_with_base_gains(guard, options.base_gains)]
         model = ["--model", str(options.model)] if options.model else []
@@ -217,7 +229,8 @@ def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = weights(options.plant, options.bench, options.policies, options.model)
-    digests += of_filter(requested_filter(options.filter, options.bench)[0])
+    if options.filter != NO_FILTER:
+        digests += of_filter(requested_filter(options.filter, options.bench)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError
+from hydro_bridge.files import site
 from hydro_bridge.ros.companion import add_page_option
 from hydro_bridge.ros.node import declare_parameters
 from hydro_bridge.ros.topics import STATE
@@ -39,7 +40,6 @@ _NEEDS = {
     "truth": ("emulator",),
     "faults": ("emulator",),
     "port": ("bench", "emulator"),
-    "bench": ("sim", "emulator", "bench"),
     "model": ("sim",),
     "base_gains": ("sim", "bench"),
     "filter": ("sim", "emulator", "bench"),
@@ -60,6 +60,7 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
+    site.add_site_option(group, "--bench and --filter, of --model where --plant is sim")
     group.add_argument(
         "--load-cell",
         type=Path,
@@ -85,7 +86,8 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         "--filter",
         default="",
         metavar="WORDS",
-        help='further words for the filter that is started, in one string: --filter="--contraction-rate 2"',
+        help='further words for the filter that is started, in one string: --filter="--contraction-rate 2"; none: no '
+        "filter, for the compensated law",
     )
     group.add_argument(
         "--rearm",
@@ -120,6 +122,12 @@ def _absolute(value: str | Path | list[float]) -> str | list[float]:
     if isinstance(value, list):  # gains
         return value
     return str(Path(value).absolute()) if os.path.exists(value) else str(value)
+
+
+def take_site(options: argparse.Namespace) -> None:
+    """Set the options that --site takes the place of (raises UserError)."""
+    files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL} --metric {site.METRIC}"}
+    site.take_site(options, bench=site.BENCH, **files, **({"model": site.MODEL} if options.plant == "sim" else {}))
 
 
 def load_cell(options: argparse.Namespace) -> LoadCell | None:

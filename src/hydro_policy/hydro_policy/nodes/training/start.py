@@ -144,11 +144,11 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
 
 
 def expect_box(options: argparse.Namespace, node: GraphNode) -> BoxIdentity:
-    """Return the expected box; if the plant is started for this run, the node then rejects any other."""
+    """Return the expected box, other than which the node rejects."""
     box = expected_box(options)
     if options.plant != "external":
         requested_filter(plant_options(options).filter, options.bench)
-        node.box_fault = partial(box_mismatch, box)
+    node.box_fault = partial(box_mismatch, box)
     return box
 
 

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A site: the folder of one bench, written by `commission`. Names of its files.
+
+bench.yaml              what the box believes
+corrected.yaml          what the bench is, as far as a diagnosis found
+metric.safetensors      the filter's metric of it
+recordings/, reports/   by gate
+commission.json         which gates passed, causes, comparison; report.html beside it
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+
+from hydro_bridge.errors import UserError
+
+BENCH, MODEL, METRIC = "bench.yaml", "corrected.yaml", "metric.safetensors"
+RECORDINGS, REPORTS = "recordings", "reports"
+
+ANEW = (
+    "after a change of spring, supply, oil or valve `ros2 run hydro_policy commission --again --site DIR` makes model "
+    "and metric of the bench as it is"
+)
+"""What to do where a filter's model is not this bench's."""
+
+
+def add_site_option(parser: argparse._ActionsContainer, taken: str) -> None:
+    """Add --site, which takes the place of the options `taken`, for help texts."""
+    parser.add_argument("--site", type=Path, metavar="DIR", help=f"folder of `commission`, in place of {taken}")
+
+
+def take_site(options: argparse.Namespace, **files: str) -> None:
+    """Set options to files of --site, if it is given.
+
+    Parameters
+    ----------
+    options
+        Parsed options; `site` may be None.
+    files
+        Name of the file by option; or words for a command line, in which such names are replaced.
+
+    Raises
+    ------
+    UserError
+        The folder is no site, or one of the options was given, too.
+    """
+    if options.site is None:
+        return
+    folder: Path = options.site.absolute()
+    for option, words in files.items():
+        if getattr(options, option):
+            raise UserError(f"--{option} is told by --site {options.site}: leave one of them out")
+        found = [str(folder / name) if name in (BENCH, MODEL, METRIC) else name for name in words.split()]
+        for path in map(Path, found):
+            if path.is_absolute() and not path.is_file():
+                raise UserError(f"{path} is not there: `ros2 run hydro_policy commission` has not come so far")
+        setattr(options, option, shlex.join(found) if len(found) > 1 else Path(found[0]))

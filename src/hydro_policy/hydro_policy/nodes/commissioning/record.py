@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Record of a commissioning: DIR/commission.json (files.md), the page beside it, and which gates still hold.
+
+A gate is passed as long as the files that it read and wrote are the ones that lie there, by their digests.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.cli.console import Table, UserError
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import Section, results_page
+
+RECORD, PAGE = "commission.json", "report.html"
+PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
+
+
+@dataclass(kw_only=True)
+class GateResult:
+    """Result of one gate."""
+
+    name: str
+    status: str = PENDING
+    """passed, failed, skipped (not asked for) or pending."""
+    seconds: float = 0.0
+    """Wall time of its last run, s."""
+    reason: str = ""
+    """What was found, or why it failed, as a sentence."""
+    files: dict[str, str] = field(default_factory=dict)
+    """SHA-256 of each file or folder of the site that it read or wrote, by its name."""
+
+
+@dataclass(kw_only=True)
+class Record:
+    """What is known of a site; the fields are the keys of commission.json."""
+
+    plant: str = ""
+    """The port, or `emulator`."""
+    gates: list[GateResult] = field(default_factory=list)
+    amplitude: float = 0.0
+    """Amplitude of the sines [N]."""
+    base_gains: list[float] = field(default_factory=list)
+    """K_p [1/s], K_i [1/s^2] of the box."""
+    causes: list[dict[str, Any]] = field(default_factory=list)
+    """`effects` of the diagnosis' report.json."""
+    certified_gains: dict[str, list[float]] = field(default_factory=dict)
+    """Range of K_p [1/s] that the metric certifies, by force law: `paper`, `compensated`."""
+    comparison: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """By controller: `name`, `rmse` [N] by reference (null: stopped) and `trips`, stopped runs."""
+    adopted: str = ""
+    """Key of the best in `comparison`."""
+    watch: list[str] = field(default_factory=list)
+    """What to watch, in sentences."""
+
+    @classmethod
+    def load(cls, folder: Path, names: Sequence[str]) -> Record:
+        """Read the record of a site, with an entry for each of the gates `names`; a new one where there is none.
+
+        Raises
+        ------
+        UserError
+            The file is damaged, or of other gates.
+        """
+        file = folder / RECORD
+        if not file.is_file():
+            return cls(gates=[GateResult(name=name) for name in names])
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            found = cls(**{**content, "gates": [GateResult(**entry) for entry in content["gates"]]})
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{file} is no record of a commissioning ({error}): name another folder") from None
+        if [gate.name for gate in found.gates] != list(names):
+            raise UserError(f"{file} has other gates than this version: name another folder")
+        return found
+
+    def hold(self, folder: Path, first: int) -> int:
+        """Return how many gates from the beginning hold, at most `first`, and forget what the others found."""
+        count = 0
+        for gate in self.gates[:first]:
+            if gate.status == PENDING or gate.status == FAILED or gate.files != digests(folder, gate.files):
+                break
+            count += 1
+        for gate in self.gates[count:]:
+            gate.status, gate.reason, gate.files = PENDING, "", {}
+        return count
+
+    @property
+    def complete(self) -> bool:
+        """Whether no gate failed or is pending."""
+        return all(gate.status in (PASSED, SKIPPED) for gate in self.gates)
+
+    def write(self, folder: Path) -> None:
+        """Write commission.json and report.html."""
+        write_whole(folder / RECORD, (json.dumps(asdict(self), indent=1) + "\n").encode())
+        about = {"plant": self.plant, "adopted": self.comparison.get(self.adopted, {}).get("name", "nothing yet")}
+        write_whole(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, self._sections()).encode())
+
+    def table(self) -> Table:
+        """Return the gates as a table."""
+        table = Table({"gate": "", "status": "", "seconds": "s, wall time", "found": ""}, title="Gates")
+        for gate in self.gates:
+            table.add(gate=gate.name, status=gate.status, seconds=round(gate.seconds, 1), found=gate.reason)
+        return table
+
+    def compared(self) -> Table:
+        """Return the comparison as a table."""
+        cases = list(dict.fromkeys(case for entry in self.comparison.values() for case in entry["rmse"]))
+        title = f"Force RMSE [N], sines of {self.amplitude:.0f} N"
+        table = Table({"controller": "", **dict.fromkeys(cases, ""), "trips": "stopped runs"}, title=title)
+        for key, entry in self.comparison.items():
+            told = f"{key}: {entry['name']}" + (", adopted" if key == self.adopted else "")
+            cells = {case: entry["rmse"].get(case, "-") for case in cases}
+            table.add(controller=told, **cells, trips=entry["trips"])
+        return table
+
+    def _sections(self) -> list[Section]:
+        causes = Table({"cause": "", "sentence": ""})
+        for cause in self.causes:
+            causes.add(cause=cause["id"], sentence=cause["sentence"])
+        gains = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in self.certified_gains.items())
+        found = [
+            Section(heading="Gates", table=self.table()),
+            Section(heading="Comparison", table=self.compared()),
+            Section(heading="Causes beside the bench file", table=causes),
+            Section(heading="Certified gains", text=", ".join(gains)),
+            Section(heading="What to watch", text=" ".join(self.watch)),
+        ]
+        return [section for section in found if section.text or (section.table and section.table.rows)]
+
+
+def digests(folder: Path, names: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
+    """Return the SHA-256 of files and folders of a site, by name; empty text for one that is not there."""
+    return {name: _digest(folder / name) for name in names}
+
+
+def _digest(path: Path) -> str:
+    files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    if not all(file.is_file() for file in files) or not files:
+        return ""
+    total = sha256()
+    for file in files:
+        total.update(file.read_bytes())
+    return total.hexdigest()
+
+
+def scored(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the controllers of an evaluation's JSON by name: `name`, `rmse` [N] by reference, `trips`.
+
+    A stopped run has no RMSE: its reference is null. Repeats count by their mean.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for run in content["runs"]:
+        entry = found.setdefault(run["controller"], {"name": run["controller"], "rmse": {}, "trips": 0})
+        entry["trips"] += bool(run["stopped"])
+        entry["rmse"].setdefault(run["case"], []).append(run["rmse"])
+    for entry in found.values():
+        means = {case: None if None in values else float(np.mean(values)) for case, values in entry["rmse"].items()}
+        entry["rmse"] = means
+    return found
+
+
+def best(entries: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the key of the best entry: the least mean over the references of RMSE over the smallest there.
+
+    Only entries without a stopped run count; empty if there is none.
+    """
+    whole = {
+        key: np.array(list(entry["rmse"].values()), float)
+        for key, entry in entries.items()
+        if entry["rmse"] and not entry["trips"]
+    }
+    if not whole:
+        return ""
+    smallest = np.min(list(whole.values()), axis=0)
+    return min(whole, key=lambda key: float(np.mean(whole[key] / smallest)))

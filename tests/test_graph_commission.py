@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commissioning on the emulator: gates in their order, resumed after an interruption, and what its record keeps."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.ros.companion import executable_path
+from hydro_policy.nodes.commissioning.gates import NAMES
+from hydro_policy.nodes.commissioning.record import FAILED, PASSED, PENDING, Record, best, digests
+from hydro_sim.model.bench import Bench
+from tests.graph_probe import own_domain
+
+BENCH = {"spring_stiffness": 3.5e4, "supply_pressure": 1.2e7, "piston_area": 2.6e-4}
+OVERLAP = 4e-4  # A
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Iterator[list[str]]:
+    """Command line of a bench that is not the nominal one, whose valve has an overlap that its file does not tell."""
+    bench, truth = tmp_path / "own.yaml", tmp_path / "truth.yaml"
+    bench.write_text(yaml.safe_dump(Bench.nominal().to_mapping() | BENCH))
+    effects = {"valve_deadband": {"half_width": OVERLAP}}
+    truth.write_text(yaml.safe_dump({"profile": "default", "bench": BENCH, "effects": effects}))
+    words = ["--plant", "emulator", "--bench", str(bench), "--truth", str(truth), "--site", str(tmp_path / "site")]
+    with own_domain():
+        yield [str(executable_path("hydro_policy", "commission")), *words]
+
+
+def record(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "site" / "commission.json").read_text())
+    return found
+
+
+def interrupted(command: list[str], line: str) -> list[str]:
+    """Run until it prints a line, then press Ctrl-C; all that it printed."""
+    said = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as running:
+        assert running.stdout is not None
+        for each in running.stdout:
+            said.append(each.strip())
+            if each.startswith(line):
+                running.send_signal(signal.SIGINT)
+    assert running.returncode == 130, said
+    return said
+
+
+@pytest.mark.graph
+def test_an_interrupted_commissioning_goes_on_where_it_was(foreign: list[str], tmp_path: Path) -> None:
+    interrupted(foreign, "== gains")
+    before = record(tmp_path)["gates"]
+    assert [gate["status"] for gate in before[:4]] == [PASSED, PASSED, PASSED, PENDING]
+    assert not (tmp_path / "site" / "port").exists(), "the emulator runs on"
+    said = interrupted(foreign[:1] + foreign[-2:], "== gains")  # the site keeps plant and bench
+    assert "signs: passed before" in said
+    assert not any(line.startswith("== ") for line in said if line != "== gains")
+    assert record(tmp_path)["gates"][:3] == before[:3]
+
+
+@pytest.mark.graph
+@pytest.mark.study  # minutes: the metric
+@pytest.mark.timeout(1500)
+def test_a_foreign_bench_is_commissioned_without_a_word_typed(foreign: list[str], tmp_path: Path) -> None:
+    done = subprocess.run(foreign, stdout=sys.stderr, check=False)
+    found = record(tmp_path)
+    assert done.returncode == 0, found["gates"]
+    overlap = next(cause for cause in found["causes"] if cause["id"] == "valve_deadband")
+    assert overlap["parameters"]["half_width"]["value"] == pytest.approx(OVERLAP, rel=0.05)
+    low, high = found["certified_gains"]["compensated"]
+    assert low <= 400.0 <= high
+    rmse = {key: max(found["comparison"][key]["rmse"].values()) for key in ("best_fixed", "compensated")}
+    assert found["adopted"] == "compensated"
+    assert rmse["compensated"] < 0.6 * rmse["best_fixed"]
+
+
+def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:
+    made = Record.load(tmp_path, NAMES)
+    (tmp_path / "bench.yaml").write_text("one: 1\n")
+    for gate in made.gates[:3]:
+        gate.status, gate.files = PASSED, digests(tmp_path, ["bench.yaml"])
+    made.gates[3].status = FAILED
+    made.write(tmp_path)
+    again = Record.load(tmp_path, NAMES)
+    assert again == made
+    assert again.hold(tmp_path, len(NAMES)) == 3
+    assert again.hold(tmp_path, 2) == 2
+    (tmp_path / "bench.yaml").write_text("one: 2\n")
+    assert Record.load(tmp_path, NAMES).hold(tmp_path, len(NAMES)) == 0
+
+
+def test_a_stopped_controller_is_never_the_best() -> None:
+    entries = {
+        "compensated": {"rmse": {"1 Hz": None, "2 Hz": 1.0}, "trips": 1},
+        "best_fixed": {"rmse": {"1 Hz": 9.0, "2 Hz": 9.0}, "trips": 0},
+        "policy": {"rmse": {}, "trips": 0},
+    }
+    assert best(entries) == "best_fixed"
+    assert best({"policy": entries["policy"]}) == ""
