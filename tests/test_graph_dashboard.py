@@ -102,6 +102,16 @@ def test_it_loads_offline_and_shows_a_running_emulator_soon(graph: Defended, pag
     assert "#" not in page.driver.current_url, "the token has left the address bar"
 
 
+def test_a_page_that_was_held_up_drops_the_backlog_and_shows_now(graph: Defended, page: Page) -> None:
+    counted = "class extends WebSocket { constructor(...words) { super(...words); window.opened += 1; } }"
+    page.run(f"window.opened = 0; window.WebSocket = {counted}")
+    page.run("const end = performance.now() + 4000; while (performance.now() < end);")
+    page.wait("window.opened == 1")
+    page.wait(f"!{STALE}", 5.0)
+    graph.drive(1.0)
+    assert page.run("return window.opened") == 1 and not page.run(f"return {STALE}")
+
+
 def test_disarm_by_button_and_by_key_leads_to_no_valve_current_at_once(graph: Defended, page: Page) -> None:
     for way in ("button", "key"):
         armed(graph, page)

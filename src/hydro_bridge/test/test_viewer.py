@@ -96,8 +96,12 @@ def test_the_page_loads_nothing_and_escapes_what_the_recording_says(bag: Path) -
 def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run"):
         pass
-    with pytest.raises(RecordingError, match="no samples on /hydro/state to show; there is nothing"):
+    with pytest.raises(RecordingError, match="no messages on /hydro/state; there is nothing"):
         read_recorded(tmp_path / "run")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(next((tmp_path / "run").glob("*.mcap")).read_bytes()[:40])
+    with pytest.raises(RecordingError, match="it was cut off before the end of its first block"):
+        read_recorded(cut)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:

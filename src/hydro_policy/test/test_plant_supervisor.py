@@ -9,9 +9,9 @@ from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import (
-    COMPILES,
     FITS,
     HOW_TO_ARM,
+    HOW_TO_GET_A_FILTER,
     IDLE,
     MISMATCH,
     NO_FILTER,
@@ -81,7 +81,7 @@ def test_arming_waits_for_the_filter() -> None:
     watch = PlantSupervisor(heard, rearm=True)
     run(watch, STALE, 0.0, 20.0)
     assert heard.armings == []
-    assert heard.said == [f"waiting for the filter, 45 s at most: {COMPILES}"]
+    assert heard.said == [f"waiting for the filter, 45 s at most: {HOW_TO_GET_A_FILTER}"]
     run(watch, 0, 20.0, 20.5)
     assert heard.armings == [False, True]
     run(watch, ARMED, 20.5, 20.6)

@@ -44,7 +44,8 @@ class Recording:
     def __getitem__(self, topic: str) -> Table:
         """Return the array of a topic; raises RecordingError if there is none."""
         if topic not in self.tables:
-            raise RecordingError(_no_topic(self.path, topic, self.topics))
+            there = ", ".join(sorted(self.topics)) or "nothing"
+            raise RecordingError(f"{self.path} has no messages on {topic}; there is {there}")
         return self.tables[topic]
 
     @cached_property
@@ -100,7 +101,7 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
             columns.setdefault(channel.topic, _Column(np.empty(0, piece.dtype))).extend(piece)
     for topic in topics or ():
         if topic not in types:
-            raise RecordingError(_no_topic(source.path, topic, types))
+            raise source.without(topic, types)
     return Recording(
         path=source.path,
         topics=types,
@@ -125,8 +126,7 @@ def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
             piece = decode_span(scan.path, topic, layout, block, span)
             yield as_states(piece, scan.path) if topic == STATE_TOPIC else piece
     if not found:
-        topics = {channel.topic for scan in source.scans for channel in scan.channels.values()}
-        raise RecordingError(_no_topic(source.path, topic, topics))
+        raise source.without(topic, {channel.topic for scan in source.scans for channel in scan.channels.values()})
 
 
 def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
@@ -152,8 +152,7 @@ def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
             found = True
             yield from decoder.objects(scan, channel, block, span)
     if not found:
-        topics = {channel.topic for scan in source.scans for channel in scan.channels.values()}
-        raise RecordingError(_no_topic(source.path, topic, topics))
+        raise source.without(topic, {channel.topic for scan in source.scans for channel in scan.channels.values()})
 
 
 def as_states(table: Table, path: Path) -> StateArray:
@@ -172,7 +171,3 @@ def as_states(table: Table, path: Path) -> StateArray:
 def _ordered(block: bytes, spans: list[tuple[int, int, str, str, int]]) -> Iterator[tuple[str, str, int, bytes]]:
     for time, start, topic, type_name, size in sorted(spans):
         yield topic, type_name, time, block[start : start + size]
-
-
-def _no_topic(path: Path, topic: str, topics: Collection[str]) -> str:
-    return f"{path} has no messages on {topic}; there is {', '.join(sorted(topics)) or 'nothing'}"

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -216,6 +216,13 @@ class BagSource:
                 self.notes.append(
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
                 )
+
+    def without(self, topic: str, topics: Collection[str]) -> RecordingError:
+        """Return the error that `topic` is not among the `topics` that were read."""
+        there = f"there is {', '.join(sorted(topics)) or 'nothing'}"
+        if not topics and not all(scan.finished for scan in self.scans):
+            there = "it was cut off before the end of its first block: copy it anew"
+        return RecordingError(f"{self.path} has no messages on {topic}; {there}")
 
     def type_of(self, scan: McapScan, channel: Channel) -> tuple[str, str]:
         """Return name and ros2msg text of a channel's type; raises RecordingError."""

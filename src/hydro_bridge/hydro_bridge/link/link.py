@@ -123,6 +123,7 @@ class LinkTimes:
 _NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
+_GRACE = 2.0  # s from the start for which a port that is not there yet is no complaint: an emulator is starting
 
 
 class LinkState(Enum):
@@ -208,14 +209,15 @@ class Link:
 
     def run(self) -> None:
         """Keep the line open until `stop`; body of the serial thread."""
-        backoff = self.port.settings.backoff_first
+        backoff, begin = self.port.settings.backoff_first, time.monotonic()
         while not self._stopping.is_set():
             try:
                 self.port.open()
                 self.state = LinkState.OPEN
                 self._converse()
             except PortLostError as error:
-                self._complain(str(error))
+                if self._connected_before or time.monotonic() > begin + _GRACE:
+                    self._complain(str(error))
             if self.state is LinkState.CONNECTED:
                 backoff = self.port.settings.backoff_first
             self._disconnect()

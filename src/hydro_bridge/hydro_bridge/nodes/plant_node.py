@@ -157,8 +157,11 @@ class PlantNode(Node):
     def _tell_events(self) -> None:
         with self.side.lock:
             events = self.side.guard.take_events()
-        for event in events:
-            self.get_logger().warning(event)
+        for event, trouble in events.items():
+            if trouble:
+                self.get_logger().warning(event)
+            else:
+                self.get_logger().info(event)
         flags, before = self._flags, self._tripped
         self._tripped = bool(flags & Flag.TRIPPED)
         if self._tripped and not before:

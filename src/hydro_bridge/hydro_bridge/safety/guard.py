@@ -128,7 +128,7 @@ class CommandGuard:
     """Whether gains arrived since the arming: from then on they are expected to continue."""
     _given_up: str = ""
     _troubles: set[str] = field(default_factory=set)
-    _events: list[str] = field(default_factory=list)
+    _events: dict[str, bool] = field(default_factory=dict)
 
     @property
     def armed(self) -> bool:
@@ -156,7 +156,7 @@ class CommandGuard:
         self._arm, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
         self._given_up = f"{reason}; reference 0 N, disarmed until it is armed anew"
         self.counts.given_up += 1
-        self._events.append(self._given_up)
+        self._events[self._given_up] = True
 
     def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
         """Set new gain changes [1/s], [1/s^2]; non-finite ones are dropped, and the last ones keep ageing."""
@@ -197,7 +197,7 @@ class CommandGuard:
             return
         if changes:
             self._gains, self._gains_at = (0.0, 0.0), -inf  # they were added to another law's base gains
-            self._events.append(UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again")
+            self._events[UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again"] = True
         self._law, self._law_at = self._within_limits(wanted), now
 
     def offer(self, law: BoxLaw | None) -> None:
@@ -295,7 +295,7 @@ class CommandGuard:
         reason = reference_fault(signal, self.settings)
         if reason:
             self.counts.references_refused += 1
-            self._events.append(f"reference refused, the last one stays: {reason}")
+            self._events[f"reference refused, the last one stays: {reason}"] = True
             return False
         self._reference = with_frequency(signal)
         return True
@@ -330,7 +330,7 @@ class CommandGuard:
         self.counts.commands += 1
         self.counts.stale_correction += not answered
         self.counts.stale_gains += not gained
-        if self._correction_at > -inf:  # before its first correction the filter is merely not running yet
+        if answered or (self._arm and self._correction_at > -inf):  # before its first one the filter is not running yet
             self._tell("stale correction", not answered, self._stale_sentence(), "corrections are fresh again")
         if self._gains_at > -inf:
             self._tell("stale gains", not gained, "gains are stale: base gains", "gains are fresh again")
@@ -377,9 +377,9 @@ class CommandGuard:
             **vars(shaping),
         )
 
-    def take_events(self) -> list[str]:
-        """Return the log sentences since the last call, each once, in order of first occurrence."""
-        events, self._events = list(dict.fromkeys(self._events)), []
+    def take_events(self) -> dict[str, bool]:
+        """Return the log sentences since the last call, by order of occurrence; True: a trouble, False: its end."""
+        events, self._events = self._events, {}
         return events
 
     def _clamp(self, name: str, value: float, low: float, high: float) -> float:
@@ -398,4 +398,4 @@ class CommandGuard:
     def _tell(self, trouble: str, present: bool, began: str, ended: str) -> None:
         if present != (trouble in self._troubles):
             (self._troubles.add if present else self._troubles.discard)(trouble)
-            self._events.append(began if present else ended)
+            self._events[began if present else ended] = present

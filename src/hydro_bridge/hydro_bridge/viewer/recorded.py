@@ -228,8 +228,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
 def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> Recorded:
     states, corrections, laws = reading.states, reading.corrections, reading.laws
     if states is None or corrections is None or laws is None:
-        there = ", ".join(sorted(messages)) or "nothing"
-        raise RecordingError(f"{source.path} has no samples on {STATE_TOPIC} to show; there is {there}")
+        raise source.without(STATE_TOPIC, messages)
     begin = reading.begin + reading.span[0]
     slot = max(states.slot, corrections.slot, laws.slot)
     values = (states.values(slot), corrections.values(slot), laws.values(slot))

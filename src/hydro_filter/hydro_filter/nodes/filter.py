@@ -76,6 +76,8 @@ ANOTHER_LAW = 50
 WORTH_A_LINE = 0.01
 """Share of late, stale or failed corrections from which a warning is logged; /diagnostics has each of them."""
 
+BUSY = "stale ones came too late to act upon: the machine is busy; end what else runs, or start it with --realtime"
+
 BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
 MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
@@ -198,8 +200,10 @@ class FilterNode(Node):
     def _on_law_state(self, message: LawState) -> None:
         if self._law is None:
             why = self._bypasses(message)
-            say = self.get_logger().warning if why else self.get_logger().info
-            say("the box runs the compensated law" + (f": BYPASSED, {why}" if why else ""))
+            if why:
+                self.get_logger().warning(f"the box runs the compensated law: BYPASSED, {why}")
+            else:
+                self.get_logger().info("the box runs the compensated law")
         self._law = message
         if self._waiting is not None and self._waiting.sequence == message.sequence:
             waiting, self._waiting = self._waiting, None
@@ -284,7 +288,8 @@ class FilterNode(Node):
         elif trouble := sum(news[status] for status in TROUBLE):
             level = Level.WARN
             if trouble > WORTH_A_LINE * news.total():
-                self.get_logger().warning(told, throttle_duration_sec=5.0)
+                busy = f"; {BUSY}" if news[CorrectionStatus.STALE] and not self.settings.bypass else ""
+                self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)

@@ -26,6 +26,7 @@ from hydro_policy.supervision.interfaces import ActingLearner, Outputs
 from hydro_policy.supervision.override import GainOverride
 
 COMPILES = "it loads for some seconds; where `make setup` was not run after a change it compiles, up to a minute"
+HOW_TO_GET_A_FILTER = f"start it with `ros2 run hydro_filter filter`, if none runs; {COMPILES}"
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
 NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
 
@@ -38,7 +39,8 @@ def plant(ready: Callable[[], bool]) -> Requirement:
 
 def corrections(ready: Callable[[], bool]) -> Requirement:
     """The filter's corrections reach the plant; without them it continues at base gains."""
-    return Requirement(name="the filter", ready=ready, hint=COMPILES, within=45.0, missing=NO_FILTER, essential=False)
+    hint = HOW_TO_GET_A_FILTER
+    return Requirement(name="the filter", ready=ready, hint=hint, within=45.0, missing=NO_FILTER, essential=False)
 
 
 def fitting_filter(ready: Callable[[], bool]) -> Requirement:

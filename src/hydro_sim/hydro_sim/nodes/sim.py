@@ -91,8 +91,8 @@ class SimNode(PlantNode):
         config = declare_parameters(self, BoxConfig(), "box.")
         box, plant = Box(believed, config), _plant(settings, bench)
         effects = ", ".join(map(label, plant.model.bench.terms)) if isinstance(plant, AnalyticPlant) else ""
-        if effects:
-            self.get_logger().info(f"simulates the bench file's effects: {effects}")
+        what = f"its effects: {effects}" if effects else "without an effect beyond its numbers"
+        self.get_logger().info(f"simulates {settings.model or settings.bench or 'the shipped learned bench'}, {what}")
         self._time = Clock()
         self._clock_publisher = None if settings.speed == 1.0 else self.create_publisher(Clock, CLOCK, CLOCK_DEPTH)
         self.simulation = SimSide(box, plant, guard, settings, self._publish, self.get_logger().info)

@@ -5,6 +5,7 @@ import { Curve, Plots, shown } from "./plots.js";
 import { Series, decoded } from "./series.js";
 
 const SILENT = 700; // ms without a word of the dashboard: the connection is lost
+const BEHIND = 2000; // ms of lag beyond which the page drops what is under way and connects anew, to show now
 const REDRAW = 95; // ms between two drawings: a person sees no more, and this machine may control a bench
 const AGAIN = 500; // ms until the next attempt to connect
 const APART = 400; // ms: a second press that comes sooner is one that bounced, or a key that is held
@@ -28,10 +29,12 @@ let socket = null;
 let number = 0;
 
 function connect() {
-  [least, lag] = [Infinity, 0];
-  socket = new WebSocket(`ws://${location.host}/live`);
-  socket.binaryType = "arraybuffer";
-  socket.onmessage = (event) => {
+  const opened = new WebSocket(`ws://${location.host}/live`);
+  socket = opened;
+  lag = 0;
+  opened.binaryType = "arraybuffer";
+  opened.onmessage = (event) => {
+    if (opened !== socket) return; // dropped: see BEHIND
     heard = performance.now();
     if (event.data instanceof ArrayBuffer) take(decoded(event.data));
     else {
@@ -39,7 +42,17 @@ function connect() {
       TOLD[told.kind]?.(told);
     }
   };
-  socket.onclose = () => setTimeout(connect, AGAIN);
+  opened.onclose = () => {
+    if (opened !== socket) return;
+    least = Infinity; // another dashboard may answer, with another clock
+    setTimeout(connect, AGAIN);
+  };
+}
+
+function skip() {
+  const behind = socket;
+  connect();
+  behind.close();
 }
 
 function take(frame) {
@@ -60,6 +73,7 @@ const TOLD = {
     least = Math.min(least, apart);
     lag = apart - least;
     standing();
+    if (lag > BEHIND) skip();
   },
   words(told) {
     words(told);

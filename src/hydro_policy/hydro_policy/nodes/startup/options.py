@@ -182,6 +182,9 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
 LOOK = 5.0
 """s of search for a running plant before a person is asked; discovery takes half a second."""
 
+TELL = 1.0
+"""s of search until it is said; a running plant is found before."""
+
 WAIT = 20.0
 """s of search without a terminal: a plant started by the same script takes time."""
 
@@ -205,10 +208,13 @@ def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
     """
     if ask is None and sys.stdin is not None and sys.stdin.isatty():
         ask = input
-    end = time.monotonic() + (LOOK if ask else WAIT)
+    begin, patience, told = time.monotonic(), LOOK if ask else WAIT, False
     while not node.count_publishers(STATE):
-        if time.monotonic() > end:
+        if time.monotonic() > begin + patience:
             return _simulation(ask)
+        if not told and time.monotonic() > begin + TELL:
+            print(f"looking for a plant on /hydro/state, for {patience:g} s", flush=True)
+            told = True
         time.sleep(0.05)
     return "external"
 
