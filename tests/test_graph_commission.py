@@ -16,10 +16,18 @@ import yaml
 
 pytest.importorskip("rclpy")
 
+from hydro_bridge.errors import UserError
+from hydro_bridge.files import site
 from hydro_bridge.ros.companion import executable_path
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_policy.nodes import evaluate
 from hydro_policy.nodes.commissioning.gates import NAMES
 from hydro_policy.nodes.commissioning.record import FAILED, PASSED, PENDING, Record, best, digests
+from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box
+from hydro_policy.nodes.startup.options import take_site
+from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench
+from hydro_sim.nodes import sim
 from tests.graph_probe import own_domain
 
 BENCH = {"spring_stiffness": 3.5e4, "supply_pressure": 1.2e7, "piston_area": 2.6e-4}
@@ -82,6 +90,30 @@ def test_a_foreign_bench_is_commissioned_without_a_word_typed(foreign: list[str]
     rmse = {key: max(found["comparison"][key]["rmse"].values()) for key in ("best_fixed", "compensated")}
     assert found["adopted"] == "compensated"
     assert rmse["compensated"] < 0.6 * rmse["best_fixed"]
+
+
+def test_a_site_stands_for_the_options_of_each_executable(tmp_path: Path) -> None:
+    for name in (site.BENCH, site.MODEL, site.METRIC):
+        (tmp_path / name).touch()
+    words = ["--site", str(tmp_path)]
+    for plant, model in (("sim", tmp_path / site.MODEL), ("bench", None)):
+        asked = evaluate.parser().parse_args(["--plant", plant, *words])
+        take_site(asked)
+        assert (asked.bench, asked.model) == (tmp_path / site.BENCH, model)
+        assert asked.filter == f"--model {tmp_path / site.MODEL} --metric {tmp_path / site.METRIC}"
+    settings, _ = sim.arguments(words)
+    assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH), str(tmp_path / site.MODEL))
+    (tmp_path / site.METRIC).unlink()
+    with pytest.raises(UserError, match="has not come so far"):
+        take_site(evaluate.parser().parse_args(["--plant", "sim", *words]))
+
+
+def test_a_bench_file_is_expected_of_a_plant_that_runs(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping() | BENCH))
+    box = expected_box(evaluate.parser().parse_args(["--bench", str(tmp_path / "own.yaml")]))
+    nominal = KnownBox(info=box_info(Bench.nominal(), BoxConfig(), "box"), bench_digest=Bench.nominal().digest)
+    assert "name the bench.yaml of this box by --bench" in box_mismatch(box, nominal)
+    assert box_mismatch(expected_box(evaluate.parser().parse_args([])), nominal) == ""
 
 
 def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:

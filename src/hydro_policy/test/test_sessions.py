@@ -132,7 +132,7 @@ def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> N
     session = EvaluationSession(settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], graph)
     graph.run(session, session.seconds + 5.0)
     narrowed, own = session.scores
-    assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 acted, not 300") and np.isnan(narrowed.rmse)
+    assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
     assert not own.tripped
     assert best(session) == "", "nothing is compared with what did not act"
 

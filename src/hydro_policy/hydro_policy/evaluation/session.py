@@ -324,14 +324,15 @@ class EvaluationSession:
 
     def _replaced(self, controller: Controller, trace: Trace, share: float) -> str:
         """Return why a run tells nothing of its controller: other gains acted; empty if its own did."""
-        asked = getattr(controller, "proportional", None)
-        applied = float(np.median(trace.states["proportional_gain"]))
-        acted = asked is None or abs(asked - applied) <= 1e-3 * max(abs(asked), 1.0)
-        if acted and share <= REPLACED:
+        k_p, k_i = (float(np.median(trace.states[f"{name}_gain"])) for name in ("proportional", "integral"))
+        asked = [getattr(controller, name, None) for name in ("proportional", "integral")]
+        fixed = None not in asked  # else a policy, whose gains change
+        if fixed and np.allclose((k_p, k_i), np.array(asked, float), rtol=1e-3, atol=1e-3):
             return ""
-        held = f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}"
-        narrow = f"K_p = {applied:g} acted, not {asked:g}: widen the plant's gain limits (guard.delta_kp_max)"
-        return held if share > REPLACED else narrow
+        if share > REPLACED:
+            return f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}"
+        narrow = f"K_p = {k_p:g} and K_i = {k_i:g} acted: widen the plant's gain limits (guard.delta_kp_max)"
+        return narrow if fixed else ""
 
     def _warn(self, sentence: str) -> None:
         if sentence not in self.warnings:

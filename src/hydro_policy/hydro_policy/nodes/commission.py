@@ -53,7 +53,10 @@ def parser() -> argparse.ArgumentParser:
     repeat = result.add_mutually_exclusive_group()
     repeat.add_argument("--from", dest="start", choices=NAMES, metavar="GATE", help=f"repeat from: {', '.join(NAMES)}")
     repeat.add_argument(
-        "--again", dest="start", action="store_const", const=AGAIN, help="the same as --from excitation"
+        "--again",
+        action="store_true",
+        help=f"the bench has changed: repeat from {AGAIN}; if the compensated law was adopted, with a metric for that "
+        "alone",
     )
     return result
 
@@ -66,24 +69,18 @@ def main() -> int:
     record = Record.load(folder, NAMES)
     _take(options, folder, record)
     untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
-    start = options.start or ("policy" if untrained else None)
+    start = AGAIN if options.again else options.start or ("policy" if untrained else None)
     first = record.hold(folder, NAMES.index(start) if start else len(GATES))
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
     with ExitStack() as stack:
         log = stack.enter_context((folder / LOG).open("a", encoding="utf-8"))
-        port = record.plant
-        if record.plant == "emulator" and any(gate.plant for gate in GATES[first:]):
-            port = start_emulator(stack, folder, log, options.truth, options.seed)
-        arm = options.arm or ("auto" if record.plant == "emulator" else "person")
-        at = Site(
-            folder=folder,
-            record=record,
-            port=port,
-            arm="auto" if arm == "auto" else "ask",
-            policy=options.policy,
-            log=log,
-        )
+        emulated = record.plant == "emulator"
+        port = str(folder / "port") if emulated else record.plant
+        arm = "auto" if (options.arm or ("auto" if emulated else "person")) == "auto" else "ask"
+        at = Site(folder=folder, record=record, port=port, arm=arm, again=options.again, policy=options.policy, log=log)
+        if emulated and any(gate.plant for gate in GATES[first:]):
+            start_emulator(stack, at, options.truth, options.seed)
         passed = all(_pass(at, gate) for gate in GATES[first:])
     print(f"\n{record.table().text()}\n")
     if record.comparison:

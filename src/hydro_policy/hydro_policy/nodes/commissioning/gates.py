@@ -199,13 +199,15 @@ def metric(at: Site) -> str:
     """See the module."""
     out = at.folder / site.METRIC
     words = ("--model", str(at.folder / site.MODEL), "--bench", at.bench, "--out", str(out))
-    at.run("hydro_filter", "learn_metric", *words)
+    laws = "compensated" if at.again and at.record.adopted == "compensated" else "both"
+    said = at.run("hydro_filter", "learn_metric", *words, "--law", laws)
     at.record.certified_gains = {
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]
         for one in ScheduledMetric.load(out).certificates
     }
     ranges = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in at.record.certified_gains.items())
-    return "; ".join(ranges)
+    missing = laws == "both" and len(at.record.certified_gains) < 2
+    return "; ".join([*ranges, *([said] if missing else [])])
 
 
 def policy(at: Site) -> str:

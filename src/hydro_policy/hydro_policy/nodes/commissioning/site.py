@@ -41,6 +41,8 @@ class Site:
     port: str
     arm: str
     """`auto` or `ask`, as `--rearm` of `evaluate`."""
+    again: bool
+    """Whether it is commissioned anew: a metric of the adopted force law alone will do where that is compensated."""
     policy: bool
     """Whether a policy is to be trained."""
     log: IO[str]
@@ -55,8 +57,10 @@ class Site:
         """Return the folder of a recording."""
         return self.folder / site.RECORDINGS / name
 
-    def run(self, package: str, executable: str, *words: str, loud: bool = True) -> None:
-        """Run an executable to its end; its output goes into the log, and to the terminal if it is `loud`.
+    def run(self, package: str, executable: str, *words: str, loud: bool = True) -> str:
+        """Run an executable to its end; returns its last line.
+
+        Its output goes into the log, and to the terminal if it is `loud`.
 
         Raises
         ------
@@ -75,6 +79,7 @@ class Site:
         running.stop()
         if status:
             raise GateError(f"{executable}: {said.removeprefix('error: ') or f'ended with status {status}'}")
+        return said
 
     def start(self, stack: ExitStack, package: str, executable: str, *words: str) -> Companion:
         """Start an executable that `stack` ends."""
@@ -107,25 +112,17 @@ class Site:
         return read_json(self.folder / site.REPORTS / name / "evaluation.json")
 
 
-def start_emulator(stack: ExitStack, folder: Path, log: IO[str], truth: Path | None, seed: int) -> str:
-    """Start the emulator for as long as `stack` holds; returns its port.
-
-    Raises
-    ------
-    UserError
-        It ended, or offered no port in time.
-    """
-    port = folder / "port"
-    words = ["--link", str(port), "--bench", str(folder / site.BENCH), "--seed", str(seed)]
-    words += ["--truth", str(truth)] if truth else []
-    output = cast("IO[str]", _Both(log, loud=False))
-    emulator = stack.enter_context(Companion("hydro_sim", "emulator", words, output=output))
+def start_emulator(stack: ExitStack, at: Site, truth: Path | None, seed: int) -> None:
+    """Start the emulator on the site's port for as long as `stack` holds (raises UserError where it does not start)."""
+    port = Path(at.port)
+    port.unlink(missing_ok=True)  # of one that was killed
+    words = ["--link", at.port, "--bench", at.bench, "--seed", str(seed), *(["--truth", str(truth)] if truth else [])]
+    emulator = at.start(stack, "hydro_sim", "emulator", *words)
     end = time.monotonic() + PORT_WITHIN
     while not port.exists():
         if not emulator.running or time.monotonic() > end:
             raise UserError(f"the emulator does not start: {emulator.last_line.removeprefix('error: ')}")
         time.sleep(0.1)
-    return str(port)
 
 
 def read_json(path: Path) -> dict[str, Any]:
