@@ -3,7 +3,8 @@
 
 Channels are resampled to one clock without interpolating slow sensors: one that is as fast as the chosen clock, or
 faster, is read off between its two neighbouring samples; a slower one would be straight lines, which read as physics,
-and is left out. The current is held: row k gets the mean of what acted from row k to row k + 1. All of it is noted.
+and is left out. The current is held for the box's sample: a row gets the mean over one row's length about the middle of
+the sample that begins there, which up to 1 ms is what acted from this row to the next. All of it is noted.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_bridge.bags.recording import RecordingError, read_bag
-from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import UNITS, Columns, in_name
 from hydro_diagnosis.io.delimited import delimited_columns
@@ -136,14 +137,14 @@ def _coincide(one: FloatArray, other: FloatArray) -> bool:
 
 
 def _held_mean(own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray:
-    """Mean, from each time to the next, of what is held from each of its own times to the next."""
+    """Mean of what is held from each of its own times to the next, over a row's length about the sample's middle."""
     ends = np.concatenate([own, own[-1:] + _step(own)])
-    edges = np.concatenate([time, time[-1:] + _step(time)])
     dose = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
-    clipped = np.clip(edges, ends[0], ends[-1])
-    widths = np.diff(clipped)
-    means = np.diff(np.interp(clipped, ends, dose)) / np.where(widths > 0.0, widths, np.nan)
-    return np.asarray(means)
+    rows = np.diff(time, append=time[-1] + _step(time))
+    middle = time + 0.5 * np.minimum(rows, SAMPLE_PERIOD)
+    low, high = (np.clip(middle + side * 0.5 * rows, ends[0], ends[-1]) for side in (-1.0, 1.0))
+    widths = np.where(high > low, high - low, np.nan)
+    return np.asarray((np.interp(high, ends, dose) - np.interp(low, ends, dose)) / widths)
 
 
 def _step(times: FloatArray) -> float:
@@ -165,7 +166,7 @@ def _inside(time: FloatArray, spans: list[tuple[float, float]]) -> np.ndarray[tu
 
 
 def _said(field: str, source: Source, own: str, base: str) -> str:
-    how = {True: "the mean of what was held from row to row"}.get(
+    how = {True: "the mean of what was held about it"}.get(
         field == "valve_current", "read off between its neighbouring samples" if field in MEASURED else "the last known"
     )
     late = f" {abs(source.delay) * 1e3:g} ms {'late' if source.delay > 0.0 else 'early'}" if source.delay else ""
