@@ -128,8 +128,9 @@ class SegmentModel(SegmentRecord):
 
     @cached_property
     def reversals(self) -> int:
-        """Number of times that the piston stands or reverses."""
-        return int(np.count_nonzero(np.diff(self._resting.astype(np.int8), prepend=0) == 1))
+        """Number of times that the piston comes to a stand or reverses; what an encoder shows at rest is none."""
+        marks = np.where(self._resting, 1, 0) - np.where(~self._resting & (np.abs(self.v) > SLIDING), 1, 0)
+        return int(np.count_nonzero(np.diff(marks[marks != 0], prepend=-1) == 2))
 
     @cached_property
     def _resting(self) -> npt.NDArray[np.bool_]:
