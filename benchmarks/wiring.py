@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the diagnosis takes causes for mistakes of wiring, or mistakes for causes: that stage alone.
 
-    python -m benchmarks.wiring --json wiring.json
-    python -m benchmarks.wiring --cases 200 --seed 2
+    python -m benchmarks.wiring --write wiring.jsonl                   after Ctrl-C goes on where it was
+    python -m benchmarks.wiring --write wiring.jsonl --cases 300       the first 300 of the same
 
 Every effect of the table, wrong number and other form, in three sizes, under three gains and four references, recorded
 by the emulator and wired right: no repair may be preferred. Then mistakes are done to benches drawn from the same: all
@@ -24,7 +24,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks import _report
-from hydro_bridge.cli.console import Table, command, progress
+from benchmarks._report import resumable
+from hydro_bridge.cli.console import Table, command
 from hydro_bridge.signals import STATE_FIELDS
 from hydro_diagnosis.blind_benchmark.cases import FORMS, SINGLES, VALUES, Pick, Shape, Size
 from hydro_diagnosis.io.column_map import ColumnMap
@@ -163,22 +164,31 @@ def main() -> None:
     options.add_argument("--cases", type=int, default=1000, help="wired right (default: 1000)")
     options.add_argument("--wrong", type=int, default=10, help="benches for each mistake (default: 10)")
     options.add_argument("--seed", type=int, default=1, help="of order, signs and noise (default: 1)")
+    options.add_argument("--write", type=Path, metavar="FILE", help="keep what is done, and go on with it")
+    options.add_argument("--jobs", type=int, default=0, help="processes (default: one for each core)")
     chosen = options.parse_args()
-    warnings.simplefilter("error", RuntimeWarning)
-    found: list[Outcome] = []
-    every = [*cases(chosen.seed)][: max(chosen.cases, chosen.wrong)]
-    with tempfile.TemporaryDirectory() as scratch:
-        for number, (name, effects, size, kp, kind) in enumerate(progress(every, label="wiring", unit="bench")):
-            paths = (Path(scratch) / "fitted.csv", Path(scratch) / "held.csv")
-            about = {"effect": name, "size": ("small", "middle", "large")[size], "kp": kp, "reference": kind}
-            for at, path in enumerate(paths):
-                record(effects, kp, KINDS[(KINDS.index(kind) + at) % len(KINDS)], path, chosen.seed + 2 * number + at)
-            if number < chosen.cases:
-                found.append(judged(paths, "", about))
-            if number < chosen.wrong:
-                found += [judged(paths, columns, {**about, "mistake": one}) for one, columns in MISTAKES.items()]
-            _report.finish({"outcomes": [asdict(one) for one in found]}, chosen.json)
+    jobs: dict[str, tuple[Any, ...]] = {}
+    every = [*cases(chosen.seed)]
+    for role, count, mistakes in (("right", chosen.cases, {"": ""}), ("wrong", chosen.wrong, MISTAKES)):
+        for number, case in enumerate(every[:count]):
+            jobs[f"{role} {number} of seed {chosen.seed}"] = (*case, chosen.seed + 2 * number, mistakes)
+    done = resumable(bench, jobs, chosen.write, "wiring", chosen.jobs)
+    found = [Outcome(**one) for outcomes in done.values() for one in outcomes]
+    _report.finish({"outcomes": [asdict(one) for one in found]}, chosen.json)
     print(_table(found).text())
+
+
+def bench(
+    name: str, effects: Mapping[str, Any], size: int, kp: float, kind: str, seed: int, mistakes: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Record a bench twice and judge its recordings after each of these mistakes."""
+    warnings.simplefilter("error", RuntimeWarning)
+    about = {"effect": name, "size": ("small", "middle", "large")[size], "kp": kp, "reference": kind}
+    with tempfile.TemporaryDirectory() as scratch:
+        paths = (Path(scratch) / "fitted.csv", Path(scratch) / "held.csv")
+        for at, path in enumerate(paths):
+            record(effects, kp, KINDS[(KINDS.index(kind) + at) % len(KINDS)], path, seed + at)
+        return [asdict(judged(paths, columns, {**about, "mistake": one})) for one, columns in mistakes.items()]
 
 
 def _table(found: list[Outcome]) -> Table:

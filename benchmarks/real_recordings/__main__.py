@@ -49,6 +49,7 @@ COLUMNS = {
     "left": "% of the error of the bench file alone that is left on what was held out, worst channel",
     "moved": "claims that move by more than a quarter, or go, when a recording is left out",
     "cpu": "s of CPU",
+    "work": "s of CPU as the budget counts them",
 }
 
 
@@ -73,6 +74,7 @@ class Score:
     """Diagnoses that left one recording out."""
     moved: list[str] = field(default_factory=list)
     cpu: float = 0.0
+    work: float = 0.0
     note: str = ""
 
 
@@ -189,7 +191,7 @@ def carried_out(name: str, folder: Path, *, leave_out: bool) -> Score:
         cpu = time.process_time() - begun
         return Score(name, verdict, verdict in rig["answer"]["verdict"], missed=missed, note=note, cpu=cpu)
     score = scored(name, rig, found)
-    score.cpu = time.process_time() - begun
+    score.cpu, score.work = time.process_time() - begun, found.problem.budget.spent
     if leave_out and len(rig["fitted"]) > 1 and not rig.get("side_by_side"):
         for path in rig["fitted"]:
             with suppress(InputError):
@@ -255,7 +257,7 @@ def add(table: Table, score: Score) -> None:
         open=len(score.open), missed=len(score.missed),
         curve=f"{sum(right)}/{len(right)}" if right else "-",
         left=max(score.left.values(), default=float("nan")), moved=len(score.moved) if score.left_out else "-",
-        cpu=score.cpu,
+        cpu=score.cpu, work=score.work,
     )  # fmt: skip
 
 

@@ -63,6 +63,13 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "--as-wired", action="store_true", help="take the recordings as they are: try no repairs of wiring or units"
     )
+    options.add_argument(
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="budget of work, in s of CPU as counted, not timed; then the best answer so far is given (default: 60, "
+        "in proportion beyond 60 s at 1 kHz)",
+    )
     options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
     group = options.add_argument_group("in place of recordings: diagnose --grow REPORT... --id NAME [--out FOLDER]")
@@ -78,6 +85,8 @@ def run(arguments: Sequence[str]) -> int:
     chosen = options.parse_args(arguments)
     if chosen.id or chosen.law or chosen.json:
         options.error("--id, --law and --json go with --grow")
+    if chosen.seconds is not None and not chosen.seconds > 0.0:
+        options.error("--seconds of more than 0 is meant")
     from hydro_diagnosis.pipeline import diagnose
     from hydro_diagnosis.report.corrected_bench import write_corrected
     from hydro_diagnosis.report.page import write_page
@@ -93,6 +102,7 @@ def run(arguments: Sequence[str]) -> int:
                 without=chosen.without,
                 estimate=chosen.estimate,
                 as_wired=chosen.as_wired,
+                seconds=chosen.seconds,
                 progress=told,
             )
     except DiagnosisInterrupted as interrupted:

@@ -11,6 +11,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from hydro_bridge.process import endings
+from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
@@ -34,6 +35,7 @@ def diagnose(
     estimate: Sequence[str] = (),
     as_wired: bool = False,
     settings: SearchSettings | None = None,
+    seconds: float | None = None,
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
     """Locate, name, size and model what a bench has and its simulation leaves out.
@@ -60,6 +62,9 @@ def diagnose(
         Take the recordings as they are: repairs of wiring are not tried (`stages.hypotheses`).
     settings
         Of the search.
+    seconds
+        Budget of work [s of CPU, counted: `estimation.budget`]: then the best answer so far is given. Default: 60, in
+        proportion beyond 60,000 samples.
     progress
         Is told the stages.
 
@@ -73,7 +78,7 @@ def diagnose(
     begun = time.monotonic()
     question = Question(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
-        estimate=estimate, as_wired=as_wired,
+        estimate=estimate, as_wired=as_wired, budget=Budget(seconds),
     )  # fmt: skip
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
         case = read_repaired(question, progress)
@@ -85,6 +90,6 @@ def diagnose(
             if case.problem is not before.problem:
                 search = Search(case.problem, case.candidates, settings or NAMES, progress)
                 names = search_causes(search, case.held)
-            return build_report(case, search, model_claims(names, search.library, progress), begun)
+            return build_report(case, search, model_claims(names, search), begun)
     except KeyboardInterrupt as interruption:
         raise DiagnosisInterrupted(interrupted_report(case, search, begun), endings.status(interruption)) from None

@@ -14,11 +14,11 @@ import pytest
 from hydro_diagnosis.bench_numbers import completed
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.intervals import Interval, intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.reliability import contradicted, doubted, explained_shares, moved, objections
+from hydro_diagnosis.selection.reliability import contradicted, differing, doubted, explained_shares, moved, objections
 from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
 from hydro_sim.model.bench import Bench
 
@@ -70,7 +70,7 @@ def test_a_claim_that_misses_most_speeds_is_refused(size: float, refused: list[s
     found = fit(judged, (Claim(DRY, {"force": size}), Claim(mass, {"mass": 0.1})), iterations=0)
     bounds = [Interval(size, size, size, True), Interval(0.1, 0.0, 0.2, True)]
     points = curves(judged, found.claims)[FRICTION]
-    reasons = contradicted(judged, found, [], bounds, points, 0.1)
+    reasons = contradicted(judged, found, [], bounds, points, 0.1, 20.0)
     assert [label for label, reason in reasons.items() if "steady speeds" in reason] == refused
 
 
@@ -78,7 +78,7 @@ def test_a_size_that_depends_on_names_that_are_not_claimed_is_refused() -> None:
     judged = problem(0.0)
     found, other = (fit(judged, (Claim(DRY, {"force": size}),), iterations=0) for size in (11.0, 7.0))
     for earlier, refused in (([found], []), ([found, other], ["friction_coulomb"])):
-        assert [*contradicted(judged, found, earlier, [Interval(11.0, 10.0, 12.0, True)], (), 0.1)] == refused
+        assert [*contradicted(judged, found, earlier, [Interval(11.0, 10.0, 12.0, True)], (), 0.1, 20.0)] == refused
 
 
 def test_evidence_counts_samples_that_are_independent() -> None:
@@ -86,7 +86,7 @@ def test_evidence_counts_samples_that_are_independent() -> None:
     found = fit(judged, (Claim(DRY, {"force": 11.0}),))
     for inflation, refused in ((1.0, []), (1e3, ["friction_coulomb"])):
         bounds = [Interval(11.0, 10.0, 12.0, True, inflation)]
-        assert [*contradicted(judged, found, [], bounds, (), 0.1)] == refused
+        assert [*contradicted(judged, found, [], bounds, (), 0.1, 20.0)] == refused
 
 
 def test_a_constant_is_no_name_where_the_force_does_not_follow_the_motion() -> None:
@@ -95,7 +95,7 @@ def test_a_constant_is_no_name_where_the_force_does_not_follow_the_motion() -> N
     judged = Problem([checked(table, BENCH).segments[0]], BENCH)
     offset = next(effect for effect in LIBRARY if effect.label == "force_offset")
     found = fit(judged, (Claim(offset, {"force": -100.0}),))
-    reasons = contradicted(judged, found, [], [Interval(-100.0, -101.0, -99.0, True)], (), 0.1)
+    reasons = contradicted(judged, found, [], [Interval(-100.0, -101.0, -99.0, True)], (), 0.1, 20.0)
     assert "no better than the force's mean" in reasons["force_offset"]
 
 
@@ -143,3 +143,17 @@ def test_cavitation_is_what_noise_does_not_make(
     columns["pressure_a"] += noise * np.random.default_rng(1).standard_normal(len(columns["pressure_a"]))
     table = RawTable("run", 1e-3 * np.arange(len(columns["pressure_a"]), dtype=np.float64), None, columns)
     assert any("cavitate" in note for note in checked(table, Bench.nominal()).quality) == cut
+
+
+@pytest.mark.parametrize("given_back, refused", [(1.0, []), (0.0, ["moving_mass"])])
+def test_what_only_resists_speeding_up_is_no_mass(given_back: float, refused: list[str]) -> None:
+    time, random = 1e-3 * np.arange(10_000.0), np.random.default_rng(2)
+    phase = 2.0 * np.pi * 0.7 * time
+    position, speed, rate = 0.03 + 0.02 * np.sin(phase), np.cos(phase), -np.sin(phase) * 0.02 * (2.0 * np.pi * 0.7) ** 2
+    beyond = 20.0 * rate * np.where(rate * speed > 0.0, 1.0, given_back)
+    force = rate + beyond + 0.3 * random.standard_normal(len(time))
+    table = RawTable("sine", time, None, {"piston_position": position, "hydraulic_force": force})
+    judged = Problem([checked(table, BENCH).segments[0]], BENCH)
+    mass = next(effect for effect in LIBRARY if effect.id == "moving_mass").adapted(BENCH)
+    found = fit(judged, (Claim(mass, {"mass": 10.0}),))
+    assert differing(judged, found, intervals(judged, found)) == refused

@@ -62,13 +62,13 @@ def test_wrong_value_of_the_bench_is_named_and_sized(
 DRY, DIRECTED = "friction_coulomb", "friction_coulomb:directional"
 
 
-def dry(label: str, *forces: float) -> Claim:
+def claim_of(label: str, *sizes: float) -> Claim:
     effect = next(one for one in LIBRARY if one.label == label)
-    return Claim(effect, {one.name: force for one, force in zip(effect.parameters, forces, strict=True)})
+    return Claim(effect, {one.name: size for one, size in zip(effect.parameters, sizes, strict=True)})
 
 
-def problem_with(record: Callable[..., StateArray], claim: Claim) -> Problem:
-    states = record(corrected_bench(NOMINAL, [claim]), 3, seconds=8.0)
+def problem_with(record: Callable[..., StateArray], *claims: Claim) -> Problem:
+    states = record(corrected_bench(NOMINAL, claims), 3, seconds=8.0)
     table = RawTable("dry", states["time"].copy(), None, {name: states[name].copy() for name in SENSED})
     return Problem(checked(table, NOMINAL).segments, NOMINAL)
 
@@ -78,18 +78,28 @@ SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_p
 
 def test_richer_form_must_pay_for_its_parameter(record: Callable[..., StateArray]) -> None:
     """15.0 and 15.1 N: the second number gains 14 of BIC, which errors of the residuals' own reach."""
-    problem = problem_with(record, dry(DIRECTED, 15.0, 15.1))
+    problem = problem_with(record, claim_of(DIRECTED, 15.0, 15.1))
     outcome = search(problem)
     problem, found = outcome.problem, outcome.fit
     assert [claim.effect.label for claim in found.claims] == [DRY]
-    richer = score(problem, found) - score(problem, fit(problem, [dry(DIRECTED, 15.0, 15.0)]))
+    richer = score(problem, found) - score(problem, fit(problem, [claim_of(DIRECTED, 15.0, 15.0)]))
     assert 2.0 < richer < SearchSettings().threshold  # else this shows nothing
 
 
 def test_richer_form_that_pays_is_named(record: Callable[..., StateArray]) -> None:
-    found = search(problem_with(record, dry(DIRECTED, 15.0, 15.3))).fit
+    found = search(problem_with(record, claim_of(DIRECTED, 15.0, 15.3))).fit
     assert [claim.effect.label for claim in found.claims] == [DIRECTED]
     assert found.claims[0].values["force_negative"] == pytest.approx(15.3, abs=0.1)
+
+
+def test_hard_dead_band_beside_a_gain_is_no_soft_one(record: Callable[..., StateArray]) -> None:
+    """A soft dead band comes first, as it takes the form of both; beside it neither a leak nor the gain is left."""
+    sizes = {"valve_deadband": 8e-4, "valve_gain": 0.9, "leakage_external:a": 3e-14}
+    concealed = [claim_of(label, size) for label, size in sizes.items()]
+    found = search(problem_with(record, *concealed)).fit
+    assert {one.effect.label: one.values for one in found.claims} == {
+        one.effect.label: pytest.approx(one.values, rel=0.02) for one in concealed
+    }
 
 
 @pytest.mark.parametrize("square, remains", [(1.45, set(CHANNELS[:4])), (1.7, set(CHANNELS))])

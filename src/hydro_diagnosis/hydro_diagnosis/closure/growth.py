@@ -98,7 +98,7 @@ class ForwardSelection:
         disguised, clean = 0.0, False
         for one in prospects:
             enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - CONDENSED) * disguised
-            if one.gain < max(toll, LEAST * there_is, enough):
+            if one.gain < max(toll, LEAST * there_is, enough) or problem.budget.exhausted:
                 break
             better = from_starts(problem, current, one.starts)
             if noticeable(problem, better.residual):
@@ -161,7 +161,7 @@ def select_laws(problem: Problem, base: Fit, forward: ForwardSelection, names: S
     current, tried = base, frozenset[str]()
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     for _ in range(room + (NAMES if names else 0)):
-        if not noticeable(weighed, current.residual):
+        if not noticeable(weighed, current.residual) or problem.budget.exhausted:
             break
         fits: list[Fit] = []
         if count_terms(current) - count_terms(base) < room:
@@ -192,6 +192,8 @@ def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: S
     A name gives way to another that does better, or as well with fewer numbers.
     """
     for claim in found.removable if len(found.claims) > 1 else ():
+        if problem.budget.exhausted:
+            break
         law = isinstance(claim.effect, Closure)
         if law or names:
             rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)

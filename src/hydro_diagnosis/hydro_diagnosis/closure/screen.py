@@ -275,6 +275,7 @@ class Screen:
                 np.arange(at, at + len(probes)), shown(problem, base.claims, base.residual, ways, probes)
             )
             at += len(probes)
+            problem.budget.spend(problem.samples * len(probes))
         self._responses.finish()
 
     def __len__(self) -> int:

@@ -109,6 +109,9 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
         return
     closed = barred_equations(problem, assessment.fit)
     by_law = _by_law(problem, assessment.fit, names, closed)
+    if problem.budget.exhausted:
+        yield from [by_law] if by_law.gain > 0.0 else []
+        return
     left = noticeable(by_law.problem, by_law.fit.residual)
     if not left and by_law.gain > 0.0:
         by_law = renamed(merged(by_law), names)
@@ -131,10 +134,11 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
     if upon is not None:
         return upon
     beside = select_laws(problem, base, forward, names)
-    if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
+    complete = beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual)
+    if problem.budget.exhausted or (complete and _sound(beside)):
         return beside
     alone = select_laws(problem, base, forward) if _names(beside.fit) != _names(base) else beside
-    if not names or alone.gain >= MOST_OF_THE_GAP * screen.gains(base)[1]:
+    if problem.budget.exhausted or not names or alone.gain >= MOST_OF_THE_GAP * screen.gains(base)[1]:
         return alone  # a small remainder of the right law's form is no reason to look for names
     likely: dict[str, Effect] = {}
     for fitted in (base, beside.fit, alone.fit):
@@ -167,6 +171,8 @@ def _upon_others(
         return None
     left = min(screen.gains(one)[1] for one in first)
     for weighed, opening in starting_points(problem, base, screen, names, left):
+        if problem.budget.exhausted:
+            break
         if all(noticeable(weighed, one.residual) for one in forward.fits(weighed, opening)[0]):
             continue
         grown = select_laws(weighed, opening, forward, names)
@@ -207,7 +213,7 @@ def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
     current = base
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     taken = 0
-    while taken < room and tried.terms and noticeable(problem, current.residual):
+    while taken < room and tried.terms and noticeable(problem, current.residual) and not problem.budget.exhausted:
         gains, there_is = tried.gains(problem, current)
         best = int(np.argmax(gains))
         if gains[best] < max(THRESHOLD, LEAST * there_is):
@@ -261,6 +267,8 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
         kept = chain.from_iterable(combinations(names, count) for count in range(min(len(names), len(shared) - 2) + 1))
         bases = [claims for some in kept if _complete(claims := (*others, *some))]
         for base, prospect in _beside_subsets(problem, screen, bases):
+            if problem.budget.exhausted:
+                return
             made = from_starts(problem, base, prospect.starts)
             if noticeable(problem, made.residual):
                 made = with_newest_reversal_velocity(problem, made)

@@ -20,6 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.bench_numbers import connected
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, Effect, FloatArray
+from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.equation_residuals import EquationResiduals, ResidualParts
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.model.segment_record import BLOCK
@@ -256,6 +257,8 @@ class Problem:
         Start values of the bench numbers that every fit estimates.
     ruled_out
         Causes that the user says it cannot be.
+    budget
+        Of work, that every evaluation is counted in.
     """
 
     def __init__(
@@ -267,11 +270,13 @@ class Problem:
         like: Problem | None = None,
         estimated: Sequence[Claim] = (),
         ruled_out: Sequence[Effect] = (),
+        budget: Budget | None = None,
     ) -> None:
         self.bench = bench
         self.estimated = tuple(estimated)
         self.baseline = tuple(baseline)
         self.ruled_out = tuple(ruled_out)
+        self.budget = budget or Budget()
         likes = like.models if like else [None] * len(segments)
         self.models: list[SegmentModel] = [
             SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)
@@ -287,6 +292,7 @@ class Problem:
         """Cached responses to additive terms, and derivatives of the residual (`fit.jacobian`)."""
         self.weights = self._weights(())
         self.layout = Layout.of(self.blocks, self.models)
+        self.samples = sum(len(model.time) for model in self.models)
         moves = MOTION in self.blocks
         self.attenuation = {"moving_mass": self._noise.mass_attenuation(bench.moving_mass)} if moves else {}
         """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
@@ -333,8 +339,9 @@ class Problem:
         return self.equations.evaluations
 
     def count(self, evaluations: int) -> None:
-        """Count evaluations that a cache has spared: a search's effort is the same."""
+        """Count evaluations, also those that a cache has spared: a search's effort is the same."""
         self.equations.evaluations += evaluations
+        self.budget.spend(self.samples * len(self.blocks), evaluations)
 
     def _changes(self, claims: Sequence[Claim]) -> ResidualParts:
         """Change of each residual if half of the rows are left out, physical unit."""

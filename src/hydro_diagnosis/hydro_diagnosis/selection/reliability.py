@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.effects.base import MOTION, Claim
-from hydro_diagnosis.estimation.fit import NOTICEABLE, Fit, fit, without_one
+from hydro_diagnosis.estimation.fit import NOTICEABLE, QUANTILE, Fit, fit, residual_variances, without_one
 from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.outcome import NAMES
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.selection.search import is_significant
 from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed, reproduced
 
 MOVED = 0.25
@@ -32,6 +32,7 @@ def contradicted(
     bounds: Sequence[Interval],
     points: Sequence[Point],
     noise: float,
+    threshold: float,
 ) -> dict[str, str]:
     """Reasons by label of named claims that the recordings contradict, though they fit.
 
@@ -43,16 +44,24 @@ def contradicted(
         Of the parameters of all claims, in their order.
     points, noise
         Force over steady speed (`steady_motion.curves`), and the standard deviation [N] of a residual.
+    threshold
+        Evidence [BIC] that a claim needs: that of the search.
     """
     named = [claim for claim in found.judged if claim.effect.named]
-    reasons = dict.fromkeys(moved(problem, found, bounds), "moves by more than a quarter without one of the recordings")
+    ends = [claim.effect.label for claim in named if not is_significant(claim)]
+    reasons = dict.fromkeys(ends, "ends at a bound of what is physical, or is too small to matter")
+    reasons |= dict.fromkeys(
+        moved(problem, found, bounds), "moves by more than a quarter without one of the recordings"
+    )
+    turned = "has another size while the piston speeds up than while it slows down"
+    reasons |= dict.fromkeys(differing(problem, found, bounds), turned)
     depends = "has another size beside names that are not claimed"
     reasons |= dict.fromkeys((label for one in earlier for label in apart(found, one, bounds)), depends)
     if reproduced(problem, found.claims) <= 0.0:
         unfounded = "in motion the equation predicts the force no better than the force's mean would"
         reasons |= {claim.effect.label: unfounded for claim in named if MOTION in claim.effect.blocks}
     for label, evidence in _evidence(problem, found, bounds).items():
-        if evidence < NAMES.threshold:
+        if evidence < threshold:
             reasons[label] = "by the number of its independent samples it may be chance"
     off = missed(points, noise)
     if len(off) > MOST_SPEEDS * len(points):
@@ -90,6 +99,33 @@ def moved(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]
             others, problem.bench, problem.baseline, noise=problem.sensor_noise, estimated=problem.estimated
         ).weighed(found.claims)
         labels += apart(found, fit(fewer, found.claims, iterations=_CONFIRMING), bounds)
+    return list(dict.fromkeys(labels))
+
+
+def differing(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]:
+    """Named claims of the equation of motion whose size is another where the piston speeds up, or slows down.
+
+    By more than `MOVED`, and not by chance; to first order. What takes force to set the piston moving, and gives none
+    back, is no mass.
+    """
+    if MOTION not in problem.blocks or not found.judged:
+        return []
+    rows = problem.layout.channel == CHANNELS.index(MOTION)
+    power = np.concatenate([model.kept(model.v) * model.kept_finish(model.a) for model in problem.models])
+    deviation = np.sqrt(residual_variances(problem, found.residual)[CHANNELS.index(MOTION)])
+    slopes, left = found.jacobian[rows] / deviation, found.residual[rows] / deviation
+    labels: list[str] = []
+    for there in (power > 0.0, power < 0.0):
+        covariance = np.linalg.pinv(slopes[there].T @ slopes[there], hermitian=True)
+        moves, k = -covariance @ (slopes[there].T @ left[there]), 0
+        for claim in found.claims:
+            for one in claim.effect.parameters:
+                size, move = abs(claim.values[one.name] - one.neutral), abs(moves[k]) * one.span
+                chance = QUANTILE * float(np.sqrt(covariance[k, k])) * one.span * bounds[k].inflation
+                named = claim.effect.named and not claim.effect.estimated and MOTION in claim.effect.blocks
+                if named and one.smallest > 0.0 and move > max(MOVED * size, chance) > 0.0:
+                    labels.append(claim.effect.label)
+                k += 1
     return list(dict.fromkeys(labels))
 
 

@@ -138,7 +138,7 @@ class Search:
         restarts = self._ranked(self.problem, nothing)
         best = self._from(nothing, restarts[:1])
         for opening in restarts[1 : self.settings.restarts]:
-            if not noticeable(self.problem, best.fit.residual) or self._spent > self.settings.effort / 3:
+            if not noticeable(self.problem, best.fit.residual) or self._exhausted_at(self.settings.effort / 3):
                 break
             self.progress(f"again from {opening.claims[-1].effect.label}")
             best = self._better(best, self._from(nothing, [opening]))
@@ -166,7 +166,8 @@ class Search:
     def _further(self, outcome: Outcome) -> list[Fit]:
         """Return candidates for a further claim; none if the search must end, for the reason in `Outcome.cut_short`."""
         if self._exhausted:
-            outcome.cut_short = f"its effort of {self.settings.effort} evaluations was spent"
+            effort = f"its effort of {self.settings.effort} evaluations"
+            outcome.cut_short = f"{'the budget of work' if self.problem.budget.exhausted else effort} was spent"
             return []
         ranked = self._ranked(outcome.problem, outcome.fit)
         if ranked and len(outcome.fit.judged) >= self.settings.most:
@@ -181,7 +182,10 @@ class Search:
 
     @property
     def _exhausted(self) -> bool:
-        return self._spent > self.settings.effort
+        return self._exhausted_at(self.settings.effort)
+
+    def _exhausted_at(self, effort: float) -> bool:
+        return self._spent > effort or self.problem.budget.exhausted
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
@@ -194,7 +198,7 @@ class Search:
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
         """Fits with one claim more that pay, the best first.
 
-        None at all where the best only mends the form of its kin: what others explain of that is mimicry.
+        Where the best only mends the form of its kin, what others explain of that is mimicry: then `_plainer` alone.
         """
         enough = score(problem, base) - self.settings.threshold
         self._shortlists.renew()
@@ -204,8 +208,29 @@ class Search:
             self._shortlists.polish(problem, base, best + CONTENDING * (score(problem, base) - best), POLISHED)
         better = [one for one in self._shortlists.beside(problem, base, 0.0) if score(problem, one) <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
-        mends = bool(evidence) and form_error(problem, base, evidence[0], self.settings.form_error)
-        return [] if mends else evidence
+        if evidence and form_error(problem, base, evidence[0], self.settings.form_error):
+            evidence = []
+        if noticeable(problem, base.residual):
+            evidence += self._plainer(problem, base, enough)
+        return sorted(evidence, key=lambda one: score(problem, one))
+
+    def _plainer(self, problem: Problem, base: Fit, enough: float) -> list[Fit]:
+        """Fits with a plainer form of a claim beside one of its kin, no more parameters in all, that score `enough`.
+
+        A soft dead band takes the form of a hard one beside a valve's gain, and then neither pays beside it.
+        """
+        fits = []
+        for rich in (one for one in base.removable if one.effect.family):
+            others = tuple(one for one in base.claims if one is not rich)
+            plainer = [one for one in self.library if one.id == rich.effect.id
+                       and len(one.parameters) < len(rich.effect.parameters)]  # fmt: skip
+            for plain in screen(problem, fit(problem, others), plainer) if plainer else ():
+                beside = fit(problem, (*others, plain.claim))
+                room = base.free - beside.free
+                kin = [one for one in self.library if one.family == rich.effect.family and not one.needs
+                       and len(one.parameters) <= room]  # fmt: skip
+                fits += [fit(problem, (*beside.claims, one.claim)) for one in screen(problem, beside, kin)[:POLISHED]]
+        return [one for one in fits if score(problem, one) <= enough and all_significant(problem, one)]
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.

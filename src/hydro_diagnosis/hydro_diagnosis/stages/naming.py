@@ -57,26 +57,35 @@ def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
     return replace(found, next_recording=_next_recording(found))
 
 
-def model_claims(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult:
+def model_claims(names: StageResult, search: Search) -> StageResult:
     """Names that the recordings do not contradict, and laws for what they leave."""
     refused: dict[str, str] = {}
     earlier: list[Fit] = []
     while True:
-        found = withdraw_if_worse(model_remainder(names, library, progress), names)
-        problem, fitted = found.problem, found.assessment.fit
-        noise = found.proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
-        points = curves(problem, fitted.claims).get(FRICTION, ()) if fitted.judged else ()
-        searched = [] if found.closures else [found.outcome.fit]
-        reasons = contradicted(problem, fitted, [*earlier, *searched], found.bounds, points, noise)
-        if reasons.keys() <= refused.keys():
+        library = [effect for effect in search.library if effect.named and effect.label not in refused]
+        found = withdraw_if_worse(model_remainder(names, library, search.progress), names)
+        reasons = _contradicted(found, earlier, search.settings.threshold)
+        unsure = found.closures and reasons and reasons.keys() <= names.names
+        if unsure and not _contradicted(names, earlier, search.settings.threshold):
+            found, reasons = names, {}  # alone they hold: it is the law beside which they do not
+        if not reasons:
             return replace(found, refused=refused)
         refused |= reasons
-        earlier.append(fitted)
+        earlier.append(found.assessment.fit)
         claims = names.assessment.fit.claims
         kept = tuple(claim for claim in claims if claim.effect.label not in refused)
         ids = {claim.effect.id for claim in kept}
         kept = tuple(claim for claim in kept if set(claim.effect.needs) <= ids)
         names = _withdraw(names, fit(names.problem, kept) if kept else names.outcome.nothing)
+
+
+def _contradicted(found: StageResult, earlier: Sequence[Fit], threshold: float) -> dict[str, str]:
+    """`contradicted`, with what it needs; `earlier`: fits with names that are refused by now."""
+    problem, fitted = found.problem, found.assessment.fit
+    noise = found.proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
+    points = curves(problem, fitted.claims).get(FRICTION, ()) if fitted.judged else ()
+    searched = [] if found.closures else [found.outcome.fit]
+    return contradicted(problem, fitted, [*earlier, *searched], found.bounds, points, noise, threshold)
 
 
 def withdraw_if_worse(found: StageResult, names: StageResult) -> StageResult:
@@ -121,13 +130,15 @@ def _assess(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interv
 
 
 def model_remainder(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult:
-    """Names and closure together; the names alone where nothing remains, or no closure is admitted."""
-    if not names.assessment.remainder:
+    """Names and closure together; the names alone where nothing remains, or no closure is admitted.
+
+    `library`: causes that may stand beside it.
+    """
+    if not names.assessment.remainder or names.problem.budget.exhausted:
         return names
     progress(stage_bar.MODELLING)
     problem, holdout = names.problem, names.holdout
-    others = [effect for effect in library if effect.named]
-    candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment, others))
+    candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment, library))
     found = admitted(problem, holdout, candidates, names.models, names.proof, names.simulated)
     bounds = intervals(found.closed.problem, found.closed.fit) if found else []
     if not found or not all_exclude_neutral(found.closed.fit.claims, bounds):

@@ -22,6 +22,7 @@ from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import applies, completed, hiding, lacks, left_out, read_bench, refuse_missing
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
+from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
@@ -119,6 +120,7 @@ class Question:
     without: Sequence[str]
     estimate: Sequence[str]
     as_wired: bool
+    budget: Budget = field(default_factory=Budget)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,9 +165,10 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         with threadpool_limits(1, "blas"):
             believed = starting_bench(fitted, given, baseline_claims, estimate)
     ruled_out = [effect for effect in CANDIDATES if effect not in unruled and effect.named]
+    question.budget.allow(sum(len(segment) for segment in fitted))
     problem = Problem(
         fitted, believed, baseline_claims,
-        estimated=estimated_claims(believed, estimate), ruled_out=_acting(ruled_out, believed),
+        estimated=estimated_claims(believed, estimate), ruled_out=_acting(ruled_out, believed), budget=question.budget,
     )  # fmt: skip
     if not np.isfinite(problem.residual(())).all():
         raise InputError(

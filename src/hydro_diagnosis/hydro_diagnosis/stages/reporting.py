@@ -263,8 +263,13 @@ def interrupted_report(case: Case, search: Search, begun: float) -> Report:
 
 def _notes(found: StageResult, effects: Sequence[EffectReport], hidden: str | None) -> tuple[str, ...]:
     """Return notes on limits of the verdict."""
-    assessment, cut_short = found.assessment, ""
-    if found.outcome.cut_short and assessment.remainder:
+    assessment, cut_short, budget = found.assessment, "", found.problem.budget
+    if budget.exhausted:
+        cut_short = (
+            f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: this is the best answer until "
+            "then; --seconds sets another"
+        )
+    elif found.outcome.cut_short and assessment.remainder:
         cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
     early = current_is_early(found.problem, effects)
     beyond = "" if assessment.remainder else not_predicted(found.holdout, assessment.fit.claims)

@@ -285,7 +285,7 @@ class EvaluationSession:
         if reason := self._replaced(run.controller, trace, share):
             self._leave_out(run, reason)
             return
-        self._check_held(trace, share)
+        self._check_held(run.controller, trace, share)
         felt = None if self._felt is None else load_force.read(self._felt, trace.states["sequence"])
         self.scores.append(score(trace, run.repeat, int(np.count_nonzero(bits)), felt))
         self.traces.append(trace)
@@ -315,9 +315,10 @@ class EvaluationSession:
         """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
 
-    def _check_held(self, trace: Trace, share: float) -> None:
+    def _check_held(self, controller: Controller, trace: Trace, share: float) -> None:
         """Warn of a run in which base gains replaced the controller's for too long for a fair comparison."""
-        if share > HELD_MAX:
+        own = tuple(getattr(controller, name, None) for name in ("proportional", "integral"))
+        if share > HELD_MAX and own != self._base(controller):
             sentence = f"{trace.controller} at {trace.case}: base gains in {100 * share:.0f} % of the samples"
             late = "corrections" if self._controller.law.law is Law.PAPER else "commands of the law"
             self._warn(f"{sentence}, {late} came late: if the machine is busy, end what else runs on it")

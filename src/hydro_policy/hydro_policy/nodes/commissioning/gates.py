@@ -31,6 +31,7 @@ import numpy as np
 from hydro_bridge.bags.reader import objects, read_bag
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.files import site
+from hydro_bridge.files.site import ANEW
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, StateArray
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_policy.nodes.commissioning.record import best, scored
@@ -52,6 +53,10 @@ FOLLOWS = 0.8
 """Least correlation of two readings of the same motion."""
 POLICY = "policy"
 """Folder of the pretrained policy."""
+WATCH = (
+    f"The filter says MISMATCH where the bench is no longer the one that was diagnosed: {ANEW}.",
+    "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
+)
 FIXED_SHARES = (0.5, 0.9)
 """K_p of the fixed gains that are compared, over the largest certified."""
 
@@ -251,11 +256,7 @@ def comparison(at: Site) -> str:
     at.record.adopted = best(at.record.comparison)
     if not at.record.adopted:
         raise GateError("no controller completed every reference")
-    at.record.watch += [
-        "The filter says MISMATCH where the bench is no longer the one that was diagnosed: spring, supply, oil, valve. "
-        "Then: ros2 run hydro_policy commission --again.",
-        "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
-    ]
+    at.record.watch = list(dict.fromkeys([*at.record.watch, *WATCH]))
     name = at.record.comparison[at.record.adopted]["name"]
     return f"{name} is the best"
 
