@@ -174,6 +174,11 @@ class Table:
             raise UserError(f"{path} cannot be written: {error.strerror}") from None
 
 
+def plural(count: int, noun: str) -> str:
+    """Return a count with its noun: `1 episode`, `2 episodes`."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def add_json_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option `--json FILE` that every command with a table has."""
     parser.add_argument(

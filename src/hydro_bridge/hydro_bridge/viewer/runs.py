@@ -19,7 +19,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, plural
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
 
@@ -128,7 +128,7 @@ def _training(run: Path) -> str:
     episodes = [event for event in events if event["kind"] == "episode"]
     last = f", the last one with an RMSE of {episodes[-1]['force_rmse']:.1f} N" if episodes else ""
     ends = [event for event in events if event["kind"] in ("stop", "end") and event.get("sentence")]
-    return f"{len(episodes)} episodes{last}.{' ' + ends[-1]['sentence'] if ends else ''}"
+    return f"{plural(len(episodes), 'episode')}{last}.{' ' + ends[-1]['sentence'] if ends else ''}"
 
 
 def _diagnosis(run: Path) -> str:

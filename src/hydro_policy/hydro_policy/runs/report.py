@@ -8,7 +8,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import Table
+from hydro_bridge.cli.console import Table, plural
 from hydro_bridge.pages import Section
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
@@ -108,7 +108,7 @@ def _sentence(event: Mapping[str, Any]) -> str:
 def _summary(events: Events) -> str:
     episodes, stops = _of(events, "episode"), _of(events, "stop")
     last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
-    return f"{len(episodes)} episodes, {len(stops)} rollbacks{last}."
+    return f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}."
 
 
 def _number(value: float | None) -> str:

@@ -89,8 +89,9 @@ class TrainingProgress:
         rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
         learner = f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"
         held = f"OVERRIDDEN {self._session.override.description}, " if self._session.override.active else ""
+        error = f"RMSE {rmse:.1f} N, " if math.isfinite(rmse) else ""  # none before the first samples
         return (
-            f"{held}return {now.episode_return:.0f}, RMSE {rmse:.1f} N, alpha {self._learner.entropy_coefficient:.4f}, "
+            f"{held}return {now.episode_return:.0f}, {error}alpha {self._learner.entropy_coefficient:.4f}, "
             f"{learner}, latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"
         )
 
