@@ -23,6 +23,7 @@ STUDIES = frozenset(
         "dashboard",
         "diagnosis_peers",
         "effect_table",
+        "iterative_learning",
         "model_mismatch",
         "null_simulations",
         "paper",
