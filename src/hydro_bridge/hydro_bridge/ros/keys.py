@@ -134,7 +134,7 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
             "evaluate",
             Rights(
                 publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
-                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
+                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, CORRECTION, DIAGNOSTICS),
                 answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
                 calls=(CLAIM_SERVICE,),
             ),
