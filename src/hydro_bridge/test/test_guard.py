@@ -74,7 +74,7 @@ def test_stale_correction_gives_base_gains_no_correction_and_is_told_once():
     ]
     guard.set_correction(0.0, CorrectionStatus.PASS, 78, 0.05)
     assert guard.command(0.05).delta_kp == 30.0
-    assert list(guard.take_events()) == ["corrections are fresh again"]
+    assert guard.take_events() == {"corrections are fresh again": False}, "the end of a trouble is none"
 
 
 def test_a_correction_acts_for_three_samples_while_the_gains_that_it_allows_go_on():

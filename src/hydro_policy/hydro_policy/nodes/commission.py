@@ -18,12 +18,12 @@ from pathlib import Path
 from hydro_bridge.cli.console import UserError, command, writable_folder
 from hydro_bridge.files import bench_file, site
 from hydro_bridge.ros.companion import CompanionError
+from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
 from hydro_policy.nodes.commissioning.gates import GATES, NAMES, Gate
-from hydro_policy.nodes.commissioning.record import FAILED, PASSED, SKIPPED, Record, digests
-from hydro_policy.nodes.commissioning.site import GateError, GateSkipped, Site, start_emulator
+from hydro_policy.nodes.commissioning.site import Site, start_emulator
 
-AGAIN = "excitation"
-"""Gate from which `--again` repeats."""
+AGAIN = "gains"
+"""Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
 LOG = "commission.log"
 
 
@@ -67,10 +67,11 @@ def main() -> int:
     options = parser().parse_args()
     folder: Path = options.site
     record = Record.load(folder, NAMES)
-    _take(options, folder, record)
+    changed = _take(options, folder, record)
     untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
     start = AGAIN if options.again else options.start or ("policy" if untrained else None)
-    first = record.hold(folder, NAMES.index(start) if start else len(GATES))
+    starts = [name for name in (start, "signs" if changed else None) if name]
+    first = record.hold(folder, min((NAMES.index(name) for name in starts), default=len(GATES)))
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
     with ExitStack() as stack:
@@ -89,8 +90,8 @@ def main() -> int:
     return 0 if passed and record.complete else 1
 
 
-def _take(options: argparse.Namespace, folder: Path, record: Record) -> None:
-    """Put plant and bench file into the site, or refuse others than it has."""
+def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
+    """Put plant and bench file into the site, or refuse others than it has; whether the amplitude is another."""
     plant = options.plant or options.port or record.plant
     if not plant:
         raise UserError("which bench? Name its --port, or --plant emulator")
@@ -112,7 +113,8 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(given, own)
     (folder / site.REPORTS).mkdir(exist_ok=True)
-    record.plant, record.amplitude = plant, options.amplitude or record.amplitude
+    before, record.plant, record.amplitude = record.amplitude, plant, options.amplitude or record.amplitude
+    return record.amplitude != before
 
 
 def _pass(at: Site, gate: Gate) -> bool:

@@ -26,16 +26,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hydro_bridge.bags.reader import objects, read_bag
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.files import site
 from hydro_bridge.files.site import ANEW
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, StateArray
+from hydro_bridge.signals import Flag, StateArray
 from hydro_filter.metric.scheduled import ScheduledMetric
-from hydro_policy.nodes.commissioning.record import best, scored
-from hydro_policy.nodes.commissioning.site import GateError, GateSkipped, Site, read_json
+from hydro_policy.commissioning import checks
+from hydro_policy.commissioning.record import GateError, GateSkipped, best, scored
+from hydro_policy.nodes.commissioning.site import Site, read_json
 from hydro_sim.model.bench import Bench
 
 AT_REST = "rest"
@@ -43,14 +42,10 @@ REST = 10.0
 """s recorded at rest."""
 SHARE = 0.094
 """Amplitude over the largest force of the piston: the paper's 300 N on its bench."""
-LOST_MAX = 0.01
-"""Share of lost samples, and of those for which commands were late, in a recording."""
 ATTEMPTS = 3
 TRAINING = ("--frequencies", "0.5", "1", "2", "--multisine", "--steps")
 HELD_OUT = ("--frequencies", "0.7", "1.5")
 COMPARED = ("--frequencies", "0.5", "1", "1.5", "2")
-FOLLOWS = 0.8
-"""Least correlation of two readings of the same motion."""
 POLICY = "policy"
 """Folder of the pretrained policy."""
 WATCH = (
@@ -101,38 +96,18 @@ def link(at: Site) -> str:
               if s.name == "bridge"}  # fmt: skip
     if status.get("box differs", "no") != "no":
         raise GateError(f"the box is not what its bench file says: {status['box differs']}")
-    steps = np.diff(states["sequence"].astype(np.int64))
-    lost, rate = float(np.mean(steps - 1)), float(len(steps) / np.ptp(states["time"]))
-    if lost > LOST_MAX or not len(steps) > 0.3 * REST / SAMPLE_PERIOD:
-        raise GateError(f"{len(states)} samples in {REST:g} s, {100 * lost:.1f} % lost: see the line and its driver")
+    rate, lost = checks.line(states, REST)
     return f"{rate:.0f} samples/s, {100 * lost:.2g} % lost; command and its answer: {_latency(status)}"
 
 
 def sensors(at: Site) -> str:
     """See the module."""
-    states, bench = _states(at.recording(AT_REST)), Bench.load(at.bench)
-    ranges = {
-        "pressure_a": (-0.02 * bench.supply_pressure, 1.05 * bench.supply_pressure),
-        "pressure_b": (-0.02 * bench.supply_pressure, 1.05 * bench.supply_pressure / bench.area_ratio),
-        "piston_position": (-0.02 * bench.stroke, 1.02 * bench.stroke),
-        "load_force": (-_largest_force(bench), _largest_force(bench)),
-        "hydraulic_force": (-_largest_force(bench), _largest_force(bench)),
-    }
-    noise = {}
-    for name, (low, high) in ranges.items():
-        values = states[name]
-        if not np.isfinite(values).all() or values.min() < low or values.max() > high:
-            raise GateError(f"{name} reads {np.nanmin(values):g} to {np.nanmax(values):g}, outside {low:g} to {high:g}")
-        noise[name] = float(np.std(np.diff(values)) / np.sqrt(2.0))
-        if name != "piston_position" and not np.ptp(values):
-            raise GateError(f"{name} is {values[0]:g} in every sample: this reading is stuck")
-    off = float(np.mean(states["hydraulic_force"] - _pressure_force(states, bench)))
-    if abs(off) > 0.1 * _largest_force(bench):
-        raise GateError(f"the hydraulic force differs from the pressures by {off:.0f} N: units, zero or area are wrong")
+    bench = Bench.load(at.bench)
+    noise, off = checks.sensors(_states(at.recording(AT_REST)), bench)
     box = next(iter(objects(at.recording(AT_REST), "/hydro/box")))[1]
     at.record.base_gains = [float(box.base_kp), float(box.base_ki)]
     if not at.record.amplitude:
-        at.record.amplitude = SHARE * _largest_force(bench)
+        at.record.amplitude = SHARE * checks.largest_force(bench)
     told = (f"{name} {value:.2g}" for name, value in noise.items())
     return f"noise {', '.join(told)}; hydraulic force {off:.1f} N off the pressures"
 
@@ -140,18 +115,7 @@ def sensors(at: Site) -> str:
 def signs(at: Site) -> str:
     """See the module."""
     _moved(at, "signs", "--frequencies", "0.5", amplitude=0.2 * at.record.amplitude)
-    states, bench = _armed(at.recording("signs")), Bench.load(at.bench)
-    speed = np.gradient(states["piston_position"], SAMPLE_PERIOD)
-    pairs: dict[str, tuple[FloatArray, FloatArray]] = {
-        "load force and its reference": (states["load_force"], states["reference_force"]),
-        "hydraulic force and pressures": (states["hydraulic_force"], _pressure_force(states, bench)),
-        "position and load force": (states["piston_position"], states["load_force"]),
-        "velocity and position": (_smooth(states["piston_velocity"]), _smooth(speed)),
-    }
-    found = {name: float(np.corrcoef(*pair)[0, 1]) for name, pair in pairs.items()}
-    wrong = [f"{name} ({value:.2f})" for name, value in found.items() if not value > FOLLOWS]
-    if wrong:
-        raise GateError(f"these do not follow each other, a sign or two channels are exchanged: {', '.join(wrong)}")
+    found = checks.signs(_armed(at.recording("signs")), Bench.load(at.bench))
     return "correlations " + ", ".join(f"{name} {value:.2f}" for name, value in found.items())
 
 
@@ -173,8 +137,8 @@ def excitation(at: Site) -> str:
     for name, words in (("training", TRAINING), ("held_out", HELD_OUT)):
         for _ in range(ATTEMPTS):
             _moved(at, name, *words, amplitude=at.record.amplitude)
-            worst = _unusable(at.recording(name))
-            if worst <= LOST_MAX:
+            worst = checks.unusable(_armed(at.recording(name)))
+            if worst <= checks.LOST_MAX:
                 break
         else:
             raise GateError(
@@ -290,14 +254,6 @@ def _moved(at: Site, name: str, *words: str, amplitude: float) -> float:
     return max(float(run["rmse"]) for run in content["runs"])
 
 
-def _unusable(folder: Path) -> float:
-    """Return the share of a recording's armed samples that were lost, or for which commands were late."""
-    states = _armed(folder)
-    lost = np.diff(states["sequence"].astype(np.int64)) - 1
-    late = states["flags"] & (Flag.FILTER_STALE | Flag.WATCHDOG) != 0
-    return float((lost[lost < 1000].sum() + late.sum()) / len(states))
-
-
 def _states(folder: Path) -> StateArray:
     try:
         return read_bag(folder, ("/hydro/state",)).state
@@ -311,19 +267,6 @@ def _armed(folder: Path) -> StateArray:
     if len(armed) < 100:
         raise GateError(f"{folder} was not armed")
     return armed
-
-
-def _smooth(values: FloatArray, samples: int = 50) -> FloatArray:
-    return np.convolve(values, np.full(samples, 1.0 / samples), "valid")
-
-
-def _largest_force(bench: Bench) -> float:
-    return bench.piston_area * bench.supply_pressure
-
-
-def _pressure_force(states: StateArray, bench: Bench) -> FloatArray:
-    force: FloatArray = bench.piston_area * (states["pressure_a"] - bench.area_ratio * states["pressure_b"])
-    return force
 
 
 def _latency(status: dict[str, Any]) -> str:

@@ -15,21 +15,13 @@ from typing import IO, Any, cast
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.files import site
 from hydro_bridge.ros.companion import Companion
-from hydro_policy.nodes.commissioning.record import Record
+from hydro_policy.commissioning.record import GateError, Record
 from hydro_policy.nodes.graph.announcements import print_above_progress
 
 PATIENCE = 30.0
 """s, for an executable that is asked to end: it disarms and completes its recording."""
 PORT_WITHIN = 60.0
 """s, for the emulator's port."""
-
-
-class GateError(Exception):
-    """A gate failed; the message is the reason, one sentence."""
-
-
-class GateSkipped(Exception):  # noqa: N818 - no error
-    """A gate was not asked for; the message says how to ask for it."""
 
 
 @dataclass(frozen=True, kw_only=True)

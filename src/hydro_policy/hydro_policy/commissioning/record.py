@@ -23,6 +23,14 @@ RECORD, PAGE = "commission.json", "report.html"
 PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
 
 
+class GateError(Exception):
+    """A gate failed; the message is the reason, one sentence."""
+
+
+class GateSkipped(Exception):  # noqa: N818 - no error
+    """A gate was not asked for; the message says how to ask for it."""
+
+
 @dataclass(kw_only=True)
 class GateResult:
     """Result of one gate."""

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of the recordings of a commissioning. Each returns what it found, or raises GateError with the reason."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, StateArray
+from hydro_policy.commissioning.record import GateError
+from hydro_sim.model.bench import Bench
+
+LOST_MAX = 0.01
+"""Share of lost samples, and of those for which commands were late, in a recording."""
+FOLLOWS = 0.8
+"""Least correlation of two readings of the same motion."""
+_LONGEST_GAP = 1000
+"""Samples missing in a row beyond which the recording was interrupted on purpose."""
+
+
+def largest_force(bench: Bench) -> float:
+    """Return the force [N] of the piston at full supply."""
+    return bench.piston_area * bench.supply_pressure
+
+
+def line(states: StateArray, seconds: float) -> tuple[float, float]:
+    """Return rate [1/s] and share of lost samples of a recording of so many seconds at rest."""
+    steps = np.diff(states["sequence"].astype(np.int64))
+    lost = float(np.mean(steps - 1)) if len(steps) else 1.0
+    if lost > LOST_MAX or len(steps) < 0.3 * seconds / SAMPLE_PERIOD:
+        raise GateError(f"{len(states)} samples in {seconds:g} s, {100 * lost:.1f} % lost: see the line and its driver")
+    return float(len(steps) / np.ptp(states["time"])), lost
+
+
+def sensors(states: StateArray, bench: Bench) -> tuple[dict[str, float], float]:
+    """Return the noise of each reading at rest, by field in its unit, and the hydraulic force [N] off the pressures."""
+    most = largest_force(bench)
+    ranges = {
+        "pressure_a": (-0.02 * bench.supply_pressure, 1.05 * bench.supply_pressure),
+        "pressure_b": (-0.02 * bench.supply_pressure, 1.05 * bench.supply_pressure / bench.area_ratio),
+        "piston_position": (-0.02 * bench.stroke, 1.02 * bench.stroke),
+        "load_force": (-most, most),
+        "hydraulic_force": (-most, most),
+    }
+    noise = {}
+    for name, (low, high) in ranges.items():
+        values = states[name]
+        if not np.isfinite(values).all() or values.min() < low or values.max() > high:
+            raise GateError(f"{name} reads {np.nanmin(values):g} to {np.nanmax(values):g}, outside {low:g} to {high:g}")
+        noise[name] = float(np.std(np.diff(values)) / np.sqrt(2.0))
+        if name != "piston_position" and not np.ptp(values):
+            raise GateError(f"{name} is {values[0]:g} in every sample: this reading is stuck")
+    off = float(np.mean(states["hydraulic_force"] - _pressure_force(states, bench)))
+    if abs(off) > 0.1 * most:
+        raise GateError(f"the hydraulic force differs from the pressures by {off:.0f} N: units, zero or area are wrong")
+    return noise, off
+
+
+def signs(states: StateArray, bench: Bench) -> dict[str, float]:
+    """Return the correlations of readings that follow one another in a slow motion."""
+    speed = np.gradient(states["piston_position"], SAMPLE_PERIOD)
+    pairs: dict[str, tuple[FloatArray, FloatArray]] = {
+        "load force and its reference": (states["load_force"], states["reference_force"]),
+        "hydraulic force and pressures": (states["hydraulic_force"], _pressure_force(states, bench)),
+        "position and load force": (states["piston_position"], states["load_force"]),
+        "velocity and position": (_smooth(states["piston_velocity"]), _smooth(speed)),
+    }
+    found = {name: float(np.corrcoef(*pair)[0, 1]) for name, pair in pairs.items()}
+    wrong = [f"{name} ({value:.2f})" for name, value in found.items() if not value > FOLLOWS]
+    if wrong:
+        raise GateError(f"these do not follow each other, a sign or two channels are exchanged: {', '.join(wrong)}")
+    return found
+
+
+def unusable(armed: StateArray) -> float:
+    """Return the share of a recording's armed samples that were lost, or for which commands were late."""
+    lost = np.diff(armed["sequence"].astype(np.int64)) - 1
+    late = armed["flags"] & (Flag.FILTER_STALE | Flag.WATCHDOG) != 0
+    return float((lost[lost < _LONGEST_GAP].sum() + late.sum()) / len(armed))
+
+
+def _smooth(values: FloatArray, samples: int = 50) -> FloatArray:
+    return np.convolve(values, np.full(samples, 1.0 / samples), "valid")
+
+
+def _pressure_force(states: StateArray, bench: Bench) -> FloatArray:
+    force: FloatArray = bench.piston_area * (states["pressure_a"] - bench.area_ratio * states["pressure_b"])
+    return force

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the gates of a commissioning read off recordings: a right bench passes, each mistake has its sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from hydro_bridge.signals import Flag, ReferenceSignal, StateArray, Waveform
+from hydro_policy.commissioning import checks
+from hydro_policy.commissioning.record import GateError
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
+
+BENCH = Bench.nominal()
+
+
+def recorded(amplitude: float) -> StateArray:
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=0.5)
+    return simulate(AnalyticPlant(BENCH), BENCH, Schedule(reference=signal, gains=(75.0, 10.0), seconds=6.0), seed=1)
+
+
+REST, MOTION = recorded(0.0), recorded(60.0)
+
+
+def swapped(states: StateArray) -> None:
+    states["pressure_a"], states["pressure_b"] = states["pressure_b"].copy(), states["pressure_a"].copy()
+
+
+def stuck(states: StateArray) -> None:
+    states["load_force"] = states["load_force"][0]
+
+
+def in_bar(states: StateArray) -> None:
+    states["pressure_a"] *= 1e-5
+
+
+def reversed_force(states: StateArray) -> None:
+    states["load_force"] *= -1.0
+
+
+def reversed_velocity(states: StateArray) -> None:
+    states["piston_velocity"] *= -1.0
+
+
+def test_a_right_bench_passes() -> None:
+    noise, off = checks.sensors(REST, BENCH)
+    assert noise["load_force"] == pytest.approx(0.6, rel=0.1) and abs(off) < 1.0
+    assert min(checks.signs(MOTION[1000:], BENCH).values()) > checks.FOLLOWS
+
+
+@pytest.mark.parametrize(
+    "mistake, sentence",
+    [(swapped, "differs from the pressures"), (stuck, "is stuck"), (in_bar, "differs from the pressures")],
+)
+def test_a_reading_at_rest_that_cannot_be_is_told(mistake: Callable[[StateArray], None], sentence: str) -> None:
+    states = REST.copy()
+    mistake(states)
+    with pytest.raises(GateError, match=sentence):
+        checks.sensors(states, BENCH)
+
+
+@pytest.mark.parametrize(
+    "mistake, sentence",
+    [(reversed_force, "load force and its reference"), (reversed_velocity, "velocity and position")],
+)
+def test_a_sign_is_told(mistake: Callable[[StateArray], None], sentence: str) -> None:
+    states = MOTION[1000:].copy()
+    mistake(states)
+    with pytest.raises(GateError, match=sentence):
+        checks.signs(states, BENCH)
+
+
+def test_lost_samples_and_late_commands_count() -> None:
+    states = MOTION[:1000].copy()
+    states["flags"] = Flag.ARMED
+    assert checks.unusable(states) == 0.0
+    states["flags"][:20] = Flag.ARMED | Flag.FILTER_STALE
+    assert checks.unusable(states) == pytest.approx(0.02)
+    kept = states[states["sequence"] % 50 != 3]
+    assert checks.unusable(kept) == pytest.approx(0.04, abs=5e-3)
+    with pytest.raises(GateError, match="lost"):
+        checks.line(kept, 1.0)
