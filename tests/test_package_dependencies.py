@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A package's package.xml declares what its modules import, no more and no less (for rosdep and a real workspace)."""
+"""A package declares what its modules import: in package.xml for rosdep, in setup.py for pip. Its wheel runs alone."""
 
 from __future__ import annotations
 
 import ast
+import os
+import shutil
+import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -43,6 +46,26 @@ KEYS = {
 WITHOUT_KEY = {"asammdf", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "safetensors", "threadpoolctl"}
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 
+DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}
+"""pip's names where they are not the module's."""
+
+NOT_ASKED_FOR = {"asammdf", "cycler", "llvmlite"}
+"""Only for MDF files; come with matplotlib and numba."""
+
+BEHIND_PANDAS = {"hydro_diagnosis": {"pyarrow"}}
+"""What pandas imports to read Parquet."""
+
+WITHOUT_ROS = """
+import runpy, sys
+sys.modules.update(dict.fromkeys(("rclpy", "hydro_msgs", "torch", "ament_index_python"), None))
+sys.argv = sys.argv[1:]
+if sys.argv[0].endswith(".py"):
+    runpy.run_path(sys.argv[0], run_name="__main__")
+else:
+    from hydro_bridge.process.start import main_of
+    sys.exit(main_of.hydro_bridge.nodes.bridge())
+"""
+
 
 def modules_imported(files: Iterable[Path]) -> set[str]:
     """Return the top-level modules that files import, anywhere in them."""
@@ -78,3 +101,39 @@ def test_what_runs_is_declared(folder: Path) -> None:
 def test_what_only_tests_import_is_declared(folder: Path) -> None:
     needed = keys_of(folder, (folder / "test").rglob("*.py"))
     assert declared(folder, "test_depend") == needed - declared(folder, "depend", "exec_depend")
+
+
+@pytest.mark.parametrize("folder", PACKAGES, ids=lambda folder: folder.name)
+def test_what_pip_has_to_install_is_declared(folder: Path) -> None:
+    """ROS comes from elsewhere: a command that needs it says so."""
+    foreign = modules_imported((folder / folder.name).rglob("*.py")) - NOT_ASKED_FOR
+    needed = {DISTRIBUTIONS.get(name, name) for name in foreign if name in {*KEYS, *WITHOUT_KEY}}
+    called = ast.walk(ast.parse((folder / "setup.py").read_text(encoding="utf-8")))
+    (value,) = (node.value for node in called if isinstance(node, ast.keyword) and node.arg == "install_requires")
+    listed = {name for name in ast.literal_eval(value) if not name.startswith("hydro_")}
+    assert listed == needed | BEHIND_PANDAS.get(folder.name, set())
+
+
+@pytest.mark.slow
+def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path) -> None:
+    sources = [
+        shutil.copytree(
+            ROOT / "src" / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
+        )
+        for name in ("hydro_bridge", "hydro_sim", "hydro_diagnosis")
+    ]
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*pip, "--target", str(tmp_path / "site"), *map(str, sources)], check=True)
+    own = ("AMENT", "COLCON", "ROS", "PYTHON", "HYDRO", "RMW")
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(own)}
+    clean["PYTHONPATH"] = str(tmp_path / "site")
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", WITHOUT_ROS, *words]
+        return subprocess.run(command, env=clean, cwd=tmp_path, capture_output=True, text=True, timeout=280)
+
+    example = run(str(ROOT / "docs/examples/diagnose_a_recording.py"), str(tmp_path))
+    assert "verdict: explained" in example.stdout, example.stderr
+    refused = run("bridge")
+    assert refused.returncode == 2
+    assert "ROS 2" in refused.stderr and "Traceback" not in refused.stderr

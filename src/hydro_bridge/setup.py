@@ -32,6 +32,18 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="The outside world as topics: serial link to the MicroLabBox, recorder, replayer, bag reader.",
     license="Apache-2.0",
+    install_requires=[
+        "cobs",
+        "jinja2",
+        "mcap",
+        "msgspec",
+        "numpy",
+        "pyserial",
+        "pyyaml",
+        "rosbags",
+        "tqdm",
+        "websockets",
+    ],
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [

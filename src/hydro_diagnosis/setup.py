@@ -17,6 +17,20 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="Locate, name, size and model the physics that the simulation leaves out.",
     license="Apache-2.0",
+    install_requires=[
+        "hydro_sim",
+        "h5py",
+        "jinja2",
+        "joblib",
+        "npTDMS",
+        "numpy",
+        "pandas",
+        "pyarrow",
+        "pyyaml",
+        "scipy",
+        "threadpoolctl",
+        "tqdm",
+    ],
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [

@@ -281,7 +281,7 @@ def test_a_full_disk_ends_the_recording_as_a_failure_and_leaves_what_was_written
     probe.wait(lambda: not recorder.running)
     assert recorder.process.wait() == 1, "not 2: that is for a command line that cannot be used"
     recorder.stop()
-    assert "the recording ends here: File too large" in output.getvalue() and "Traceback" not in output.getvalue()
+    assert "recording stopped: File too large" in output.getvalue() and "Traceback" not in output.getvalue()
     recording = read_bag(tmp_path / "run")
     assert len(recording.state) > 100 and "was not finished" in recording.notes[0]
 

@@ -98,6 +98,21 @@ def test_the_map_that_inspect_proposes_reads_an_export_as_the_bench_was(
         np.testing.assert_allclose(found.columns[field], states[field], rtol=1e-9, atol=1e-12, err_msg=field)
 
 
+def test_milliseconds_without_a_unit_and_sensors_in_every_fifth_row_only(tmp_path: Path, nominal: StateArray) -> None:
+    states = nominal[:4000]
+    units = ["ms", "mm", "bar", "bar", "kN", "mA"]
+    values = np.column_stack(columns(states, units, FIELDS[:-1]))
+    values[np.arange(len(values)) % 5 != 0, 2:5] = np.nan
+    cells = [",".join("" if np.isnan(one) else repr(float(one)) for one in row) for row in values]
+    path = tmp_path / "two_rates.csv"
+    path.write_text("\n".join(["t,x,pa,pb,f_load,i", *cells]))
+    found = read_table(path, proposed(columns_of(path), Bench.nominal()))
+    np.testing.assert_allclose(np.diff(found.time), 5e-3, atol=1e-9)
+    assert set(found.columns) == set(FIELDS[:-1])
+    for field in FIELDS[:-2]:
+        np.testing.assert_allclose(found.columns[field], states[field][::5], rtol=1e-9, err_msg=field)
+
+
 def test_a_page_that_was_saved_as_a_table_is_one_sentence(tmp_path: Path) -> None:
     path = tmp_path / "download.csv"
     path.write_text("<!DOCTYPE html>\n<html><body>, 404, 1, 2</body></html>\n" + "<p>1,2,3</p>\n" * 40)

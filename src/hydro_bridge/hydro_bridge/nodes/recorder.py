@@ -85,8 +85,8 @@ class RecorderNode(Node):
         except OSError as error:
             self.failed = True
             self.get_logger().error(
-                f"{self._run.writer.folder}: the recording ends here: {error.strerror}; what it holds can be read, the "
-                "bench goes on unrecorded: make room, and start another recorder"
+                f"{self._run.writer.folder}: recording stopped: {error.strerror}. What was recorded until now is "
+                "readable; the bench runs on without a recorder. Free some disk space and start another one"
             )
             self.done.set_result(None)
 

@@ -18,6 +18,7 @@ from hydro_bridge.process import endings
 
 RMW = "RMW_IMPLEMENTATION"
 _INDEX = "share/ament_index/resource_index/rmw_typesupport"
+_ROS = ("rclpy", "hydro_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces", "rosgraph_msgs", "ament_index_python")
 _CHOOSER = "rmw_implementation"  # listed in the index as well, but not a middleware
 
 
@@ -53,11 +54,23 @@ class MainOf:
         except UserError as error:  # a file of the user's that is read with the module, such as a grown effect
             endings.complain(str(error))
             return 2
+        except ModuleNotFoundError as error:
+            return _without_ros(error)
         try:
             status: int | None = main()
+        except ModuleNotFoundError as error:
+            return _without_ros(error)
         finally:
             endings.answer(signal.SIG_DFL)  # clean-up is complete, and Python's shutdown is not to be interrupted
         return status
+
+
+def _without_ros(error: ModuleNotFoundError) -> int:
+    """Say that a node was started where no ROS 2 is; another missing module is a fault and is raised."""
+    if (error.name or "").partition(".")[0] not in _ROS:
+        raise error
+    endings.complain(f"this command is a ROS 2 node, and there is no {error.name} here: source a workspace")
+    return 2
 
 
 class RenamedTo:

@@ -49,8 +49,8 @@ class KnownBox:
 
 def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
     """Requirement that the plant's node has described its box, once and latched, before the first sample."""
-    hint = "its node says it on /hydro/box"
-    return Requirement(name="what the box says of itself", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
+    hint = "its node publishes it on /hydro/box"
+    return Requirement(name="the box's description", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
 
 def known_box(

@@ -303,8 +303,9 @@ def _take(
         if k in times:
             series[column], clock, steps = columns[k][there], column, columns[k]
         elif clock and _thinned(columns[k], steps):
-            own = unique(f"{clock} of {column}", series)
             sampled = np.isfinite(columns[k]) & np.isfinite(steps)
+            own = next((one for one in clocks.values() if np.array_equal(series[one], steps[sampled])), "")
+            own = own or unique(f"{clock} of {column}", series)
             series[own], series[column], clocks[column] = steps[sampled], columns[k][sampled], own
         elif clock and len(series[clock]) < len(columns[k]):
             series[column], clocks[column] = columns[k][_filled(steps)], clock

@@ -52,11 +52,15 @@ _WORDS: Mapping[str, str] = {
 """Names of columns, or words in them, that stand for a field."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
 """Units that are tried where none is stated."""
+_APART = 0.1
+"""s, between rows at most where a time states no unit: a force loop that is logged at all is logged at 10 Hz."""
 _NEVER = re.compile(r"temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
 
 
 def proposed(found: Columns, bench: Bench) -> ColumnMap:
-    """Propose a source for each field; unknown fields are left out, as is the time where clocks are stated."""
+    """Propose a source for each field; unknown fields are left out, as is the time where clocks state their units."""
+    from hydro_diagnosis.io.table import base_of
+
     sources: dict[str, Source] = {}
     if not found.clocks:
         times = [name for name, values in found.series.items() if runs_forward(values)]
@@ -78,6 +82,11 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
             taken.add(name)
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
     _add_by_physics(sources, found, bench)
+    if found.clocks and sources:
+        clock = base_of(sources, found)
+        unit = "" if clock in found.units else _time_unit(clock, found)
+        if unit:
+            sources["time"] = Source(clock, unit=unit)
     return ColumnMap({field: sources[field] for field in TARGETS if field in sources})
 
 
@@ -194,10 +203,12 @@ def _even(values: FloatArray) -> bool:
 
 
 def _time_unit(name: str, found: Columns) -> str:
+    """The unit that is stated, or the one in which the rows follow each other within `_APART`; empty for seconds."""
     unit = found.units.get(name) or in_name(name)
     if unit:
         return unit if QUANTITY[unit] == "time" and UNITS[unit] != 1.0 else ""
-    return ""
+    step = float(np.median(np.diff(found.series[name])))
+    return next((unit for unit in ("", "ms", "us") if step * UNITS.get(unit, 1.0) <= _APART), "ns")
 
 
 COSTS = {
@@ -300,7 +311,7 @@ def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
         return float("nan")
     steps = np.diff(found.series[clock])
     steps = steps[steps > 0.0]
-    unit = found.units.get(clock) or (mapped.unit if mapped and mapped.column == clock else "")
+    unit = found.units.get(clock) or (mapped.unit if mapped else "")
     return float(1.0 / (np.median(steps) * UNITS.get(unit, 1.0))) if len(steps) else float("nan")
 
 

@@ -44,7 +44,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     """
     notes = list(found.notes)
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
-    base = _base(sources, found)
+    base = base_of(sources, found)
     times = _Times(found, sources.get("time"))
     time = times.of(base)
     fields, spans = {}, []
@@ -82,7 +82,7 @@ def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> So
     return replace(source, unit=unit)
 
 
-def _base(sources: Mapping[str, Source], found: Columns) -> str:
+def base_of(sources: Mapping[str, Source], found: Columns) -> str:
     """The column of times to which all are resampled: the mapped one, else that of most sensors, or the longest."""
     if "time" in sources:
         return sources["time"].column

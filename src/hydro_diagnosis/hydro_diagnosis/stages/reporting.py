@@ -325,7 +325,9 @@ def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect],
     hidden = [f"{name}{words}" for name, (_, words) in limits.items() if words]
     if not hidden:
         return None
-    return "between the recorded rows there is room for causes that are therefore not told: " + ", ".join(hidden)
+    return "the recording has too few rows a second to show these causes, so they are not reported: " + ", ".join(
+        hidden
+    )
 
 
 def _least(

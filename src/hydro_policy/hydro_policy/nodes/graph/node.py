@@ -251,7 +251,7 @@ class GraphNode(Node):
         self._refuse()
         self._session, self._each_tick, self._done = session, each_tick, Future()
         scheduling = request_realtime(realtime=self._realtime, priority=PRIORITY, inherited=False)
-        self.say(f"gains leave by {scheduling}")
+        self.say(f"gains are sent under {scheduling}")
         try:
             broken = spin(self, self._done)
             self._refuse()
