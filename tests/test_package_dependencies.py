@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A package declares what its modules import: in package.xml for rosdep, in setup.py for pip. Its wheel runs alone."""
+"""A package declares what its modules import: in package.xml for rosdep, in setup.py for pip."""
 
 from __future__ import annotations
 
 import ast
-import os
-import shutil
-import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -55,17 +52,6 @@ NOT_ASKED_FOR = {"asammdf", "cycler", "llvmlite"}
 BEHIND_PANDAS = {"hydro_diagnosis": {"pyarrow"}}
 """What pandas imports to read Parquet."""
 
-WITHOUT_ROS = """
-import runpy, sys
-sys.modules.update(dict.fromkeys(("rclpy", "hydro_msgs", "torch", "ament_index_python"), None))
-sys.argv = sys.argv[1:]
-if sys.argv[0].endswith(".py"):
-    runpy.run_path(sys.argv[0], run_name="__main__")
-else:
-    from hydro_bridge.process.start import main_of
-    sys.exit(main_of.hydro_bridge.nodes.bridge())
-"""
-
 
 def modules_imported(files: Iterable[Path]) -> set[str]:
     """Return the top-level modules that files import, anywhere in them."""
@@ -112,28 +98,3 @@ def test_what_pip_has_to_install_is_declared(folder: Path) -> None:
     (value,) = (node.value for node in called if isinstance(node, ast.keyword) and node.arg == "install_requires")
     listed = {name for name in ast.literal_eval(value) if not name.startswith("hydro_")}
     assert listed == needed | BEHIND_PANDAS.get(folder.name, set())
-
-
-@pytest.mark.slow
-def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path) -> None:
-    sources = [
-        shutil.copytree(
-            ROOT / "src" / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
-        )
-        for name in ("hydro_bridge", "hydro_sim", "hydro_diagnosis")
-    ]
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*pip, "--target", str(tmp_path / "site"), *map(str, sources)], check=True)
-    own = ("AMENT", "COLCON", "ROS", "PYTHON", "HYDRO", "RMW")
-    clean = {name: value for name, value in os.environ.items() if not name.startswith(own)}
-    clean["PYTHONPATH"] = str(tmp_path / "site")
-
-    def run(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", WITHOUT_ROS, *words]
-        return subprocess.run(command, env=clean, cwd=tmp_path, capture_output=True, text=True, timeout=280)
-
-    example = run(str(ROOT / "docs/examples/diagnose_a_recording.py"), str(tmp_path))
-    assert "verdict: explained" in example.stdout, example.stderr
-    refused = run("bridge")
-    assert refused.returncode == 2
-    assert "ROS 2" in refused.stderr and "Traceback" not in refused.stderr

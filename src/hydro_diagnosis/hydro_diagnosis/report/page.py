@@ -34,8 +34,13 @@ _MINUS = "\N{MINUS SIGN}"
 
 def write_page(found: Diagnosis, path: Path) -> None:
     """Write report.html."""
+    write_whole(path, rendered(found).encode())
+
+
+def rendered(found: Diagnosis) -> str:
+    """Return the page."""
     report, comparison = found.report, compare(found)
-    page = _environment().get_template("report.html").render(
+    return _environment().get_template("report.html").render(
         title="Diagnosis",
         report=report,
         fitted=_names(found.problem.models),
@@ -50,7 +55,6 @@ def write_page(found: Diagnosis, path: Path) -> None:
         residual_plot=plots.residual_plot(found),
         evidence_plot=plots.evidence_plot(found) if found.outcome.steps else "",
     )  # fmt: skip
-    write_whole(path, page.encode())
 
 
 def _environment() -> Environment:

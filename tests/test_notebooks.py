@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The notebooks in docs/examples run and show what they say; that of the diagnosis from its wheels alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+RECORDINGS_ONLY = ("hydro_bridge", "hydro_sim", "hydro_diagnosis")
+WITHOUT_ROS = """
+import sys
+sys.modules.update(dict.fromkeys(("rclpy", "hydro_msgs", "torch", "ament_index_python"), None))
+"""
+START_A_NODE = """
+from hydro_bridge.process.start import main_of
+sys.exit(main_of.hydro_bridge.nodes.bridge())
+"""
+
+
+def code_of(name: str) -> str:
+    """The code of a notebook's cells, one after the other."""
+    notebook = json.loads((ROOT / "docs" / "examples" / f"{name}.ipynb").read_text(encoding="utf-8"))
+    return "\n".join("".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code")
+
+
+def ran(code: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names: dict[str, Any] = {"__name__": "notebook"}
+    exec(code, names)
+    return names
+
+
+@pytest.mark.slow
+def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path) -> None:
+    ignored = shutil.ignore_patterns("__pycache__", "*.egg-info", "build")
+    sources = [shutil.copytree(ROOT / "src" / name, tmp_path / name, ignore=ignored) for name in RECORDINGS_ONLY]
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*pip, "--target", str(tmp_path / "site"), *map(str, sources)], check=True)
+    own = ("AMENT", "COLCON", "ROS", "PYTHON", "HYDRO", "RMW")
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(own)}
+    clean |= {"PYTHONPATH": str(tmp_path / "site"), "TMPDIR": str(tmp_path)}
+
+    def run(code: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", WITHOUT_ROS + code]
+        return subprocess.run(command, env=clean, cwd=tmp_path, capture_output=True, text=True, timeout=280)
+
+    shown = "print(found.table.value.to_json()); print(again.report.verdict, found._repr_html_().startswith('<iframe'))"
+    notebook = run(f"{code_of('diagnose')}\n{shown}")
+    assert not notebook.returncode, notebook.stderr
+    values, last = notebook.stdout.splitlines()[-2:]
+    assert last == "no_mismatch True"
+    leak, friction = json.loads(values).values()
+    assert leak == pytest.approx(2e-13, rel=0.01) and friction == pytest.approx(8.0, rel=0.01)
+    refused = run(START_A_NODE)
+    assert refused.returncode == 2
+    assert "ROS 2" in refused.stderr and "Traceback" not in refused.stderr
+
+
+@pytest.mark.slow
+def test_simulated_filter_holds_the_loop_and_the_compensated_law_is_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ran(code_of("simulate"), monkeypatch)
+    assert len(names["states"]["without filter"]) < len(names["states"]["with filter"]) == 3000
+    errors = names["errors"]
+    assert (errors["compensated"] < 0.5 * errors["fixed (90, 15)"]).all()
+
+
+@pytest.mark.slow
+def test_policy_trains_in_a_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = code_of("train")
+    assert "EPISODES = 24" in code
+    names = ran(code.replace("EPISODES = 24", "EPISODES = 8"), monkeypatch)
+    assert np.isfinite(names["history"].score).all() and names["history"].updates.iloc[-1] > 0
