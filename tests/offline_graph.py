@@ -27,6 +27,7 @@ from hydro_filter.validation.trial import Corrector
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, SaveRequest
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.algorithm import Losses
 from hydro_policy.sac.snapshot import dump
 from hydro_policy.supervision.interfaces import Outputs, Session
 from hydro_sim.box.box import Box, BoxConfig, law_state
@@ -61,6 +62,11 @@ class InlineLearner:
     def entropy_coefficient(self) -> float:
         """alpha."""
         return self._learner.sac.entropy_coefficient
+
+    @property
+    def losses(self) -> Losses:
+        """Of the last updates."""
+        return self._learner.sac.losses
 
     def new_weights(self) -> FloatArray | None:
         """See `LearnerSupervisor.new_weights`."""

@@ -40,7 +40,17 @@ KEYS = {
 }
 """rosdep's keys of modules that are no ROS packages."""
 
-WITHOUT_KEY = {"asammdf", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "safetensors", "threadpoolctl"}
+WITHOUT_KEY = {
+    "asammdf",
+    "llvmlite",
+    "mcap",
+    "msgspec",
+    "nptdms",
+    "osqp",
+    "safetensors",
+    "tensorboardX",
+    "threadpoolctl",
+}
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 
 DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}

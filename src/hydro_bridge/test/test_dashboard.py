@@ -172,8 +172,10 @@ def test_the_learning_curve_has_each_finished_episode_once_and_the_last_one_too(
         (evaluating, 0, np.nan), (training, 1, np.nan), (training, 1, np.nan), (training, 2, 9.0), (paused, 2, 9.0),
         (training, 2, 9.0), (evaluating, 2, 7.0), (training, 3, 7.0), (evaluating, 3, 5.0), (finished, 3, 5.0),
     ):  # fmt: skip
-        curve.add(phase, episode, rmse, -rmse)
-    assert curve.content() == {"episode": [1, 2, 3], "rmse": [9.0, 7.0, 5.0], "return": [-9.0, -7.0, -5.0]}
+        curve.add(phase, episode, rmse, -rmse, 0.1 * rmse, -0.1 * rmse)
+    content = curve.content()
+    assert content["episode"] == [1, 2, 3] and content["rmse"] == [9.0, 7.0, 5.0]
+    assert content["return"] == [-9.0, -7.0, -5.0] and content["critic_loss"] == pytest.approx([0.9, 0.7, 0.5])
     curve.add(training, 2, 4.0, -4.0)  # another run
     assert curve.content()["episode"] == [1]
 

@@ -10,7 +10,7 @@ import pytest
 
 from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better
 from hydro_policy.runs.run import RunRecord, TrainingSettings
-from hydro_policy.sac.algorithm import Sac
+from hydro_policy.sac.algorithm import Losses, Sac
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.sessions.run_state import Progress, RunState
 from hydro_policy.task.cases import Score
@@ -32,7 +32,7 @@ def scores(runs: np.ndarray, controller: str = EXAMINED) -> list[Score]:
 class Learner:
     """Gives one state after another."""
 
-    entropy_coefficient, updates = 0.0, 0
+    entropy_coefficient, updates, losses = 0.0, 0, Losses()
 
     def __init__(self) -> None:
         self.states: list[bytes] = []

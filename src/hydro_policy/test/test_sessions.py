@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import math
+import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
+from tensorboardX.proto.event_pb2 import Event
 
 from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
@@ -63,6 +66,31 @@ def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> N
         assert signal.waveform is Waveform.SINE
         assert 200 <= signal.amplitude <= 300 and 0.5 <= signal.frequency <= 2.0
     assert learner.updates > 150
+
+
+def scalars(path: Path) -> dict[str, list[float]]:
+    """Values by tag of an event file: records of a length, its checksum, a message and the message's checksum."""
+    data, at, found = path.read_bytes(), 0, dict[str, list[float]]()
+    while at < len(data):
+        (length,) = struct.unpack_from("<Q", data, at)
+        event = Event.FromString(data[at + 12 : at + 12 + length])
+        for value in event.summary.value:
+            found.setdefault(value.tag, []).append(value.simple_value)
+        at += length + 16
+    return found
+
+
+def test_curves_and_losses_of_a_run_are_in_its_event_files(tmp_path: Path) -> None:
+    settings = short()
+    graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH), InlineLearner(settings)
+    session = TrainingSession(settings, learner, graph, record=RunRecord(tmp_path / "run.json"))
+    graph.run(session, 10.0, learner)
+    session.run.record.flush()
+    (path,) = (tmp_path / "tensorboard").iterdir()
+    found = scalars(path)
+    assert len(found["episode/return"]) == 2
+    assert all(math.isfinite(loss) for loss in found["episode/critics_loss"][1:])
+    assert found["episode/force_rmse"] == pytest.approx([one["force_rmse"] for one in session.progress.history])
 
 
 def test_reward_is_the_paper_s_with_the_page_s_units() -> None:

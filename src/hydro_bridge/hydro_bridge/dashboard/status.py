@@ -39,36 +39,41 @@ def flag_labels(flags: int) -> list[str]:
 class Curve:
     """Learning curve: results of the finished episodes."""
 
+    KEYS = ("episode", "rmse", "return", "critic_loss", "actor_loss")
+
     def __init__(self) -> None:
-        self.episodes: list[int] = []
-        self.rmse: list[float] = []  # N
-        self.returns: list[float] = []
+        self._rows: list[tuple[float, ...]] = []
         self._last = 0
         self._result = (nan, nan)
 
-    def add(self, phase: int, episode: int, rmse: float, episode_return: float) -> None:
+    def add(
+        self,
+        phase: int,
+        episode: int,
+        rmse: float,
+        episode_return: float,
+        critic_loss: float = nan,
+        actor_loss: float = nan,
+    ) -> None:
         """Add a TrainingStatus; `episode` is the present one, in other phases than training the last one.
 
-        The other values are of the last finished episode: another result is another episode's. An episode number that
-        falls back starts another run.
+        RMSE [N] and return are of the last finished episode: another result is another episode's. An episode number
+        that falls back starts another run. The losses are the present ones.
         """
         if episode < self._last:
-            for series in (self.episodes, self.rmse, self.returns):
-                series.clear()
+            self._rows.clear()
         result, self._last = (rmse, episode_return), episode
         if result == self._result or not isfinite(episode_return):
             return
         self._result = result
         under_way = PHASES[phase : phase + 1] == ("training",)
-        self.episodes.append(episode - 1 if under_way else episode)
-        self.rmse.append(rmse)
-        self.returns.append(episode_return)
-        if len(self.episodes) > CURVE:
-            del self.episodes[::2], self.rmse[::2], self.returns[::2]
+        self._rows.append((episode - 1 if under_way else episode, rmse, episode_return, critic_loss, actor_loss))
+        if len(self._rows) > CURVE:
+            del self._rows[::2]
 
     def content(self) -> dict[str, Any]:
-        """For the page."""
-        return {"episode": self.episodes, "rmse": self.rmse, "return": self.returns}
+        """For the page: a list per key of `KEYS`."""
+        return {key: [row[column] for row in self._rows] for column, key in enumerate(self.KEYS)}
 
 
 class Nodes:

@@ -269,7 +269,8 @@ class Feed:
 
     def _on_training(self, message: TrainingStatus) -> None:
         phase = status.PHASES[message.phase] if message.phase < len(status.PHASES) else str(message.phase)
-        self._curve.add(message.phase, message.episode, message.force_rmse, message.episode_return)
+        finished = (message.force_rmse, message.episode_return, message.critic_loss, message.actor_loss)
+        self._curve.add(message.phase, message.episode, *finished)
         self._training = {
             "phase": phase,
             "episode": message.episode,

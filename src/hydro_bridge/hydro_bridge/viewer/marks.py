@@ -123,7 +123,7 @@ class Marks:
     def authority(self, time: float, holder: str) -> None:
         """Add the holder of the authority from `time` on; empty: none."""
         if holder != self._holder:
-            self._add(time, "authority", f"commanded by {holder or 'nobody'}")
+            self._add(time, "authority", f"commanded by {holder}" if holder else "no node commands the plant")
         self._holder = holder
 
     def training(self, message: Mapping[str, Any]) -> None:

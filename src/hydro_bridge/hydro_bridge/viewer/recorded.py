@@ -152,7 +152,9 @@ class _Reading:
         for row in self.within(table):
             self.marks.training({name: row[name] for name in row.dtype.names})
             phase, episode = int(row["phase"]), int(row["episode"])
-            self.curve.add(phase, episode, float(row["force_rmse"]), float(row["episode_return"]))
+            names = ("force_rmse", "episode_return", "critic_loss", "actor_loss")  # old recordings have no losses
+            told = [float(row[name]) for name in names if name in row.dtype.names]
+            self.curve.add(phase, episode, *told)
 
     def take_object(self, topic: str, time: float, message: Any) -> None:
         """Add a message about the authority, of the diagnostics or of the log."""

@@ -36,7 +36,7 @@ from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.pretraining.configurations import configuration, configuration_of
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
-from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
+from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.task.cases import Case
@@ -300,7 +300,7 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
     bar.update(pretraining.episode * settings.task.steps_per_episode)
-    stop, due = _StopRequest(), 0.0
+    stop, due, scalars = _StopRequest(), 0.0, Scalars(run.path)
 
     def each_step(transitions: Transitions) -> None:
         stop.check()
@@ -308,6 +308,7 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
 
     while not pretraining.finished:
         entry = pretraining.round(each_step)
+        scalars.add("pretraining", entry)
         if pretraining.finished or time.monotonic() > due:
             _save(run, pretraining, source)
             due = time.monotonic() + SAVE_PERIOD

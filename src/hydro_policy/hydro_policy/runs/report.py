@@ -14,6 +14,7 @@ from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 Events = Sequence[Mapping[str, Any]]
 
+_LOSSES = ("critics_loss", "actor_loss")
 _TOLD = ("start", "uncovered", "stop", "override", "end")
 
 
@@ -31,7 +32,8 @@ def draw_curve(events: Events, path: Path) -> None:
     episodes, exams = _of(events, "episode"), _of(events, "exam")
     if not episodes and not exams:
         return
-    panels = 3 if exams else 2
+    learnt = [event for event in episodes if event.get(_LOSSES[0]) is not None]
+    panels = 2 + bool(exams) + len(_LOSSES) * bool(learnt)
     with figure(path, panels, size=(8.0, 2.0 * panels), sharex=True) as (drawing, axes):
         numbers = [event["episode"] for event in episodes]
         axes[0].plot(numbers, [event["return"] for event in episodes], color=BLUE, marker=".", label="return")
@@ -41,6 +43,10 @@ def draw_curve(events: Events, path: Path) -> None:
         axes[1].set(ylabel="force RMSE [N]")
         if exams:
             _draw_exams(axes[2], exams)
+        for axis, name, color in zip(axes[-len(_LOSSES) :], _LOSSES, (BLUE, ORANGE), strict=True) if learnt else ():
+            losses = [event[name] for event in learnt]
+            axis.plot([event["episode"] for event in learnt], losses, color=color, marker=".", label="last updates")
+            axis.set(ylabel=name.replace("_", " "))
         for panel in axes:
             for n, stop in enumerate(_stops(events)):
                 panel.axvline(stop, color=RED, linewidth=0.8, label=None if n else "rolled back")

@@ -156,6 +156,39 @@ def new_run(parent: Path, name: str | None) -> RunDirectory:
     return RunDirectory(parent / (name or datetime.now().strftime("%Y%m%d-%H%M%S")))
 
 
+class Scalars:
+    """Numbers of a run as TensorBoard event files; `tensorboard --logdir runs` shows runs beside each other.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run; the files are in its `tensorboard`. A resumed run adds another file.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / "tensorboard"
+        self._writer: Any = None
+
+    def add(self, kind: str, numbers: Mapping[str, Any]) -> None:
+        """Add `kind/name` at `episode` for each number, `kind/name_0` and so on for each of a list."""
+        if self._writer is None:
+            from tensorboardX import SummaryWriter  # takes a second
+
+            self._writer = SummaryWriter(str(self._folder), flush_secs=10)
+        entries = dict(numbers)
+        step = entries.pop("episode")
+        for name, value in entries.items():
+            for tag, one in _numbered(name, value):
+                self._writer.add_scalar(f"{kind}/{tag}", one, step)
+        self._writer.flush()
+
+
+def _numbered(name: str, value: Any) -> list[tuple[str, float]]:
+    if isinstance(value, (list, tuple)):
+        return [(f"{name}_{n}", one) for n, one in enumerate(value)]
+    return [(name, float(value))] if isinstance(value, (int, float)) else []
+
+
 class RunRecord:
     """Appends events; saves them to `path` if given.
 
@@ -167,6 +200,7 @@ class RunRecord:
 
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
+        self._scalars = None if path is None else Scalars(path.parent)
         self._writer = ThreadPoolExecutor(max_workers=1)  # a busy disk must not delay gains
         self._written: Future[None] = Future()
         self._written.set_result(None)
@@ -186,6 +220,8 @@ class RunRecord:
         if self._path is not None:
             if self._written.done():
                 self._written.result()  # raises a write error
+            if self._scalars is not None and "episode" in numbers:
+                self._writer.submit(self._scalars.add, kind, numbers)
             self._written = self._writer.submit(_write, self._path, tuple(self.events))
 
     def of(self, kind: str) -> list[dict[str, Any]]:

@@ -102,7 +102,8 @@ class RunState:
         progress.episode += 1
         progress.last_return, progress.last_rmse = done.episode_return, done.force_rmse
         learnt = {"entropy_coefficient": self.learner.entropy_coefficient, "updates": self.learner.updates}
-        progress.history.append({**done.summary(), **learnt})
+        losses = {f"{name}_loss": loss for name, loss in self.learner.losses._asdict().items()}
+        progress.history.append({**done.summary(), **learnt, **losses})
         self.record.add("episode", "", **progress.history[-1])
         best = False
         if not self.settings.exam.every:  # all that is known is that it completed the episode

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from hydro_bridge.signals import FloatArray, LawCommand, ReferenceSignal
 
 if TYPE_CHECKING:
+    from hydro_policy.sac.algorithm import Losses
     from hydro_policy.sac.replay import ReplayBuffer
     from hydro_policy.supervision.override import GainOverride
     from hydro_policy.supervision.plant_supervisor import PlantSupervisor
@@ -63,6 +64,10 @@ class ActingLearner(Protocol):
     @property
     def entropy_coefficient(self) -> float:
         """Entropy coefficient alpha."""
+
+    @property
+    def losses(self) -> Losses:
+        """Losses of the last updates; NaN before the first."""
 
     def snapshot(self) -> bytes | None:
         """Return the learner's whole state, at most half a second old."""

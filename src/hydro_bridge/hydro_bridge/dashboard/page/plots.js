@@ -178,22 +178,35 @@ export function shaded(states, end, groups, stride, slot, last) {
   return bands;
 }
 
-// The learner's curve: RMSE of each episode.
+// The learner's curves: RMSE of each episode, and the losses behind it.
+const CURVES = [
+  ["RMSE [N]", [["rmse", BLUE, "RMSE"]]],
+  ["loss", [["critic_loss", GREEN, "critics"], ["actor_loss", VERMILION, "actor"]]],
+];
+
 export class Curve {
   constructor(place) {
     this.place = place;
-    this.uplot = null;
+    this.plots = new Map();
   }
 
   draw(curve) {
     if (!curve.episode.length) return;
+    for (const [label, lines] of CURVES) {
+      if (!lines.some(([key]) => curve[key].some((value) => value !== null))) continue;
+      if (!this.plots.has(label)) this.plots.set(label, this.made(label, lines));
+      this.plots.get(label).setData([curve.episode, ...lines.map(([key]) => curve[key])]);
+    }
+  }
+
+  made(label, lines) {
     const width = Math.max(200, this.place.clientWidth);
-    this.uplot ??= new uPlot({
-      width, height: 140, legend: { show: false }, cursor: { show: false }, scales: { x: { time: false } },
+    return new uPlot({
+      width, height: 140, legend: { show: lines.length > 1, live: false }, cursor: { show: false }, scales: { x: { time: false } },
       axes: [{ ...AXIS, size: 38, label: "episode", labelSize: 14, labelFont: "11px system-ui" },
-        { ...AXIS, size: 40, label: "RMSE [N]", labelSize: 14, labelFont: "11px system-ui" }],
-      series: [{}, { stroke: BLUE, width: 1.5, points: { show: true, size: 5, fill: BLUE } }],
+        { ...AXIS, size: 40, label, labelSize: 14, labelFont: "11px system-ui" }],
+      series: [{ label: "" }, ...lines.map(([, stroke, name]) => (
+        { label: name, stroke, width: 1.5, points: { show: true, size: 5, fill: stroke } }))],
     }, null, this.place);
-    this.uplot.setData([curve.episode, curve.rmse]);
   }
 }

@@ -188,7 +188,7 @@ TELL = 1.0
 WAIT = 20.0
 """s of search without a terminal: a plant started by the same script takes time."""
 
-NONE = "no plant runs: nobody publishes /hydro/state"
+NONE = "no plant runs: no node publishes /hydro/state"
 
 
 def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
