@@ -11,7 +11,7 @@ N ?= 100
 SOURCED := source install/setup.bash &&
 NONE_CHOSEN := 5
 BOTH_CORES := -n 2 --dist loadgroup --no-loadscope-reorder
-CORES := setup $(wildcard src/hydro_*/hydro_*)
+CORES := setup $(patsubst %/py.typed,%,$(wildcard src/hydro_*/hydro_*/py.typed))
 
 # A test's graph stays on this machine and apart from a bench that runs on the default domain.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
