@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hydro_bridge.viewer.runs import list_runs, refresh_index, write_index
+from hydro_bridge.viewer.runs import ORDERS, list_runs, refresh_index, write_index
 
 
 @pytest.fixture
@@ -18,6 +18,7 @@ def runs(tmp_path: Path) -> Path:
     for name in ("old & <bold>", "found", "broken", "nothing", "tuesday"):
         (folder / name).mkdir(parents=True)
     events = [{"kind": "episode", "force_rmse": 20.0}, {"kind": "episode", "force_rmse": 12.34},
+              {"kind": "exam", "score": 0.4, "best": True}, {"kind": "exam", "score": 0.3, "best": False},
               {"kind": "end", "sentence": "Ended by Ctrl-C."}]  # fmt: skip
     (folder / "old & <bold>" / "run.json").write_text(json.dumps({"events": events}))
     (folder / "old & <bold>" / "tracking.png").write_bytes(b"")
@@ -44,6 +45,8 @@ def test_each_run_is_told_with_its_summary_the_newest_first(runs: Path) -> None:
     assert found["old & <bold>"].recordings == ("old & <bold>/bag",)
     assert found["tuesday"].kind == "recording"
     assert found["tuesday"].pages == ("tuesday.html",) and not found["tuesday"].recordings
+    assert [entry.name for entry in sorted(found.values(), key=ORDERS["score"])][0] == "old & <bold>"
+    assert found["old & <bold>"].score == 0.4 and found["broken"].score is None
     assert found["broken"].kind == "training" and not found["broken"].summary
 
 

@@ -2,7 +2,7 @@
 """Writes the front page of a folder of runs: what each was, its pictures and pages. Opens it, too.
 
 ros2 run hydro_bridge runs                 # runs/index.html
-ros2 run hydro_bridge runs archive --json archive.json
+ros2 run hydro_bridge runs archive --sort score --json archive.json
 """
 
 from __future__ import annotations
@@ -44,6 +44,8 @@ class RunEntry:
     pictures: tuple[str, ...]
     recordings: tuple[str, ...]
     """Recordings without a page."""
+    score: float | None = None
+    """Of a training's best policy: mean of its RMSE over that of the fixed gains, by its examinations."""
 
     @property
     def when(self) -> str:
@@ -112,6 +114,7 @@ def _entry(folder: Path, run: Path) -> RunEntry | None:
         pages=_relative(folder, pages),
         pictures=_relative(folder, sorted(run.glob("*.png"))),
         recordings=_relative(folder, unseen),
+        score=_score(run) if kind == "training" else None,
     )
 
 
@@ -129,6 +132,15 @@ def _training(run: Path) -> str:
     last = f", the last one with an RMSE of {episodes[-1]['force_rmse']:.1f} N" if episodes else ""
     ends = [event for event in events if event["kind"] in ("stop", "end") and event.get("sentence")]
     return f"{plural(len(episodes), 'episode')}{last}.{' ' + ends[-1]['sentence'] if ends else ''}"
+
+
+def _score(run: Path) -> float | None:
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        kept = [
+            event["score"] for event in _read(run / "run.json")["events"] if event["kind"] == "exam" and event["best"]
+        ]
+        return float(kept[-1]) if kept else None
+    return None
 
 
 def _diagnosis(run: Path) -> str:
@@ -150,7 +162,19 @@ _KINDS = {
 _SUMMARIES: dict[str, Callable[[Path], str]] = {"training": _training, "diagnosis": _diagnosis}
 
 
-COLUMNS = {"run": "folder", "kind": "what it was", "changed": "", "summary": ""}
+COLUMNS = {
+    "run": "folder",
+    "kind": "what it was",
+    "changed": "",
+    "score": "of a training's best policy: RMSE over that of fixed gains, mean over the sines examined",
+    "summary": "",
+}
+ORDERS: dict[str, Callable[[RunEntry], Any]] = {
+    "changed": lambda entry: -entry.changed,
+    "name": lambda entry: entry.name,
+    "score": lambda entry: (entry.score is None, entry.score or 0.0),
+}
+"""Keys of `--sort`; score: the best training first, other runs last."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -158,6 +182,7 @@ def parser() -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(prog="runs", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("folder", nargs="?", type=Path, default=Path(FOLDER), help=f"of runs (default {FOLDER})")
     result.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
+    result.add_argument("--sort", choices=ORDERS, default="changed", help="order of the table (default: newest first)")
     add_json_argument(result)
     return result
 
@@ -170,8 +195,8 @@ def main() -> None:
         raise UserError(f"{options.folder} is no folder: name one that holds runs")
     index = write_index(options.folder)
     table = Table(COLUMNS, title=str(index))
-    for run in list_runs(options.folder):
-        table.add(run=run.name, kind=run.kind, changed=run.when, summary=run.summary)
+    for run in sorted(list_runs(options.folder), key=ORDERS[options.sort]):
+        table.add(run=run.name, kind=run.kind, changed=run.when, score=run.score, summary=run.summary)
     table.show(options.json)
     if options.open:
         webbrowser.open(index.absolute().as_uri())

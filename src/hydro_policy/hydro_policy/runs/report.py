@@ -14,6 +14,7 @@ from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 Events = Sequence[Mapping[str, Any]]
 
+NONE_BETTER = "no policy trained here was better, by more than noise, than the one it started from: that is kept"
 _LOSSES = ("critics_loss", "actor_loss")
 _TOLD = ("start", "uncovered", "stop", "override", "end")
 
@@ -114,7 +115,10 @@ def _sentence(event: Mapping[str, Any]) -> str:
 def _summary(events: Events) -> str:
     episodes, stops = _of(events, "episode"), _of(events, "stop")
     last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
-    return f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}."
+    exams = _of(events, "exam")
+    none = exams and episodes and not any(exam["best"] and exam["episode"] > 0 for exam in exams)
+    kept = f" {NONE_BETTER[0].upper()}{NONE_BETTER[1:]}." if none else ""
+    return f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}.{kept}"
 
 
 def _number(value: float | None) -> str:

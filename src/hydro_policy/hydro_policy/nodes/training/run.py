@@ -33,9 +33,10 @@ from hydro_policy.nodes.training.start import (
     restore_plant_file,
     start_plant,
 )
+from hydro_policy.pretraining.configurations import configuration_of
 from hydro_policy.runs import report as training
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent
-from hydro_policy.runs.run import RunDirectory, RunRecord
+from hydro_policy.runs.run import RunDirectory, RunRecord, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
@@ -64,6 +65,14 @@ def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> l
     base = session.settings.base_gains
     controllers.append(FixedGains(90.0, 15.0, base))
     return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0, base)]
+
+
+def gain_range(settings: TrainingSettings) -> str:
+    """Return what the policy may choose, and that more is allowed where the range is the paper's."""
+    gains, (kp, ki) = settings.task.gains, settings.base_gains
+    told = f"the policy chooses K_p up to {kp + gains.delta_kp_max:g} and K_i up to {ki + gains.delta_ki_max:g}"
+    paper = configuration_of(settings) == "paper"
+    return f"{told}; --configuration wide tracks several times better, up to K_p 300" if paper else told
 
 
 def trained_a_better_one(session: TrainingSession) -> bool:
@@ -139,6 +148,7 @@ def train(options: argparse.Namespace) -> int:
         run, settings = prepared.run, prepared.settings
         node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
+        node.say(gain_range(settings))
         say_policy(node, run.policy, resumed=options.resume is not None)
         record = begin_record(node, prepared, options)
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
@@ -210,7 +220,7 @@ def drive(
     inference = session.explorer.inference.sentence()
     node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; of which inference {inference}")
     if session.progress.exams and not trained_a_better_one(session):
-        node.say("no policy trained here was better, by more than noise, than the one it started from: that is kept")
+        node.say(training.NONE_BETTER)
     if not finished or session.run.gave_up or not options.evaluate:
         return finished and not session.run.gave_up, None
     wait_for(learner, node)  # a finished run that was resumed: not done yet
