@@ -45,7 +45,7 @@ def test_each_run_is_told_with_its_summary_the_newest_first(runs: Path) -> None:
     assert found["old & <bold>"].recordings == ("old & <bold>/bag",)
     assert found["tuesday"].kind == "recording"
     assert found["tuesday"].pages == ("tuesday.html",) and not found["tuesday"].recordings
-    assert [entry.name for entry in sorted(found.values(), key=ORDERS["score"])][0] == "old & <bold>"
+    assert min(found.values(), key=ORDERS["score"]).name == "old & <bold>"
     assert found["old & <bold>"].score == 0.4 and found["broken"].score is None
     assert found["broken"].kind == "training" and not found["broken"].summary
 
