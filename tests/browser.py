@@ -57,7 +57,9 @@ class Page:
         """Wait until JavaScript gives true; how long it took [s]."""
         begin = time.monotonic()
         while not self.run(f"return Boolean({script})"):
-            assert time.monotonic() < begin + timeout, f"in vain: {script}; state {self.text('state')}"
+            assert time.monotonic() < begin + timeout, (
+                f"in vain: {script}; {self.run('return document.body.innerText')[:400]}"
+            )
             meanwhile()
             time.sleep(0.02)
         return time.monotonic() - begin

@@ -7,7 +7,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "data/*", "report/templates/*", "blind_benchmark/templates/*"]},
+    package_data={name: ["py.typed", "data/*", "report/templates/*", "blind_benchmark/templates/*", "page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -22,6 +22,7 @@ setup(
         "h5py",
         "jinja2",
         "joblib",
+        "msgspec",
         "npTDMS",
         "numpy",
         "pandas",
@@ -30,6 +31,7 @@ setup(
         "scipy",
         "threadpoolctl",
         "tqdm",
+        "websockets",
     ],
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={

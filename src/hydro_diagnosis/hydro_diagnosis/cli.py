@@ -21,6 +21,7 @@ from hydro_diagnosis.stage_bar import StageBar, silent
 if TYPE_CHECKING:
     from hydro_diagnosis.report.diagnosis import Diagnosis
 
+PAGE = "--page"
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
 
 
@@ -71,6 +72,11 @@ def parser() -> argparse.ArgumentParser:
         "in proportion beyond 60 s at 1 kHz)",
     )
     options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
+    options.add_argument(
+        PAGE,
+        action="store_true",
+        help="in place of recordings: a page in the browser to drop them on; --bench, --port N, --no-open go with it",
+    )
     options.add_argument("--quiet", action="store_true", help="no progress")
     group = options.add_argument_group("in place of recordings: diagnose --grow REPORT... --id NAME [--out FOLDER]")
     growing.add_options(group, required=False)
@@ -81,6 +87,10 @@ def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
     if growing.FLAG in arguments:
         return growing.run(arguments)
+    if PAGE in arguments:
+        from hydro_diagnosis import import_page
+
+        return import_page.run(arguments)
     options = parser()
     chosen = options.parse_args(arguments)
     if chosen.id or chosen.law or chosen.json:

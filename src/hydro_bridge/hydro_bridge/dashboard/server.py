@@ -243,7 +243,7 @@ class PageServer:
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the page's files; None for its WebSocket, which the library handles."""
         host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        if not _own_name(host, self._host) or (origin is not None and urlsplit(origin).netloc != host):
+        if not own_name(host, self._host) or (origin is not None and urlsplit(origin).netloc != host):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "another page may not talk to this one\n")
         path = urlsplit(request.path).path
         if path == "/live":
@@ -306,7 +306,7 @@ def _file(name: str) -> bytes:
     return (resources.files("hydro_bridge.dashboard") / "page" / name).read_bytes()
 
 
-def _own_name(host: str, given: str) -> bool:
+def own_name(host: str, given: str) -> bool:
     """Return whether a request's Host is this machine's number or own name: a foreign name may resolve anywhere."""
     name = urlsplit(f"//{host}").hostname or ""
     if name in ("localhost", given.lower(), gethostname().lower()):

@@ -342,8 +342,8 @@ def main() -> int:
     if columns is None:
         for path, proposal in zip(chosen.recordings, maps, strict=True):
             print(_advice(path, proposal))
-            for sentence in _missing(path, proposal):
-                print(sentence)
+            for sentence in missing(proposal):
+                print(f"{path.name}: {sentence}")
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
         write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
@@ -359,14 +359,14 @@ def _advice(path: Path, proposal: ColumnMap) -> str:
     return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
 
 
-def _missing(path: Path, proposal: ColumnMap) -> list[str]:
-    """Return what is not checked for lack of which fields, a sentence per equation."""
+def missing(proposal: ColumnMap) -> list[str]:
+    """Return what is not checked for lack of which fields, a clause per equation."""
     there = proposal.sources.keys()
     lacking: dict[str, list[str]] = {}
     for one in CONNECTIONS:
         lacking.setdefault(one.equation, []).append(", ".join(sorted(one.channels - there)))
     return [
-        f"{path.name}: {COSTS[equation]} cannot be told without {' or '.join(ways)}"
+        f"{COSTS[equation]} cannot be told without {' or '.join(ways)}"
         for equation, ways in lacking.items()
         if all(ways)
     ]

@@ -62,8 +62,12 @@ def _overrides(effect: Effect, hook: str) -> bool:
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
     """Write corrected.yaml, of a bench of which little is known what is known."""
-    content = yaml.safe_dump(corrected_bench(bench, claims).to_mapping(), sort_keys=False)
-    write_whole(path, f"{HEADER}{content}".encode())
+    write_whole(path, corrected_yaml(corrected_bench(bench, claims)).encode())
+
+
+def corrected_yaml(bench: Bench) -> str:
+    """Return corrected.yaml of a bench that is corrected already."""
+    return HEADER + yaml.safe_dump(bench.to_mapping(), sort_keys=False)
 
 
 def claims_of(bench: Bench) -> tuple[Claim, ...]:

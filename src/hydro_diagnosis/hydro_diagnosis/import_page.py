@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`diagnose --page`: recordings dropped on a page in the browser, mapped, diagnosed and reported there.
+
+::
+
+    browser                              this process, one thread and one temporary folder per page
+    upload {name, size}, bytes ...  ──>  saved; of the first recording: columns and the proposed map
+    check {columns}                 ──>  what is not checked for lack of fields, or why the map is wrong
+    diagnose {columns, fit, check}  ──>  stages as they begin, then report, corrected bench and map, as text
+
+Only pages of this machine are answered. What was uploaded is deleted when the page is closed; closing it ends a
+diagnosis at its next stage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import http
+import tempfile
+import webbrowser
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.sync.server import Server, ServerConnection, serve
+
+from hydro_bridge.cli.console import Table
+from hydro_bridge.dashboard.server import own_name
+from hydro_bridge.errors import UserError
+from hydro_bridge.pages import environment
+from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
+from hydro_diagnosis.io.columns import UNITS
+from hydro_diagnosis.io.listing import COLUMNS, as_yaml, listed, missing
+from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_diagnosis.stage_bar import STAGES
+from hydro_sim.model.bench import Bench
+
+HOST = "127.0.0.1"
+FRAME_MAX = 1 << 21
+"""Bytes in one message; the page sends files in pieces of half of that."""
+_SCRIPT = "import.js"
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
+    "connect-src 'self'; frame-src blob:"
+)
+
+
+class Upload(msgspec.Struct, tag="upload", frozen=True, forbid_unknown_fields=True):
+    """A file follows in binary messages."""
+
+    name: str
+    size: int
+    """Bytes."""
+
+
+class Check(msgspec.Struct, tag="check", frozen=True, forbid_unknown_fields=True):
+    """A map to be checked."""
+
+    columns: dict[str, dict[str, str]]
+    """By field: its `column` and `unit`."""
+
+
+class Diagnose(msgspec.Struct, tag="diagnose", frozen=True, forbid_unknown_fields=True):
+    """Files to be diagnosed with a map."""
+
+    columns: dict[str, dict[str, str]]
+    fit: list[str]
+    """Names of files to fit."""
+    check: list[str]
+    """Names of files that are checked on; empty: a part of the others."""
+
+
+_DECODER = msgspec.json.Decoder(Upload | Check | Diagnose)
+
+
+class Import:
+    """One page's recordings and its requests.
+
+    Parameters
+    ----------
+    connection
+        To the page.
+    folder
+        Where its files go.
+    bench
+        Baseline, until the page sends a bench file.
+    """
+
+    def __init__(self, connection: ServerConnection, folder: Path, bench: Bench) -> None:
+        self._connection, self._folder, self._bench = connection, folder, bench
+
+    def serve(self) -> None:
+        """Answer until the page is closed."""
+        for message in self._connection:
+            if isinstance(message, bytes):
+                continue  # the rest of a file that was refused
+            try:
+                self._answer(_DECODER.decode(message))
+            except (InputError, UserError, OSError, ValueError, msgspec.DecodeError) as error:
+                self._send("error", sentence=" ".join(str(error).split()))
+
+    def _answer(self, request: Upload | Check | Diagnose) -> None:
+        if isinstance(request, Upload):
+            self._take(self._receive(request))
+        elif isinstance(request, Check):
+            self._send("checked", missing=missing(_map(request.columns)))
+        else:
+            self._diagnose(request)
+
+    def _receive(self, upload: Upload) -> Path:
+        """Read a file to its end; a name is only the last part of a path."""
+        path, left = self._folder / Path(upload.name).name, upload.size
+        with path.open("wb") as file:
+            while left > 0:
+                piece = self._connection.recv()
+                if isinstance(piece, str):
+                    raise InputError(f"{path.name}: the page ended the file before its end")
+                left -= file.write(piece)
+        return path
+
+    def _take(self, path: Path) -> None:
+        if path.suffix in (".yaml", ".yml"):
+            self._bench = Bench.load(path)
+            self._send("bench", name=path.name)
+            return
+        if path.suffix.lower() not in (".mcap", *SUFFIXES):
+            raise InputError(f"{path.name}: neither a bench file nor a recording: {', '.join(('.mcap', *SUFFIXES))}")
+        table = Table(COLUMNS)
+        proposal = listed(path, None, table, self._bench)
+        sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
+        rows = [{key: _shown(value) for key, value in row.items()} for row in table.rows]
+        self._send("columns", name=path.name, rows=rows, proposed=sources, missing=missing(proposal))
+
+    def _diagnose(self, request: Diagnose) -> None:
+        from hydro_diagnosis.pipeline import diagnose
+        from hydro_diagnosis.report.corrected_bench import corrected_yaml
+        from hydro_diagnosis.report.page import rendered
+
+        columns = _map(request.columns)
+        fit, check = ([self._folder / Path(name).name for name in names] for names in (request.fit, request.check))
+        if not fit:
+            raise InputError("no recording is there to fit: drop one")
+        found = diagnose(fit, holdout=check, bench=self._bench, columns=columns, progress=self._progress)
+        self._send(
+            "report",
+            verdict=found.report.verdict,
+            report=rendered(found),
+            corrected=corrected_yaml(found.corrected),
+            columns=as_yaml(columns),
+        )
+
+    def _progress(self, text: str) -> None:
+        self._send("progress", text=text, done=STAGES.index(text) if text in STAGES else None, stages=len(STAGES))
+
+    def _send(self, kind: str, **content: Any) -> None:
+        self._connection.send(msgspec.json.encode({"kind": kind, **content}).decode())
+
+
+def _map(columns: Mapping[str, Mapping[str, str]]) -> ColumnMap:
+    sources = {field: {key: one for key, one in source.items() if one} for field, source in columns.items()}
+    loaded = ColumnMap.load(sources)
+    assert loaded is not None
+    return loaded
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def serve_imports(port: int, bench: Bench) -> Server:
+    """Return a server of the page at a port, any free one for 0; call its `serve_forever`.
+
+    Raises
+    ------
+    UserError
+        The port cannot be listened at.
+    """
+    page = environment("hydro_diagnosis", "page").get_template("import.html")
+    files = {
+        "/": (
+            page.render(title="Import recordings", fields=TARGETS, units=sorted(UNITS)).encode(),
+            "text/html; charset=utf-8",
+        ),
+        f"/{_SCRIPT}": (
+            (resources.files("hydro_diagnosis") / "page" / _SCRIPT).read_bytes(),
+            "text/javascript; charset=utf-8",
+        ),
+    }
+
+    def respond(connection: ServerConnection, request: Request) -> Response | None:
+        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        if not own_name(host, HOST) or (origin and origin != f"http://{host}"):
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "only a page of this machine is answered\n")
+        if request.path == "/socket":
+            return None
+        if request.path not in files:
+            return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
+        body, kind = files[request.path]
+        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Content-Security-Policy": _POLICY}
+        return Response(200, "OK", Headers({**headers, "Connection": "close"}), body)
+
+    def attend(connection: ServerConnection) -> None:
+        with tempfile.TemporaryDirectory(prefix="hydro-import-") as folder:
+            try:
+                Import(connection, Path(folder), bench).serve()
+            except ConnectionClosed:
+                return
+
+    try:
+        return serve(attend, HOST, port, process_request=respond, max_size=FRAME_MAX)
+    except OSError as error:
+        raise UserError(f"the page cannot be served at port {port}: {error.strerror or error}") from None
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Serve the page until Ctrl-C."""
+    options = argparse.ArgumentParser(prog="diagnose", description="Diagnose recordings on a page in the browser.")
+    options.add_argument("--page", action="store_true", required=True, help="serve the page")
+    options.add_argument("--bench", type=Path, metavar="FILE", help="as for diagnose; may be dropped on the page, too")
+    options.add_argument("--port", type=int, default=0, metavar="N", help="of the page (default: a free one)")
+    options.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
+    chosen = options.parse_args(arguments)
+    bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
+    with serve_imports(chosen.port, bench) as server:
+        address = f"http://{HOST}:{server.socket.getsockname()[1]}/"
+        print(f"drop recordings on the page: {address} (Ctrl-C ends it)", flush=True)
+        if chosen.open:
+            webbrowser.open(address)
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
+    return 0

@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+// Recordings dropped on the page go to the server as they are; what it finds in them comes back, and in the end a report.
+
+const PIECE = 1 << 20; // bytes of a file in one message
+const COLUMNS = ["column", "unit", "count", "rate", "low", "high", "shape"];
+const $ = (id) => document.getElementById(id);
+const socket = new WebSocket(`ws://${location.host}/socket`);
+const recordings = new Map(); // name: "fit" or "check"
+let rows = [];
+
+function cell(row, content, name = "td") {
+  const made = row.appendChild(document.createElement(name));
+  made.append(content);
+  return made;
+}
+
+function send(kind, content) {
+  $("error").textContent = "";
+  socket.send(JSON.stringify({ type: kind, ...content }));
+}
+
+async function upload(files) {
+  for (const file of files) {
+    send("upload", { name: file.name, size: file.size });
+    for (let at = 0; at < file.size; at += PIECE) socket.send(await file.slice(at, at + PIECE).arrayBuffer());
+  }
+}
+
+function list() {
+  $("recordings").hidden = !recordings.size;
+  $("list").replaceChildren(...[...recordings].map(([name, use]) => {
+    const row = document.createElement("tr");
+    const choice = document.createElement("select");
+    for (const [value, text] of [["fit", "fit"], ["check", "check on"], ["", "leave out"]]) {
+      choice.add(new Option(text, value, false, value === use));
+    }
+    choice.onchange = () => recordings.set(name, choice.value);
+    cell(row, name);
+    cell(row, choice);
+    return row;
+  }));
+}
+
+function columns() {
+  const chosen = {};
+  for (const row of $("columns").querySelectorAll("tr[data-column]")) {
+    const field = row.querySelector("select").value;
+    if (field) chosen[field] = { column: row.dataset.column, unit: row.querySelector("input").value };
+  }
+  return chosen;
+}
+
+function table(proposed) {
+  const head = document.createElement("tr");
+  for (const name of [...COLUMNS, "is", "in"]) cell(head, name, "th");
+  const becomes = Object.fromEntries(Object.entries(proposed).map(([field, source]) => [source.column, [field, source.unit]]));
+  $("columns").replaceChildren(head, ...rows.map((entry) => {
+    const row = document.createElement("tr");
+    const [field, unit] = becomes[entry.column] ?? ["", ""];
+    row.dataset.column = entry.column;
+    for (const key of COLUMNS) cell(row, entry[key]).className = key === "shape" ? "curve" : "";
+    const choice = $("fields").content.firstElementChild.cloneNode(true);
+    const given = document.createElement("input");
+    [choice.value, given.value, given.className] = [field, unit, "unit"];
+    given.setAttribute("list", "units");
+    choice.onchange = given.onchange = () => send("check", { columns: columns() });
+    cell(row, choice);
+    cell(row, given);
+    return row;
+  }));
+  $("mapping").hidden = false;
+}
+
+function tell(missing) {
+  $("missing").replaceChildren(...missing.map((sentence) => {
+    const line = document.createElement("li");
+    line.textContent = sentence;
+    return line;
+  }));
+}
+
+function save(id, text, kind) {
+  const address = URL.createObjectURL(new Blob([text], { type: kind }));
+  $(id).href = address;
+  return address;
+}
+
+function running(now) {
+  $("run").disabled = now;
+  $("bar").hidden = !now;
+}
+
+const ANSWERS = {
+  columns({ name, rows: found, proposed, missing }) {
+    recordings.set(name, recordings.get(name) ?? "fit");
+    list();
+    if (rows.length) return; // the map of the first recording holds for all
+    rows = found;
+    table(proposed);
+    tell(missing);
+  },
+  bench({ name }) {
+    $("stage").textContent = `bench: ${name}`;
+  },
+  checked({ missing }) {
+    tell(missing);
+  },
+  progress({ text, done, stages }) {
+    $("stage").textContent = text;
+    $("bar").max = stages;
+    if (done !== null) $("bar").value = done;
+  },
+  report({ verdict, report, corrected, columns: map }) {
+    running(false);
+    $("stage").textContent = verdict.replaceAll("_", " ");
+    $("report").src = save("save-report", report, "text/html");
+    save("save-corrected", corrected, "text/yaml");
+    save("save-columns", map, "text/yaml");
+    $("result").hidden = false;
+  },
+  error({ sentence }) {
+    running(false);
+    $("error").textContent = sentence;
+  },
+};
+
+socket.onmessage = ({ data }) => {
+  const answer = JSON.parse(data);
+  ANSWERS[answer.kind](answer);
+};
+socket.onclose = () => {
+  running(false);
+  $("error").textContent = "the program behind this page has ended: start `diagnose --page` again, and reload";
+};
+$("files").onchange = () => upload($("files").files);
+for (const kind of ["dragover", "dragleave", "drop"]) {
+  addEventListener(kind, (event) => {
+    event.preventDefault();
+    $("drop").classList.toggle("over", kind === "dragover");
+    if (kind === "drop") upload(event.dataTransfer.files);
+  });
+}
+$("run").onclick = () => {
+  const used = (use) => [...recordings].filter(([, chosen]) => chosen === use).map(([name]) => name);
+  $("result").hidden = true;
+  $("bar").value = 0;
+  running(true);
+  send("diagnose", { columns: columns(), fit: used("fit"), check: used("check") });
+};

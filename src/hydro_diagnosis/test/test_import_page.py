@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page that recordings are dropped on: from files to a report, by its socket and in a real browser."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis.import_page import serve_imports
+from hydro_diagnosis.stage_bar import STAGES
+from hydro_sim.model.bench import Bench
+from tests import browser
+
+FIELDS = {"x": ("piston_position", 1e3), "pa": ("pressure_a", 1e-5), "pb": ("pressure_b", 1e-5),
+          "f_load": ("load_force", 1e-3), "i": ("valve_current", 1e3)}  # fmt: skip
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    with serve_imports(0, Bench.nominal()) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"127.0.0.1:{server.socket.getsockname()[1]}"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def recordings(tmp_path: Path, nominal: StateArray) -> list[Path]:
+    paths = []
+    for name, part in (("monday", nominal[:6000]), ("tuesday", nominal[6000:10000])):
+        rows = np.column_stack([1e3 * part["time"], *(part[field] * scale for field, scale in FIELDS.values())])
+        path = tmp_path / f"{name}.csv"
+        np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=",".join(["t", *FIELDS]), comments="")
+        paths.append(path)
+    return paths
+
+
+class Page:
+    """Speaks as the page does."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self.connection = connection
+
+    def send(self, kind: str, **content: Any) -> None:
+        self.connection.send(msgspec.json.encode({"type": kind, **content}).decode())
+
+    def upload(self, name: str, content: bytes) -> dict[str, Any]:
+        self.send("upload", name=name, size=len(content))
+        for at in range(0, len(content), 100_000):
+            self.connection.send(content[at : at + 100_000])
+        return self.answer()
+
+    def answer(self) -> dict[str, Any]:
+        return dict(msgspec.json.decode(self.connection.recv(timeout=120.0)))
+
+
+def test_files_become_a_map_and_a_report(address: str, recordings: list[Path]) -> None:
+    with connect(f"ws://{address}/socket", max_size=None) as connection:
+        page = Page(connection)
+        found, _ = [page.upload(path.name, path.read_bytes()) for path in recordings]
+        proposed = found["proposed"]
+        assert proposed["time"] == {"column": "t", "unit": "ms"} and proposed["load_force"]["unit"] == "kN"
+        assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["missing"])
+        page.send("check", columns={"time": proposed["time"]})
+        assert len(page.answer()["missing"]) > len(found["missing"])
+        page.send("diagnose", columns=proposed, fit=["monday.csv"], check=["tuesday.csv"])
+        told = []
+        while (answer := page.answer())["kind"] == "progress":
+            told.append(answer["done"])
+        assert answer["kind"] == "report", answer
+        assert set(range(len(STAGES) - 1)) <= set(told)
+        assert answer["verdict"] == "no_mismatch" and "<h1>Diagnosis</h1>" in answer["report"]
+        assert "piston_area" in answer["corrected"] and "kN" in answer["columns"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [("../../notes.docx", b"x" * 300_000, "neither a bench file nor a recording"), ("a.csv", b"", "is empty"),
+     ("page.csv", b"<html></html>", "web page"), ("bench.yaml", b"piston_area: [", "bench.yaml")],
+    ids=["another kind", "empty", "web page", "broken bench"],
+)  # fmt: skip
+def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on(
+    name: str, content: bytes, sentence: str, address: str, recordings: list[Path]
+) -> None:
+    with connect(f"ws://{address}/socket", max_size=None) as connection:
+        page = Page(connection)
+        assert sentence in page.upload(name, content)["sentence"]
+        assert page.upload("monday.csv", recordings[0].read_bytes())["kind"] == "columns"
+        page.send("diagnose", columns={"time": {"column": "t"}}, fit=["../monday.csv"], check=[])
+        assert page.answer()["kind"] in ("error", "progress")
+
+
+def test_a_page_of_another_host_is_refused(address: str) -> None:
+    with pytest.raises(InvalidStatus, match="403"), connect(f"ws://{address}/socket", origin="http://example.org"):  # type: ignore[arg-type]
+        pass
+
+
+@pytest.mark.skipif(bool(browser.MISSING), reason=browser.MISSING)
+def test_a_person_gets_from_files_to_the_report_in_a_browser(
+    address: str, recordings: list[Path], tmp_path: Path
+) -> None:
+    with browser.browser(tmp_path / "profile") as page:
+        page.open(f"http://{address}/")
+        page.driver.find_element("id", "files").send_keys("\n".join(map(str, recordings)))
+        page.wait("document.querySelectorAll('#list tr').length == 2")
+        assert page.run("return document.querySelectorAll('#columns select')[1].value") == "piston_position"
+        page.run("const last = document.querySelectorAll('#list select')[1]; last.value = 'check'; last.onchange()")
+        page.click("run")
+        page.wait("!document.getElementById('result').hidden", timeout=120.0)
+        assert page.text("stage") == "no mismatch" and page.text("error") == ""
+        assert page.run("return document.getElementById('save-corrected').href").startswith("blob:")
