@@ -34,6 +34,7 @@ from hydro_bridge.cli.console import Table
 from hydro_bridge.dashboard.server import own_name
 from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
+from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import UNITS
 from hydro_diagnosis.io.listing import COLUMNS, as_yaml, listed, missing
@@ -126,7 +127,7 @@ class Import:
 
     def _take(self, path: Path) -> None:
         if path.suffix in (".yaml", ".yml"):
-            self._bench = Bench.load(path)
+            self._bench = read_bench(path)
             self._send("bench", name=path.name)
             return
         if path.suffix.lower() not in (".mcap", *SUFFIXES):
@@ -226,7 +227,7 @@ def run(arguments: Sequence[str]) -> int:
     options.add_argument("--port", type=int, default=0, metavar="N", help="of the page (default: a free one)")
     options.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
     chosen = options.parse_args(arguments)
-    bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
+    bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
     with serve_imports(chosen.port, bench) as server:
         address = f"http://{HOST}:{server.socket.getsockname()[1]}/"
         print(f"drop recordings on the page: {address} (Ctrl-C ends it)", flush=True)

@@ -95,6 +95,7 @@ def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on(
     with connect(f"ws://{address}/socket", max_size=None) as connection:
         page = Page(connection)
         assert sentence in page.upload(name, content)["sentence"]
+        assert page.upload("known.yaml", b"piston_area: 4.9e-4")["kind"] == "bench"
         assert page.upload("monday.csv", recordings[0].read_bytes())["kind"] == "columns"
         page.send("diagnose", columns={"time": {"column": "t"}}, fit=["../monday.csv"], check=[])
         assert page.answer()["kind"] in ("error", "progress")

@@ -13,6 +13,7 @@ import argparse
 import re
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ import yaml
 from hydro_bridge.cli.console import Table, add_json_argument, command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.bench_numbers import CONNECTIONS
+from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
 from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward, without_unit
 from hydro_diagnosis.recording import InputError
@@ -52,13 +53,24 @@ _WORDS: Mapping[str, str] = {
 """Names of columns, or words in them, that stand for a field."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
 """Units that are tried where none is stated."""
+_SIZES = ("piston_area", "area_ratio", "supply_pressure", "stroke", "valve_current_max")
+"""Numbers of a bench by which a column's numbers are likely or not."""
 _APART = 0.1
 """s, between rows at most where a time states no unit: a force loop that is logged at all is logged at 10 Hz."""
 _NEVER = re.compile(r"temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
 
 
 def proposed(found: Columns, bench: Bench) -> ColumnMap:
-    """Propose a source for each field; unknown fields are left out, as is the time where clocks state their units."""
+    """Propose a source for each field; unknown fields are left out, as is the time where clocks state their units.
+
+    Numbers that are not known of a bench are taken to be of the nominal one's size.
+    """
+    known = bench.to_mapping()
+    sizes = {name: known[name] for name in _SIZES if name in known}
+    return _proposed(found, replace(Bench.nominal(), **sizes))
+
+
+def _proposed(found: Columns, bench: Bench) -> ColumnMap:
     from hydro_diagnosis.io.table import base_of
 
     sources: dict[str, Source] = {}
@@ -335,7 +347,7 @@ def main() -> int:
     """Entry point."""
     chosen = arguments().parse_args(sys.argv[1:])
     columns = ColumnMap.load(chosen.columns)
-    bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
+    bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
     table = Table(COLUMNS)
     maps = [listed(path, columns, table, bench) for path in chosen.recordings]
     table.show(chosen.json)
