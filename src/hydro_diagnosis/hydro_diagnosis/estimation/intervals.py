@@ -16,6 +16,7 @@ from math import hypot, sqrt
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import stdtrit
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import QUANTILE, Fit, fit, pack, residual_variances, unpack
@@ -47,6 +48,10 @@ PROFILING = 4
 NEARER = 6
 """Points at most on either side."""
 _BLOCK = 0.25
+CONFIDENCE = 0.975
+"""Of each side; Student's, with as many degrees of freedom as blocks that are independent."""
+FEWEST = 3.0
+"""Degrees of freedom at least."""
 MOST_CORRELATED = 0.97
 """Correlation of neighbouring blocks at most: of 60 s of data hardly any block is new beyond it."""
 
@@ -122,30 +127,45 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
     blocks, index = np.unique(block, return_inverse=True)
     summed = np.stack([np.bincount(index, scores[:, k]) for k in range(scores.shape[1])], axis=1)
     moves = np.asarray(summed @ covariance, dtype=np.float64)
-    sandwich = np.sum(np.square(moves), axis=0) * _recurrence(moves, np.diff(blocks) == 1)
+    recurrence = _recurrence(moves, blocks)
+    sandwich = np.sum(np.square(moves), axis=0) * recurrence
     plain = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    inflation = np.sqrt(sandwich) / np.maximum(plain, 1e-300)
+    independent = np.maximum(len(blocks) / recurrence - len(plain), FEWEST)
+    inflation = np.sqrt(sandwich) / np.maximum(plain, 1e-300) * stdtrit(independent, CONFIDENCE) / QUANTILE
     return plain, np.maximum(inflation, 1.0)
 
 
-def _recurrence(moves: FloatArray, adjacent: npt.NDArray[np.bool_]) -> FloatArray:
-    """Factor of the variance of sums over blocks that do not differ by chance from their neighbours.
+def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
+    """Factor of the variance of sums over blocks that do not differ by chance from those before.
 
-    Of a first-order process (Andrews and Monahan 1992); 1 where the blocks are not correlated beyond chance.
+    The larger of that of a first-order process (Andrews and Monahan 1992), which lasts, and of the sum of pairs of
+    autocorrelations up to the first that chance would make (Geyer 1992), which may end at once: a stroke's own error.
 
     Parameters
     ----------
     moves
         What each block moves each parameter by, shape (blocks, k).
-    adjacent
-        Whether a block follows upon the one before, shape (blocks - 1,).
+    blocks
+        Number of each block in time; those that follow upon each other differ by 1.
     """
-    pairs = moves[1:][adjacent] * moves[:-1][adjacent]
-    power = 0.5 * (np.square(moves[1:][adjacent]) + np.square(moves[:-1][adjacent]))
-    correlation = np.sum(pairs, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
-    correlation = np.where(correlation > QUANTILE / sqrt(max(len(pairs), 1)), correlation, 0.0)
-    correlation = np.minimum(correlation, MOST_CORRELATED)
-    return np.asarray((1.0 + correlation) / (1.0 - correlation))
+    chance = QUANTILE / sqrt(max(len(blocks), 1))
+    power = np.maximum(np.mean(np.square(moves), axis=0), 1e-300)
+
+    def correlation(lag: int) -> FloatArray:
+        apart = blocks[lag:] - blocks[:-lag] == lag
+        pairs = moves[lag:][apart] * moves[:-lag][apart]
+        return np.asarray(np.sum(pairs, axis=0) / max(len(pairs), 1) / power)
+
+    first = correlation(1) if len(blocks) > 1 else np.zeros(moves.shape[1])
+    first = np.clip(np.where(first > chance, first, 0.0), 0.0, MOST_CORRELATED)
+    total, lasts = 1.0 + 2.0 * first, np.ones(moves.shape[1], bool)
+    for lag in range(2, len(blocks) // 4, 2):
+        pair = correlation(lag) + correlation(lag + 1)
+        lasts &= pair > sqrt(2.0) * chance
+        if not lasts.any():
+            break
+        total += 2.0 * np.where(lasts, pair, 0.0)
+    return np.asarray(np.maximum((1.0 + first) / (1.0 - first), total))
 
 
 def _interval(

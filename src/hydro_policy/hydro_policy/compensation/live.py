@@ -6,6 +6,8 @@
 
 A policy step with a sample that is missing, or not good, holds the coefficients: disarmed, saturated, tripped, another
 law, commands that came late (FILTER_STALE says so under this law), or a force that no bench shows.
+
+With `learned` on, what `residual` has learnt is added to a_3.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from hydro_bridge.safety.guard import safe_command
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawCommand
 from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
+from hydro_policy.compensation.residual import Network, Residual
 
 RECENT = 50
 """Samples for which the last message about the law holds; there is none while the paper's law acts."""
@@ -31,6 +34,7 @@ class _Step:
 
     commanded: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
     measured: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
+    reference: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
     reference_rate: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
     good: bool = True
 
@@ -48,21 +52,36 @@ class LiveCompensation:
         The box's compensated law.
     settings, cell
         See `Compensator`.
+    network
+        Of the learned residual; None: there is none.
     """
 
-    def __init__(self, law: BoxLaw, settings: CompensatorSettings | None = None, cell: LoadCell | None = None) -> None:
+    def __init__(
+        self,
+        law: BoxLaw,
+        settings: CompensatorSettings | None = None,
+        cell: LoadCell | None = None,
+        network: Network | None = None,
+    ) -> None:
         self.law, self.cell = law, cell
+        self.learned = False
+        """Whether the residual acts."""
         self.held = 0
         """Policy steps whose samples did not count."""
         self._estimator = Compensator(1, settings, law, cell)
+        self._residual = Residual(1, network, self._estimator.settings.force_scale)
+        self._added: FloatArray = np.zeros(1)  # to a_3 of the present policy step
         self._safe = safe_command(law)
         self._steps: dict[int, _Step] = {}
         self._taken, self._told, self._seen = -1, -1, -1
 
-    def reset(self) -> None:
-        """Begin anew, at neutral coefficients; frozen ones stay."""
+    def reset(self, *, learned: bool = False) -> None:
+        """Begin anew, at neutral coefficients; frozen ones stay, and get no residual."""
+        self.learned = learned
         if not self.frozen:
             self._estimator.reset()
+        self._residual.reset()
+        self._added[:] = 0.0
         self._steps.clear()
 
     @property
@@ -84,7 +103,7 @@ class LiveCompensation:
     def command(self) -> LawCommand:
         """Law to command now."""
         a_0, a_1, a_2, a_3 = self._estimator.coefficients[0].tolist()
-        return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3))
+        return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3 + float(self._added[0])))
 
     @property
     def health(self) -> dict[str, object]:
@@ -96,6 +115,8 @@ class LiveCompensation:
             "at a bound": "yes" if self._estimator.at_bound[0] else "no",
             "frozen": "yes, by a person" if self.frozen else "no",
             "policy steps held": self.held,
+            "learned residual [N]": float(self._added[0]) if self.learned else "off",
+            "its authority": float(self._residual.authority[0]) if self.learned else "off",
         }
 
     def on_law_state(self, sequence: int, law: int, compensated_reference: float) -> None:
@@ -107,12 +128,19 @@ class LiveCompensation:
         self._look(sequence)
 
     def on_sample(
-        self, sequence: int, force: float, flags: int, reference_rate: float = 0.0, *, holds: bool = False
+        self,
+        sequence: int,
+        force: float,
+        flags: int,
+        reference_rate: float = 0.0,
+        *,
+        reference: float = 0.0,
+        holds: bool = False,
     ) -> None:
-        """Take a sample: f [N], the flags, f_r' [N/s]; `holds`: the coefficients hold for another reason."""
+        """Take a sample: f [N], flags, f_r' [N/s], f_r [N]; `holds`: the coefficients hold for another reason."""
         self._seen = sequence
         step, index = self._step(sequence)
-        step.measured[index], step.reference_rate[index] = force, reference_rate
+        step.measured[index], step.reference_rate[index], step.reference[index] = force, reference_rate, reference
         step.good &= flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
         self._look(sequence)
 
@@ -137,5 +165,12 @@ class LiveCompensation:
 
     def _take(self, step: _Step, *, good: bool) -> None:
         force, rate = step.measured[np.newaxis], step.reference_rate[np.newaxis]
-        self._estimator.step(step.commanded[np.newaxis], force, np.array([good]), rate)
+        commanded, moved = self._residual.hidden(self._added) if self.learned else (0.0, 0.0)
+        a = self._estimator.step(step.commanded[np.newaxis] - commanded, force - moved, np.array([good]), rate)
         self.held += not self._estimator.counted[0]
+        if self.learned and not self.frozen:
+            residual = self._residual.step(step.reference[np.newaxis], rate, force, a, self._estimator.counted)
+            low, high = self.law.coefficient_min[3], self.law.coefficient_max[3]
+            self._added = np.clip(a[:, 3] + residual, low, high) - a[:, 3]
+        else:
+            self._added = np.zeros(1)

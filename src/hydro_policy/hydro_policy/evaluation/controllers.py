@@ -86,11 +86,15 @@ class Compensated:
         Estimator of the coefficients.
     base
         Base gains of the paper's law, to which `reach` is relative as any controller's.
+    learned
+        Whether the learned residual is added.
     """
 
-    name = "compensated"
-
-    def __init__(self, compensation: LiveCompensation, base: tuple[float, float] = BASE) -> None:
+    def __init__(
+        self, compensation: LiveCompensation, base: tuple[float, float] = BASE, *, learned: bool = False
+    ) -> None:
+        self.name = "compensated, learned residual" if learned else "compensated"
+        self._learned = learned
         self._compensation, law = compensation, compensation.law
         self.proportional, self.integral = law.base_kp, law.base_ki
         self.reach = FixedGains(law.base_kp, law.base_ki, base).reach
@@ -102,7 +106,7 @@ class Compensated:
 
     def reset(self) -> None:
         """Begin with neutral coefficients."""
-        self._compensation.reset()
+        self._compensation.reset(learned=self._learned)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`."""

@@ -25,7 +25,7 @@ from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings, Score, Trace, score
-from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE_RATE
+from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE
 from hydro_policy.task.step_aggregator import StepClock, held
 from hydro_sim.files import load_force
 
@@ -188,7 +188,7 @@ class EvaluationSession:
         law = self._controller.law
         holds = self._run is None or law.law is Law.PAPER or self.watch.mismatched
         force, rate = float(sample[LOAD_FORCE]), float(sample[REFERENCE_RATE])
-        compensation.on_sample(sequence, force, flags, rate, holds=holds)
+        compensation.on_sample(sequence, force, flags, rate, reference=float(sample[REFERENCE]), holds=holds)
         wrong = bool(flags & Flag.ARMED) and compensation.acting is not law.law
         self._law_trials += wrong and not self._wrong_law
         self._law_trials *= wrong or not flags & Flag.ARMED

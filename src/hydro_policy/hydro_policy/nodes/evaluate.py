@@ -50,6 +50,11 @@ def parser() -> argparse.ArgumentParser:
         "and refused without it; paper: not that one",
     )
     what.add_argument(
+        "--learned-residual",
+        action="store_true",
+        help="the compensated law with the learned residual on top, too (explanation/training.md)",
+    )
+    what.add_argument(
         "--grid",
         action="store_true",
         help="find the best fixed gains on the plant first, coarse to fine, and compare them, too",

@@ -28,6 +28,7 @@ from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.compensation.live import LiveCompensation
+from hydro_policy.compensation.residual import Network
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation.gain_search import GridSession, GridSettings
@@ -178,7 +179,12 @@ def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections
 def evaluate(options: argparse.Namespace) -> int:
     """Run the evaluation of the command line; returns the exit status."""
     make_controllers(options, expected_box(options))  # invalid input is refused before anything is created
-    load_cell(options)
+    if load_cell(options) and options.learned_residual:
+        raise UserError(
+            "--learned-residual makes the measured force follow, --load-cell the force in front of it: one of them"
+        )
+    if options.law == "paper" and options.learned_residual:
+        raise UserError("--learned-residual is part of the compensated law: leave out --law paper")
     evaluation_settings(options)
     if options.record and options.plant == "external":
         record = f"ros2 run hydro_bridge recorder --out {options.record}"
@@ -238,7 +244,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
                 controllers.append(before.best)
         results = evaluate_on(
             node, controllers, rearm=may_rearm(options), settings=settings, after=before.watch if before else None,
-            law=None if options.law == "paper" else node.law, cell=load_cell(options),
+            law=None if options.law == "paper" else node.law, cell=load_cell(options), learned=options.learned_residual,
         )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
@@ -315,16 +321,19 @@ def evaluate_on(
     after: PlantSupervisor | None = None,
     law: BoxLaw | None = None,
     cell: LoadCell | None = None,
+    learned: bool = False,
 ) -> EvaluationSession:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
     `after` is the watch of the previous session, if there was one; with `law`, the box's compensated law is compared,
-    too; with `cell`, for the force in front of that.
+    too; with `cell`, for the force in front of that; if `learned`, also with the learned residual.
     """
-    compensation = None if law is None else LiveCompensation(law, cell=cell)
+    compensation = None if law is None else LiveCompensation(law, cell=cell, network=Network.load())
     if compensation is not None:
         node.compensate(compensation)
         controllers = [*controllers, Compensated(compensation, node.override.base)]
+        if learned and cell is None:
+            controllers.append(Compensated(compensation, node.override.base, learned=True))
     session = EvaluationSession(
         settings or EvaluationSettings(),
         controllers,

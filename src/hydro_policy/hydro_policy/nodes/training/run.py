@@ -238,7 +238,7 @@ def drive(
     else:
         node.say(LEFT_OUT)
     law, cell = node.law if rearm else None, load_cell(options)
-    results = evaluate_on(node, controllers, rearm=rearm, after=watch, law=law, cell=cell)
+    results = evaluate_on(node, controllers, rearm=rearm, after=watch, law=law, cell=cell, learned=cell is None)
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learned residual on the compensated law: a network that predicts what of the error repeats, and adds it to a_3.
+
+What the law leaves repeats with the reference: friction and overlap where the force turns, a valve that is unlike to
+its two sides. A network trained on many drawn benches has learnt how benches err; on this one it sees::
+
+    z        f_r' of the last 90 ms through tanh, f_r, f_r''            what the reference asks for
+    c z      correlation of past corrections with z                     how this bench has erred so far
+    a        coefficients of the law, and how a_3 moves                  what the estimator thinks of it
+    y, m     corrections needed of late, and mean over similar z         a memory of the last 4 s
+
+Every policy step (10 ms) it predicts the correction p [N] of the force that is needed 16 and 26 ms from the last
+sample, and the law's polynomial turns it into its share of a_3 (inverse model of the compensated loop)::
+
+    w = a_0 p + a_1 p'                    bounded, ramped in over 0.5 s, within the law's limits and rates of a_3
+
+Its authority follows the correlation of S(e) with p: where p is too large, or late for this bench, e has its opposite
+sign, and the authority shrinks until nothing of p is left in e.
+
+The needed correction is what it should have been, y = S(e + p), known 40 ms later; S smooths with a Gaussian of 8 ms,
+p acts 8 ms behind the command. The law's estimator is given f_c - w and f - p, so that it does not adapt to them.
+
+No preview of the reference is needed: the box may follow any. Zero is the compensated law. Source of the scheme:
+iterative learning control (Bristow et al. 2006, IEEE Control Systems 26(3), 96) with the iteration replaced by a
+network over benches, as in rapid motor adaptation (Kumar et al. 2021, RSS XVII).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_bridge.signals import SAMPLES_PER_STEP, FloatArray
+from hydro_sim.files import weights
+
+STRUCTURE = "residual"
+"""Structure in the header of a weights file."""
+NOMINAL_SCALE = 300.0
+"""N, force scale of the benches on which it was trained; forces of another bench are brought to it."""
+
+BACK = np.array((0, 5, 10, 20, 35, 55, 90))
+"""Samples before the last one of which f_r' is seen."""
+AHEAD, HALF, SIGMA, LATE = 16, 24, 8.0, 12
+"""Samples: from the last one to the correction's; of S to each side; its width; from a step's begin to its p.
+
+In the graph a_3 acts from the fifth sample behind the one that it was decided on (`benchmarks.residual`)."""
+KERNEL = np.exp(-0.5 * (np.arange(-HALF, HALF + 1) / SIGMA) ** 2)
+KERNEL /= KERNEL.sum()
+DELAY = 4
+"""Policy steps after which a needed correction is known."""
+KEPT = 12
+"""Policy steps of which samples are kept."""
+MEMORY = 400
+"""Needed corrections that are remembered, 4 s."""
+LAGS = (0, 2, 5, 10, 20, 40)
+"""Of the corrections needed of late, policy steps before the last one."""
+WIDTHS = (0.25, 0.6)
+"""Of the kernels over similar z."""
+FORGETTING = 0.01 / 1.5
+"""Per policy step, of the correlations."""
+
+TERMS = 3 * len(BACK) + 4
+"""Entries of z."""
+INPUTS = 2 * TERMS + 6 + len(LAGS) + 2 * len(WIDTHS)
+OUTPUTS = 2
+WEIGHTING = np.array([0.5, 0.7, 1.0] * len(BACK) + [1.5, 0.7, 1.0, 0.0])
+"""Of z in the distance between two situations."""
+
+BEGIN, RAMP = 65, 50
+"""Policy steps after which it acts, and over which it is let in."""
+PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0
+"""N at `NOMINAL_SCALE`, of p and of w."""
+GAIN = 0.6
+"""Share of the prediction that is applied."""
+AVERAGED, FOLLOWS, RISES = 0.01, 0.03, 0.001
+"""Per policy step: of the products that the authority follows, its rate, and by how much it tries again."""
+LEAST_POWER = 0.01
+"""N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """Perceptron of two hidden layers (SiLU) with its input's mean and spread."""
+
+    mean: FloatArray
+    spread: FloatArray
+    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    """(weight, bias) of each layer, shapes (in, out) and (out,)."""
+
+    @classmethod
+    def load(cls, path: Path | None = None) -> Network:
+        """Read a weights file; None: the one that comes with this package.
+
+        Raises
+        ------
+        WeightsError
+            The file is missing, damaged, or of another structure.
+        """
+        if path is None:
+            with resources.as_file(resources.files("hydro_policy") / "data" / "residual.safetensors") as shipped:
+                return cls.load(shipped)
+        tensors, header = weights.load(path)
+        if header["structure"] != STRUCTURE or tensors["mean"].shape != (INPUTS,):
+            raise weights.WeightsError(f"{path} holds no residual of this version: train it anew")
+        count = sum(name.startswith("weight") for name in tensors)
+        layers = tuple((tensors[f"weight_{k}"].astype(float), tensors[f"bias_{k}"].astype(float)) for k in range(count))
+        return cls(tensors["mean"].astype(float), tensors["spread"].astype(float), layers)
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Return predictions [N at `NOMINAL_SCALE`], shape (n, 2), of inputs, shape (n, `INPUTS`)."""
+        x = np.clip((inputs - self.mean) / self.spread, -6.0, 6.0)
+        *hidden, (weight, bias) = self.layers
+        for inner, offset in hidden:
+            x = x @ inner + offset
+            x = x / (1.0 + np.exp(-x))
+        return np.asarray(x @ weight + bias)
+
+
+class Residual:
+    """Residuals of n benches at once; arrays have one row per bench.
+
+    Parameters
+    ----------
+    count
+        Number of benches n.
+    network
+        None: it records its inputs and needed corrections (`inputs`, `needed`) and adds nothing.
+    scale
+        Usual amplitude of the force [N], `CompensatorSettings.force_scale`.
+    """
+
+    def __init__(self, count: int = 1, network: Network | None = None, scale: float = NOMINAL_SCALE) -> None:
+        self._network, self._scale = network, scale / NOMINAL_SCALE
+        self._count = count
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, knowing nothing of the bench."""
+        n, samples = self._count, KEPT * SAMPLES_PER_STEP
+        self.value: FloatArray = np.zeros(n)
+        """w [N], to be added to a_3 of the next policy step, shape (n,)."""
+        self.inputs: FloatArray = np.zeros((n, INPUTS))
+        """Of the network at the last step, shape (n, `INPUTS`)."""
+        self.needed: FloatArray = np.zeros(n)
+        """Correction [N at `NOMINAL_SCALE`] needed `DELAY` steps ago, shape (n,)."""
+        self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)
+        """Policy steps since the last gap, shape (n,)."""
+        self.authority: FloatArray = np.ones(n)
+        """Share of `GAIN` that is applied, by whether it helps, shape (n,)."""
+        self._product, self._power = np.zeros(n), np.zeros(n)
+        self._rate: FloatArray = np.zeros((n, samples))
+        self._error: FloatArray = np.zeros((n, samples))
+        self._predicted: FloatArray = np.zeros((n, KEPT))  # p of the last steps, the one that acts next last
+        self._next: FloatArray = np.zeros(n)
+        self._seen: FloatArray = np.zeros((n, DELAY + 1, TERMS))  # z of the last steps
+        self._zy, self._zz = np.zeros((n, TERMS)), np.zeros((n, TERMS))
+        self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), 1e3)
+        self._mean, self._variance = np.zeros(n), np.zeros(n)
+        self._steps = 0
+
+    def step(
+        self,
+        reference: FloatArray,
+        rate: FloatArray,
+        measured: FloatArray,
+        coefficients: FloatArray,
+        counted: npt.NDArray[np.bool_],
+    ) -> FloatArray:
+        """Take the samples of a policy step; return a copy of `value` for the next one.
+
+        Parameters
+        ----------
+        reference, rate, measured
+            f_r [N], f_r' [N/s] and f [N], shape (n, 10).
+        coefficients
+            a_0 to a_3 of the law without a residual, shape (n, 4).
+        counted
+            Benches whose samples count (`Compensator.counted`), shape (n,); others begin anew.
+        """
+        fine = counted & np.isfinite(reference).all(1) & np.isfinite(rate).all(1) & np.isfinite(measured).all(1)
+        fine &= np.isfinite(coefficients).all(1)
+        a, rates = (
+            np.where(fine[:, np.newaxis], coefficients, 0.0),
+            np.where(fine[:, np.newaxis], rate, 0.0) / self._scale,
+        )
+        error = np.where(fine[:, np.newaxis], reference - measured, 0.0) / self._scale
+        self._rate = np.concatenate((self._rate[:, SAMPLES_PER_STEP:], rates), axis=1)
+        self._error = np.concatenate((self._error[:, SAMPLES_PER_STEP:], error), axis=1)
+        self.age = np.where(fine, self.age + 1, 0)
+        self._learn()
+        z = self._situation(np.where(fine, reference[:, -1], 0.0) / self._scale)
+        self._seen = np.concatenate((self._seen[:, 1:], z[:, np.newaxis]), axis=1)
+        self.inputs = self._inputs(z, a)
+        self._predict(a)
+        return self.value.copy()
+
+    def hidden(self, value: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what of f_c and f of the step now to act is the residual's, [N], shapes (n, 1) and (n, 10).
+
+        `value`: w as it was added, shape (n,).
+        """
+        at = (np.arange(SAMPLES_PER_STEP) - LATE) / SAMPLES_PER_STEP
+        before, now, then = self._predicted[:, -2:-1], self._predicted[:, -1:], self._next[:, np.newaxis]
+        force = np.where(at < 0.0, now + (now - before) * at, now + (then - now) * at)
+        return value[:, np.newaxis], force * self._scale
+
+    def _learn(self) -> None:
+        """Enter the correction that was needed `DELAY` steps ago."""
+        first = (KEPT - DELAY) * SAMPLES_PER_STEP + AHEAD - 1 - HALF  # of S, among the kept samples
+        at = (np.arange(first, first + len(KERNEL)) - LATE) / SAMPLES_PER_STEP
+        low = np.clip(np.floor(at).astype(int), 0, KEPT - 1)
+        high, between = np.minimum(low + 1, KEPT - 1), at - low
+        acted = self._predicted[:, low] * (1.0 - between) + self._predicted[:, high] * between
+        known = self.age > KEPT
+        error = self._error[:, first : first + len(KERNEL)]
+        self.needed = np.where(known, (error + acted) @ KERNEL, 0.0)
+        left, applied, share = error @ KERNEL, acted @ KERNEL, AVERAGED * known
+        self._product += share * (left * applied - self._product)
+        self._power += share * (applied**2 - self._power)
+        change = FOLLOWS * np.clip(self._product / (self._power + LEAST_POWER), -1.0, 1.0) + RISES
+        self.authority = np.clip(self.authority + known * (self.age > BEGIN + RAMP) * change, 0.0, 1.0)
+        z = self._seen[:, -DELAY]
+        self._zy += FORGETTING * known[:, np.newaxis] * (self.needed[:, np.newaxis] * z - self._zy)
+        self._zz += FORGETTING * known[:, np.newaxis] * (z * z - self._zz)
+        place = self._steps % MEMORY
+        self._y[:, place] = self.needed
+        self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, 1e3)
+        self._steps += 1
+
+    def _situation(self, reference: FloatArray) -> FloatArray:
+        """z, shape (n, `TERMS`)."""
+        past = self._rate[:, self._rate.shape[1] - 1 - BACK]
+        shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
+        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01
+        plain = (reference / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
+        return np.concatenate((shaped, np.stack(plain, axis=1)), axis=1)
+
+    def _inputs(self, z: FloatArray, a: FloatArray) -> FloatArray:
+        """What the network is given, shape (n, `INPUTS`)."""
+        level = a[:, 3] / self._scale
+        self._mean += 0.02 * (level - self._mean)
+        self._variance += 0.02 * ((level - self._mean) ** 2 - self._variance)
+        spread = np.sqrt(self._variance) / 5.0
+        law = (20.0 * (a[:, 0] - 1.0), 40.0 * (a[:, 1] - 0.04), 2000.0 * (a[:, 2] - 5e-4), self._mean / 10.0, spread,
+               level / 10.0)  # fmt: skip
+        late = [self._y[:, (self._steps - 1 - lag) % MEMORY] for lag in LAGS]
+        distance = np.sum((self._z - (z * WEIGHTING)[:, np.newaxis]) ** 2, axis=2)
+        alike = []
+        for width in WIDTHS:
+            near = np.exp(-distance / (2.0 * width * width))
+            total = near.sum(1)
+            alike += [np.sum(near * self._y, axis=1) / (total + 1.0), total / (total + 5.0)]
+        correlation = self._zy / (self._zz + 0.02)
+        return np.concatenate((z, correlation * z, np.stack((*law, *late, *alike), axis=1)), axis=1)
+
+    def _predict(self, a: FloatArray) -> None:
+        predicted = np.zeros((self._count, OUTPUTS)) if self._network is None else self._network(self.inputs)
+        share = GAIN * self.authority * np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0)
+        sound = np.isfinite(predicted).all(axis=1, keepdims=True)
+        p = np.where(sound, np.clip(share[:, np.newaxis] * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
+        w = a[:, 0] * p[:, 0] + a[:, 1] * (p[:, 1] - p[:, 0]) / 0.01
+        self.value = np.clip(w, -RESIDUAL_MAX, RESIDUAL_MAX) * self._scale
+        self._predicted = np.concatenate((self._predicted[:, 1:], p[:, :1]), axis=1)
+        self._next = p[:, 1]
