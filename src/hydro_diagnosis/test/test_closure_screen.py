@@ -76,11 +76,6 @@ def test_a_coefficient_has_what_is_left_of_the_equations_unit(unit: str, others:
     assert divided(unit, *others) == left
 
 
-def test_each_composition_says_what_it_usually_is_and_stands_once() -> None:
-    assert len({(law.equation, law.where, law.text) for law in grammar.COMPOSITIONS}) == len(grammar.COMPOSITIONS)
-    assert all(law.sentence[0].isupper() and law.sentence.endswith(".") for law in grammar.COMPOSITIONS)
-
-
 def test_coefficients_of_sensors_and_edges_have_their_units() -> None:
     units = {law.form: law.unit for law in grammar.COMPOSITIONS}
     assert units["zero of pressure_b, from the start"] == "Pa"

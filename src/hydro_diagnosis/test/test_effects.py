@@ -11,27 +11,12 @@ from hydro_diagnosis.effects.fluid import EntrainedAir
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects import grown
 
-TABLE = {
-    "friction_coulomb", "friction_viscous", "friction_stribeck", "leakage_internal", "leakage_external",
-    "valve_deadband",
-    "valve_lag", "transport_delay", "valve_offset", "valve_gain", "valve_gain_asymmetry", "valve_null_leakage",
-    "supply_droop",
-    "bulk_modulus", "entrained_air", "load_cell_gain", "load_cell_bias", "pressure_sensor_bias", "spring_stiffness",
-    "spring_hardening", "backlash", "moving_mass", "valve_gain_drift", "end_cushion", "force_offset", "sensor_lag",
-    "friction_presliding", "supply_pressure", "piston_area", "area_ratio", "dead_volume", "tank_pressure",
-    "spring_rest",
-}  # fmt: skip
 ADAPTED = [effect.adapted(Bench.nominal()) for effect in CANDIDATES]
 
 
 def values_at(effect: Effect, which: str) -> dict[str, float]:
     return {one.name: one.neutral if which == "neutral" else one.probes[0] for one in effect.parameters}
-
-
-def test_library_holds_every_id_of_the_table() -> None:
-    assert {effect.id for effect in LIBRARY} == TABLE | grown.IDS
 
 
 def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(problem: Problem, each: Callable[..., None]) -> None:

@@ -18,14 +18,6 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 
-IDS = {
-    "friction_coulomb", "friction_viscous", "friction_stribeck", "leakage_internal", "leakage_external",
-    "valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain", "valve_gain_asymmetry",
-    "valve_null_leakage", "supply_droop", "bulk_modulus", "entrained_air", "load_cell_gain", "load_cell_bias",
-    "pressure_sensor_bias", "spring_stiffness", "spring_hardening", "backlash", "moving_mass", "valve_gain_drift",
-    "end_cushion", "force_offset", "sensor_lag", "friction_presliding", "supply_pressure", "piston_area", "area_ratio",
-    "dead_volume", "tank_pressure", "spring_rest",
-}  # fmt: skip
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 
 
@@ -41,10 +33,6 @@ def with_effects(bench: Bench, *effects: dict[str, Any]) -> Bench:
 def wave(samples: int = 600) -> FloatArray:
     time = SAMPLE_PERIOD * np.arange(samples)
     return np.asarray(4e-4 * np.sin(2 * np.pi * 3 * time) + 2e-4 * np.sin(2 * np.pi * 17 * time))
-
-
-def test_every_id_of_the_diagnosis_is_simulated() -> None:
-    assert {name.split()[0] for name in CATALOGUE} == IDS | grown.IDS
 
 
 def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Bench) -> None:

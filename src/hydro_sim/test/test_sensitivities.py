@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward sensitivities of a prediction, against differences and the adjoint; the filter that starts one."""
+"""Forward sensitivities of a prediction, against differences; the filter that starts one."""
 
 from __future__ import annotations
 
@@ -76,20 +76,6 @@ def test_sensitivities_are_those_of_differences(name: str) -> None:
         difference = (ends[0] - ends[1]) / (2.0 * step)
         allowed = 1e-3 * np.max(np.abs(difference)) + 2e-3
         assert np.max(np.abs(dz[:, :, j] / NOISE - difference)) < allowed, (j, np.max(np.abs(difference)))
-
-
-def test_sensitivities_are_those_of_the_adjoint() -> None:
-    model, exact = _made("bristles")
-    k, start, _ = model.begin(model.values)
-    model.rollout(k, start, wave(137))
-    current, weights = wave(207)[137:].copy(), 1.0 / NOISE
-    targets = model.rollout(k, start.copy(), current) + NOISE
-    _, gy, gk = model.window(k, start, current, targets, weights)
-    z, dz, _ = exact.window(k, start, current, np.eye(exact.held), np.eye(len(k)))
-    by_all = 2.0 * np.einsum("hi,hip->p", (z - targets) * weights**2, dz)
-    sizes = np.concatenate([[state.scale for state in model.states][: exact.held], np.abs(k)])
-    adjoint = np.concatenate([gy[: exact.held], gk]) * sizes
-    np.testing.assert_allclose(by_all * sizes, adjoint, rtol=1e-6, atol=1e-9 * np.max(np.abs(adjoint)))
 
 
 def test_the_filter_finds_states_that_nothing_measures() -> None:
