@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hydro_diagnosis.effects import kernels
-from hydro_diagnosis.preprocessing.smoothing import finish, finish_at, smooth, smooth_at
+from hydro_diagnosis.preprocessing.smoothing import finish, finish_at, kinematics, smooth, smooth_at
 
 
 @pytest.mark.parametrize("spacing", [1, 5])
@@ -25,3 +25,13 @@ def test_means_over_substeps_are_those_of_numpy_to_the_bit(count: int) -> None:
         np.testing.assert_array_equal(
             kernels.substep_mean_beyond(signal, sign), np.maximum(sign * signal, 0.0).mean(axis=-1)
         )
+
+
+def test_kinematics_are_exact_on_parabolas() -> None:
+    time = np.arange(200) * 1e-3
+    x, v, a = kinematics(0.04 + 0.3 * time - 2.0 * time**2, 1e-3)
+    inner = slice(20, -20)
+    assert np.allclose(a[inner], -4.0)
+    assert np.allclose(v[inner], (0.3 - 4.0 * time)[inner])
+    assert np.allclose(finish(a)[inner], -4.0)
+    assert np.allclose(x[inner], (0.04 + 0.3 * time - 2.0 * time**2 - 2.0 * 1e-6)[inner], atol=1e-9)
