@@ -45,7 +45,7 @@ def test_a_plant_that_was_armed_before_the_trainer_came_waits_for_the_person_who
         probe.wait_for(STATE, lambda state: not state.flags & Flag.FILTER_STALE, 120.0)
         probe.arm(True)
         process = graph.enter_context(trainer(*words, *SHORT, stdin=typed[1]))
-        probe.wait(lambda: "gains leave by" in process.text, 60.0)
+        probe.wait(lambda: "gains are sent under" in process.text, 60.0)
         os.write(typed[0], b"\n")
         probe.wait(lambda: "not armed, still waiting for" in process.text, 10.0)
         probe.wait(lambda: HOW_TO_ARM in process.text, 150.0)
