@@ -20,8 +20,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from benchmarks import _truth_fleet  # noqa: F401 - registers the truth plant
@@ -29,11 +31,13 @@ from benchmarks._drawn_truths import drawn_truths
 from benchmarks._report import parser
 from benchmarks.controllers import interquartile_mean
 from hydro_bridge.cli.console import Table, progress
-from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
-from hydro_policy.compensation.estimator import ADAPTS, Compensator
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, STRUCTURE, Network, Residual
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
+from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_policy.task.mdp import BASE
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -56,7 +60,6 @@ REFERENCES = {
     "steps": _signal(Waveform.SMOOTH_STEP, 150.0, 0.4, 40.0, 0.0),
     "steps, fast": _signal(Waveform.SMOOTH_STEP, 120.0, 0.75, 0.0, 0.0),
 }
-SECONDS, SETTLED = 8.0, 2.0
 BENCHES = 240
 """New ones in each round of the training."""
 LATENCY = 5
@@ -76,6 +79,8 @@ class Run:
     """N, shape (n, samples)."""
     current: FloatArray
     """A, shape (n, samples)."""
+    counted: npt.NDArray[np.bool_]
+    """Whole periods behind settling, shape (n, samples)."""
     tripped: FloatArray
     """Shape (n,)."""
     inputs: FloatArray
@@ -90,37 +95,35 @@ def run(
     residual: Residual | None,
     seed: int,
     delays: Sequence[int] = (LATENCY,),
+    settle: float = 2.0,
 ) -> Run:
     """Run bench i with reference i under the compensated law, with the residual or without one.
 
-    `delays`: samples from a decision to where it acts, by turns.
+    `delays`: samples from a decision to where it acts, by turns; `settle` [s] at the begin do not count.
     """
-    count, steps, law = len(configs), round(SECONDS / SAMPLE_PERIOD) // SAMPLES_PER_STEP, BoxLaw()
+    count, settings = len(configs), EvaluationSettings(settle=settle, measure=6.0)
     fleet = VectorBench([Bench.nominal()] * count, [TruthPlant(config) for config in configs], BoxConfig())
     fleet.links["gain_delay"] = np.resize(delays, count)
-    for row, signal in enumerate(signals):
-        fleet.begin(row, signal, 1000 * seed + row, law=Law.COMPENSATED)
-    estimator, still = Compensator(count), np.zeros((count, 2))
-    low, high = law.coefficient_min[3], law.coefficient_max[3]
-    error, current = (np.zeros((count, steps, SAMPLES_PER_STEP)) for _ in range(2))
-    inputs, needed = np.zeros((count, steps, INPUTS), np.float32), np.zeros((count, steps), np.float32)
-    tripped, added = np.zeros(count, bool), np.zeros(count)
-    for step in range(steps):
-        commanded = estimator.coefficients.copy()
-        commanded[:, 3] = np.clip(commanded[:, 3] + added, low, high)
-        added = commanded[:, 3] - estimator.coefficients[:, 3]
-        samples = fleet.step(still, commanded)
-        force, reference, rate = (samples[name] for name in ("load_force", "reference_force", "reference_force_rate"))
-        hidden = (0.0, 0.0) if residual is None else residual.hidden(added)
-        active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
-        law_now = estimator.step(fleet.compensated - hidden[0], force - hidden[1], active, rate)
+    cases = [Case(str(number), signal) for number, signal in enumerate(signals)]
+    names = ("error", "current", "counted", "inputs", "needed")
+    parts: dict[str, list[npt.NDArray[Any]]] = {name: [] for name in names}
+    tripped = np.zeros(count, bool)
+    for step in vector_runs.run(
+        fleet, cases, vector_runs.fixed(np.array(BASE)), settings, seed, Compensator(count), residual
+    ):
+        tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
+        parts["error"].append(step.samples["reference_force"] - step.samples["load_force"])
+        parts["current"].append(step.samples["valve_current"].copy())
+        parts["counted"].append(step.counted)
         if residual is not None:
-            added = residual.step(reference, rate, force, law_now, estimator.counted)
-            inputs[:, step], needed[:, step] = residual.inputs, residual.needed
-        tripped |= np.any(samples["flags"] & Flag.TRIPPED, axis=1)
-        error[:, step], current[:, step] = reference - force, samples["valve_current"]
+            parts["inputs"].append(residual.inputs.astype(np.float32))
+            parts["needed"].append(residual.needed.astype(np.float32))
+    error, current, counted = (np.concatenate(parts[name], axis=1) for name in names[:3])
+    if residual is None:
+        return Run(error, current, counted, tripped, np.empty(0), np.empty(0))
+    needed = np.stack(parts["needed"], axis=1)
     pairs = np.stack((needed[:, DELAY:-1], needed[:, DELAY + 1 :]), axis=2)
-    return Run(error.reshape(count, -1), current.reshape(count, -1), tripped, inputs[:, : pairs.shape[1]], pairs)
+    return Run(error, current, counted, tripped, np.stack(parts["inputs"][: pairs.shape[1]], axis=1), pairs)
 
 
 def drawn_signals(count: int, generator: np.random.Generator) -> list[ReferenceSignal]:
@@ -199,22 +202,26 @@ def save(path: Path, network: Network, seed: int) -> None:
 
 def scores(found: Run) -> tuple[FloatArray, FloatArray]:
     """RMSE [N] and RMS of u' [A/s], shape (n,)."""
-    first = round(SETTLED / SAMPLE_PERIOD)
-    rates = np.diff(found.current[:, first:]) / SAMPLE_PERIOD
-    return np.sqrt(np.mean(found.error[:, first:] ** 2, axis=1)), np.sqrt(np.mean(rates**2, axis=1))
+
+    def rms(signal: FloatArray, counted: npt.NDArray[np.bool_]) -> FloatArray:
+        return np.asarray(np.sqrt(np.sum(np.where(counted, signal, 0.0) ** 2, axis=1) / counted.sum(axis=1)))
+
+    rates = np.diff(found.current, axis=1) / SAMPLE_PERIOD
+    return rms(found.error, found.counted), rms(rates, found.counted[:, 1:])
 
 
-def compare(count: int, seed: int, network: Network, json: Path | None) -> None:
+def compare(count: int, seed: int, network: Network, settle: float, json: Path | None) -> None:
     """Score a network on truths of a seed."""
     truths = [truth_from_mapping(one) for one in drawn_truths(count, seed).values()]
     configs, signals = [one for one in truths for _ in REFERENCES], list(REFERENCES.values()) * count
-    alone, both = run(configs, signals, None, seed), run(configs, signals, Residual(len(configs), network), seed)
+    alone = run(configs, signals, None, seed, settle=settle)
+    both = run(configs, signals, Residual(len(configs), network), seed, settle=settle)
     (law, law_rate), (with_it, rate) = scores(alone), scores(both)
     ratio = (with_it / law).reshape(count, -1)
     columns = {"reference": "", "compensated": "RMSE, N", "with the residual": "RMSE, N", "ratio": "of the two",
                "low": "95 % interval of the ratio", "high": "", "largest": "ratio", "worse": "above 1.1 times + 0.3 N",
                "trips": "with the residual (without)", "u' ratio": "RMS of u' over the law's"}  # fmt: skip
-    table = Table(columns, title=f"Learned residual, {count} truths of seed {seed}")
+    table = Table(columns, title=f"Learned residual, {count} truths of seed {seed}, after {settle:g} s")
     generator = np.random.default_rng(0)
     picks = generator.integers(count, size=(1000, count))
     shaped = [one.reshape(count, -1) for one in (law, with_it, rate / law_rate, with_it > 1.1 * law + 0.3)]
@@ -243,11 +250,12 @@ def main(arguments: list[str] | None = None) -> int:
         "--train", type=Path, metavar="FILE", help="train in place of scoring, and write these weights"
     )
     options.add_argument("--minutes", type=float, default=15.0, metavar="M", help="of fitting, default %(default)s")
+    options.add_argument("--settle", type=float, default=2.0, metavar="S", help="not scored, default %(default)s s")
     asked = options.parse_args(arguments)
     if asked.train:
         train(asked.train, asked.minutes, asked.seed)
         return 0
-    compare(asked.truths, asked.seed, Network.load(asked.weights), asked.json)
+    compare(asked.truths, asked.seed, Network.load(asked.weights), asked.settle, asked.json)
     return 0
 
 

@@ -25,6 +25,13 @@ PAGE = "--page"
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
 
 
+FOREIGN = (
+    "note: no --bench was given, so these recordings are compared with the nominal bench (piston area 2 cm2, supply\n"
+    "      16 MPa, spring 20 kN/m). For another rig write a bench file with its numbers first and pass --bench FILE"
+)
+"""Said where columns are mapped and no bench is given."""
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     options = argparse.ArgumentParser(
@@ -97,6 +104,8 @@ def run(arguments: Sequence[str]) -> int:
         options.error("--id, --law and --json go with --grow")
     if chosen.seconds is not None and not chosen.seconds > 0.0:
         options.error("--seconds of more than 0 is meant")
+    if chosen.columns and not (chosen.bench or chosen.model):
+        print(FOREIGN, file=sys.stderr)
     from hydro_diagnosis.pipeline import diagnose
     from hydro_diagnosis.report.corrected_bench import write_corrected
     from hydro_diagnosis.report.page import write_page

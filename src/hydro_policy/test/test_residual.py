@@ -10,12 +10,16 @@ import pytest
 
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
-from hydro_policy.compensation.estimator import ADAPTS, Compensator
+from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
+from hydro_policy.compensation.period import Past, Period
 from hydro_policy.compensation.residual import INPUTS, RESIDUAL_MAX, Network, Residual
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.task.cases import Case
+from hydro_policy.task.mdp import BASE
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import OfflineGraph
@@ -31,26 +35,40 @@ SIGNALS = [
 
 
 def run(residual: Residual | None, seconds: float = 7.0) -> tuple[FloatArray, FloatArray]:
-    """Error [N] of each bench with each reference, shape (6, samples), and what was added to a_3, shape (6, steps)."""
-    pairs = [(bench, signal) for bench in BENCHES for signal in SIGNALS]
+    """Error [N] of each bench with each reference, shape (6, samples), and w [N], shape (6, steps)."""
+    pairs = [(bench, Case("", signal)) for bench in BENCHES for signal in SIGNALS]
     fleet = VectorBench([BENCH] * len(pairs), [AnalyticPlant(bench) for bench, _ in pairs])
-    for row, (_, signal) in enumerate(pairs):
-        fleet.begin(row, signal, 7 + row, law=Law.COMPENSATED)
-    estimator, law, added, errors, all_added = Compensator(len(pairs)), BoxLaw(), np.zeros(len(pairs)), [], []
-    for _ in range(round(100 * seconds)):
-        commanded = estimator.coefficients.copy()
-        commanded[:, 3] += added
-        assert (commanded[:, 3] <= law.coefficient_max[3]).all()
-        samples = fleet.step(np.zeros((len(pairs), 2)), commanded)
-        reference, force = samples["reference_force"], samples["load_force"]
-        active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
-        hidden = (0.0, 0.0) if residual is None else residual.hidden(added)
-        a = estimator.step(fleet.compensated - hidden[0], force - hidden[1], active, samples["reference_force_rate"])
-        if residual is not None:
-            added = residual.step(reference, samples["reference_force_rate"], force, a, estimator.counted)
-        errors.append(reference - force)
-        all_added.append(added)
-    return np.concatenate(errors, axis=1), np.stack(all_added, axis=1)
+    cases, estimator, settings = [case for _, case in pairs], Compensator(len(pairs)), EvaluationSettings(measure=5.0)
+    errors, values = [], []
+    for step in vector_runs.run(fleet, cases, vector_runs.fixed(np.array(BASE)), settings, 7, estimator, residual):
+        errors.append(step.samples["reference_force"] - step.samples["load_force"])
+        values.append(np.zeros(len(pairs)) if residual is None else residual.value.copy())
+        if len(errors) == round(100 * seconds):
+            break
+    return np.concatenate(errors, axis=1), np.stack(values, axis=1)
+
+
+def test_period_of_what_repeats_is_found_and_none_of_what_does_not() -> None:
+    time = np.arange(0.0, 9.0, 0.01)
+    pulses = np.where(time % 1.7 < 0.4, 50.0, 0.0)
+    sine, drifting = 300.0 * np.sin(2.0 * np.pi * 1.3 * time), np.sin(time) + np.sin(np.sqrt(3.0) * time)
+    shifted = np.where(time < 7.0, sine, 300.0 * np.sin(2.0 * np.pi * 0.8 * time))
+    references = np.stack((sine, pulses, drifting, np.full_like(time, 40.0), shifted))
+    period = Period(len(references))
+    for step, now in enumerate(references.T):
+        period.step(now, np.full(len(references), step + 1))
+        if step == 650:
+            np.testing.assert_allclose(period.steps, (100.0 / 1.3, 170.0, 0.0, 0.0, 100.0 / 1.3), atol=0.05)
+            assert (period.trust[[0, 1, 4]] > 0.98).all()
+        if step == 710:
+            assert period.trust[4] == 0.0, "another sine has been there for 0.1 s"
+
+
+def test_past_values_are_read_between_steps() -> None:
+    past = Past(2, 1, 8)
+    for value in range(20):
+        past.push(np.array([[value], [10.0 * value]]))
+    np.testing.assert_allclose(past.at(np.array([0.0, 2.5])), [[19.0], [165.0]])
 
 
 def rmse(error: FloatArray) -> FloatArray:
@@ -111,7 +129,7 @@ def test_authority_of_a_network_that_harms_shrinks_to_little() -> None:
     wrong = Residual(6, Wrong(shipped.mean, shipped.spread, shipped.layers))
     alone, _ = run(None)
     both, _ = run(wrong)
-    assert (wrong.authority < 0.1).all()
+    assert (wrong.authority[1::2] < 0.1).all(), "multisines; for sines, what was needed a period ago takes its place"
     assert (rmse(both) < 1.2 * rmse(alone)).all()
 
 

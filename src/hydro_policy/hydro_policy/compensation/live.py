@@ -20,7 +20,7 @@ from hydro_bridge.safety.guard import safe_command
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawCommand
 from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
-from hydro_policy.compensation.residual import Network, Residual
+from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 
 RECENT = 50
 """Samples for which the last message about the law holds; there is none while the paper's law acts."""
@@ -64,25 +64,25 @@ class LiveCompensation:
         network: Network | None = None,
     ) -> None:
         self.law, self.cell = law, cell
-        self.learned = False
-        """Whether the residual acts."""
         self.held = 0
         """Policy steps whose samples did not count."""
         self._estimator = Compensator(1, settings, law, cell)
         self._residual = Residual(1, network, self._estimator.settings.force_scale)
-        self._added: FloatArray = np.zeros(1)  # to a_3 of the present policy step
+        self._adapted = AdaptedLaw(self._estimator, self._residual, law)
+        self._adapted.learned = False
         self._safe = safe_command(law)
         self._steps: dict[int, _Step] = {}
         self._taken, self._told, self._seen = -1, -1, -1
 
     def reset(self, *, learned: bool = False) -> None:
         """Begin anew, at neutral coefficients; frozen ones stay, and get no residual."""
-        self.learned = learned
-        if not self.frozen:
-            self._estimator.reset()
-        self._residual.reset()
-        self._added[:] = 0.0
+        self._adapted.reset(learned=learned)
         self._steps.clear()
+
+    @property
+    def learned(self) -> bool:
+        """Whether the residual acts."""
+        return self._adapted.learned
 
     @property
     def frozen(self) -> bool:
@@ -102,8 +102,8 @@ class LiveCompensation:
     @property
     def command(self) -> LawCommand:
         """Law to command now."""
-        a_0, a_1, a_2, a_3 = self._estimator.coefficients[0].tolist()
-        return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3 + float(self._added[0])))
+        a_0, a_1, a_2, a_3 = self._adapted.coefficients[0].tolist()
+        return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3))
 
     @property
     def health(self) -> dict[str, object]:
@@ -115,7 +115,7 @@ class LiveCompensation:
             "at a bound": "yes" if self._estimator.at_bound[0] else "no",
             "frozen": "yes, by a person" if self.frozen else "no",
             "policy steps held": self.held,
-            "learned residual [N]": float(self._added[0]) if self.learned else "off",
+            "learned residual [N]": float(self._adapted.added[0]) if self.learned else "off",
             "its authority": float(self._residual.authority[0]) if self.learned else "off",
         }
 
@@ -164,13 +164,7 @@ class LiveCompensation:
         self._take(step, good=step.good)
 
     def _take(self, step: _Step, *, good: bool) -> None:
-        force, rate = step.measured[np.newaxis], step.reference_rate[np.newaxis]
-        commanded, moved = self._residual.hidden(self._added) if self.learned else (0.0, 0.0)
-        a = self._estimator.step(step.commanded[np.newaxis] - commanded, force - moved, np.array([good]), rate)
+        signals = (step.commanded, step.measured, step.reference_rate, step.reference)
+        commanded, measured, rate, reference = (one[np.newaxis] for one in signals)
+        self._adapted.step(commanded, measured, np.array([good]), rate, reference)
         self.held += not self._estimator.counted[0]
-        if self.learned and not self.frozen:
-            residual = self._residual.step(step.reference[np.newaxis], rate, force, a, self._estimator.counted)
-            low, high = self.law.coefficient_min[3], self.law.coefficient_max[3]
-            self._added = np.clip(a[:, 3] + residual, low, high) - a[:, 3]
-        else:
-            self._added = np.zeros(1)

@@ -10,15 +10,18 @@ its two sides. A network trained on many drawn benches has learnt how benches er
     y, m     corrections needed of late, and mean over similar z         a memory of the last 4 s
 
 Every policy step (10 ms) it predicts the correction p [N] of the force that is needed 16 and 26 ms from the last
-sample, and the law's polynomial turns it into its share of a_3 (inverse model of the compensated loop)::
+sample. Where the reference repeats (`period`) the corrections needed one to three periods ago take its place, the
+sooner the less the law's coefficients have changed since then (repetitive control: Longman 2000, Int. J. Control
+73(10), 930). The law's polynomial turns p into its share of a_3 (inverse model of the compensated loop)::
 
     w = a_0 p + a_1 p'                    bounded, ramped in over 0.5 s, within the law's limits and rates of a_3
 
-Its authority follows the correlation of S(e) with p: where p is too large, or late for this bench, e has its opposite
-sign, and the authority shrinks until nothing of p is left in e.
+Its authority, the share of p that is applied, follows the correlation of S(e) with p: where p is too large, or late
+for this bench, e has its opposite sign, and the authority shrinks until nothing of p is left in e; where p would help
+it grows again.
 
 The needed correction is what it should have been, y = S(e + p), known 40 ms later; S smooths with a Gaussian of 8 ms,
-p acts 8 ms behind the command. The law's estimator is given f_c - w and f - p, so that it does not adapt to them.
+p acts 8 ms behind the command. The law's estimator sees f_c and f as they are, w and its effect in them.
 
 No preview of the reference is needed: the box may follow any. Zero is the compensated law. Source of the scheme:
 iterative learning control (Bristow et al. 2006, IEEE Control Systems 26(3), 96) with the iteration replaced by a
@@ -34,7 +37,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, FloatArray
+from hydro_policy.compensation.estimator import Compensator
+from hydro_policy.compensation.period import LONGEST, Past, Period
 from hydro_sim.files import weights
 
 STRUCTURE = "residual"
@@ -60,6 +66,18 @@ LAGS = (0, 2, 5, 10, 20, 40)
 """Of the corrections needed of late, policy steps before the last one."""
 WIDTHS = (0.25, 0.6)
 """Of the kernels over similar z."""
+REPEATS = (1.0, 0.5, 0.25)
+"""Weights of the corrections needed one, two and three periods ago."""
+SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0
+"""Of these corrections, over policy steps."""
+REMEMBERED = DELAY + 1 + len(SMOOTHING) // 2
+"""Policy steps after which the smoothed corrections of a step and the next are known."""
+SETTLING = KEPT + 50
+"""Policy steps from the begin of which no correction is repeated: the law settles."""
+STALE = 0.3
+"""Square of a change of the law's f_c over the needed corrections' mean square at which one counts half."""
+REPEAT_GAIN = 0.9
+"""Share of a repeated correction that is applied."""
 FORGETTING = 0.01 / 1.5
 """Per policy step, of the correlations."""
 
@@ -76,8 +94,8 @@ PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0
 """N at `NOMINAL_SCALE`, of p and of w."""
 GAIN = 0.6
 """Share of the prediction that is applied."""
-AVERAGED, FOLLOWS, RISES = 0.01, 0.03, 0.001
-"""Per policy step: of the products that the authority follows, its rate, and by how much it tries again."""
+AVERAGED, FOLLOWS = 0.01, 0.03
+"""Per policy step: of the products that the authority follows, and its rate."""
 LEAST_POWER = 0.01
 """N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect."""
 
@@ -150,16 +168,20 @@ class Residual:
         self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)
         """Policy steps since the last gap, shape (n,)."""
         self.authority: FloatArray = np.ones(n)
-        """Share of `GAIN` that is applied, by whether it helps, shape (n,)."""
+        """Share of p that is applied, by whether it helps, shape (n,)."""
         self._product, self._power = np.zeros(n), np.zeros(n)
         self._rate: FloatArray = np.zeros((n, samples))
         self._error: FloatArray = np.zeros((n, samples))
         self._predicted: FloatArray = np.zeros((n, KEPT))  # p of the last steps, the one that acts next last
-        self._next: FloatArray = np.zeros(n)
+        self._wished: FloatArray = np.zeros((n, KEPT))  # the same with full authority
         self._seen: FloatArray = np.zeros((n, DELAY + 1, TERMS))  # z of the last steps
         self._zy, self._zz = np.zeros((n, TERMS)), np.zeros((n, TERMS))
         self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), 1e3)
         self._mean, self._variance = np.zeros(n), np.zeros(n)
+        self._period = Period(n)
+        self._square: FloatArray = np.zeros(n)  # mean of needed corrections
+        self._lately: FloatArray = np.zeros((n, REMEMBERED + 1, 9))  # needed correction, law, reference
+        self._past = Past(n, OUTPUTS + 8, len(REPEATS) * LONGEST)  # of each step: corrections, law, reference
         self._steps = 0
 
     def step(
@@ -192,21 +214,14 @@ class Residual:
         self._error = np.concatenate((self._error[:, SAMPLES_PER_STEP:], error), axis=1)
         self.age = np.where(fine, self.age + 1, 0)
         self._learn()
-        z = self._situation(np.where(fine, reference[:, -1], 0.0) / self._scale)
+        now = np.where(fine, reference[:, -1], 0.0) / self._scale
+        self._period.step(now, self.age)
+        z = self._situation(now)
+        self._remember(now, a)
         self._seen = np.concatenate((self._seen[:, 1:], z[:, np.newaxis]), axis=1)
         self.inputs = self._inputs(z, a)
         self._predict(a)
         return self.value.copy()
-
-    def hidden(self, value: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what of f_c and f of the step now to act is the residual's, [N], shapes (n, 1) and (n, 10).
-
-        `value`: w as it was added, shape (n,).
-        """
-        at = (np.arange(SAMPLES_PER_STEP) - LATE) / SAMPLES_PER_STEP
-        before, now, then = self._predicted[:, -2:-1], self._predicted[:, -1:], self._next[:, np.newaxis]
-        force = np.where(at < 0.0, now + (now - before) * at, now + (then - now) * at)
-        return value[:, np.newaxis], force * self._scale
 
     def _learn(self) -> None:
         """Enter the correction that was needed `DELAY` steps ago."""
@@ -214,18 +229,21 @@ class Residual:
         at = (np.arange(first, first + len(KERNEL)) - LATE) / SAMPLES_PER_STEP
         low = np.clip(np.floor(at).astype(int), 0, KEPT - 1)
         high, between = np.minimum(low + 1, KEPT - 1), at - low
-        acted = self._predicted[:, low] * (1.0 - between) + self._predicted[:, high] * between
+        acted, wished = (
+            one[:, low] * (1.0 - between) + one[:, high] * between for one in (self._predicted, self._wished)
+        )
         known = self.age > KEPT
         error = self._error[:, first : first + len(KERNEL)]
         self.needed = np.where(known, (error + acted) @ KERNEL, 0.0)
-        left, applied, share = error @ KERNEL, acted @ KERNEL, AVERAGED * known
-        self._product += share * (left * applied - self._product)
-        self._power += share * (applied**2 - self._power)
-        change = FOLLOWS * np.clip(self._product / (self._power + LEAST_POWER), -1.0, 1.0) + RISES
+        left, predicted, share = error @ KERNEL, wished @ KERNEL, AVERAGED * known
+        self._product += share * (left * predicted - self._product)
+        self._power += share * (predicted**2 - self._power)
+        change = FOLLOWS * np.clip(self._product / (self._power + LEAST_POWER), -1.0, 1.0)
         self.authority = np.clip(self.authority + known * (self.age > BEGIN + RAMP) * change, 0.0, 1.0)
         z = self._seen[:, -DELAY]
         self._zy += FORGETTING * known[:, np.newaxis] * (self.needed[:, np.newaxis] * z - self._zy)
         self._zz += FORGETTING * known[:, np.newaxis] * (z * z - self._zz)
+        self._square += 0.02 * (self.age > SETTLING) * (self.needed**2 - self._square)
         place = self._steps % MEMORY
         self._y[:, place] = self.needed
         self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, 1e3)
@@ -257,12 +275,95 @@ class Residual:
         correlation = self._zy / (self._zz + 0.02)
         return np.concatenate((z, correlation * z, np.stack((*law, *late, *alike), axis=1)), axis=1)
 
+    def _remember(self, reference: FloatArray, a: FloatArray) -> None:
+        """Enter the corrections needed at the step `REMEMBERED` ago and at the one behind it, its law and reference."""
+        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01
+        shape = np.stack((self.needed, *a.T[:3], a[:, 3] / self._scale, reference, self._rate[:, -1], second), axis=1)
+        shape = np.concatenate((shape, np.ones((self._count, 1))), axis=1)
+        late = self._lately = np.concatenate((self._lately[:, 1:], shape[:, np.newaxis]), axis=1)
+        taps, part = len(SMOOTHING), AHEAD / SAMPLES_PER_STEP - 1.0  # its correction acts `AHEAD` samples later
+        corrections = (late[:, -1 - taps : -1, 0] @ SMOOTHING, late[:, -taps:, 0] @ SMOOTHING)
+        acted = (1.0 - part) * late[:, 1, 5:] + part * late[:, 2, 5:]
+        self._past.push(np.concatenate((np.stack(corrections, axis=1), late[:, 0, 1:5], acted), axis=1))
+
+    def _repeated(self, a: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean of the corrections needed whole periods ago and how far it is trusted, shapes (n, 2) and (n, 1)."""
+        total: FloatArray = np.zeros((self._count, OUTPUTS))
+        weight: FloatArray = np.zeros((self._count, 1))
+        for number, usual in enumerate(REPEATS):
+            back = (number + 1) * self._period.steps - REMEMBERED
+            known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
+            then = self._past.at(np.where(known, back, 0.0))
+            changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - a) * then[:, OUTPUTS + 4 :], axis=1)
+            share = (usual * known / (1.0 + changed**2 / (STALE * self._square + 1e-3)))[:, np.newaxis]
+            total, weight = total + share * then[:, :OUTPUTS], weight + share
+        return total / np.maximum(weight, 1e-6), self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
+
     def _predict(self, a: FloatArray) -> None:
-        predicted = np.zeros((self._count, OUTPUTS)) if self._network is None else self._network(self.inputs)
-        share = GAIN * self.authority * np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0)
+        predicted: FloatArray = np.zeros((self._count, OUTPUTS))
+        if self._network is not None:
+            repeated, trust = self._repeated(a / np.array((1.0, 1.0, 1.0, self._scale)))
+            predicted = (1.0 - trust) * GAIN * self._network(self.inputs) + trust * REPEAT_GAIN * repeated
+        let_in = np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0)[:, np.newaxis]
         sound = np.isfinite(predicted).all(axis=1, keepdims=True)
-        p = np.where(sound, np.clip(share[:, np.newaxis] * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
+        wished = np.where(sound, np.clip(let_in * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
+        p = self.authority[:, np.newaxis] * wished
         w = a[:, 0] * p[:, 0] + a[:, 1] * (p[:, 1] - p[:, 0]) / 0.01
         self.value = np.clip(w, -RESIDUAL_MAX, RESIDUAL_MAX) * self._scale
         self._predicted = np.concatenate((self._predicted[:, 1:], p[:, :1]), axis=1)
-        self._next = p[:, 1]
+        self._wished = np.concatenate((self._wished[:, 1:], wished[:, :1]), axis=1)
+
+
+class AdaptedLaw:
+    """Coefficients to command to n benches: the estimator's, with what the residual adds to a_3.
+
+    Parameters
+    ----------
+    estimator
+        Of the n benches.
+    residual
+        Of the same; None: the compensated law alone.
+    law
+        Limits of a_3.
+    """
+
+    def __init__(self, estimator: Compensator, residual: Residual | None = None, law: BoxLaw | None = None) -> None:
+        self.estimator, self.residual, limits = estimator, residual, law or BoxLaw()
+        self._low, self._high = limits.coefficient_min[3], limits.coefficient_max[3]
+        self.learned = residual is not None
+        """Whether the residual acts."""
+        self.added: FloatArray = np.zeros(len(estimator.coefficients))
+        """To a_3 of the present policy step [N], shape (n,)."""
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Copy of a_0 to a_3, shape (n, 4)."""
+        a = self.estimator.coefficients.copy()
+        a[:, 3] += self.added
+        return a
+
+    def reset(self, *, learned: bool) -> None:
+        """Begin anew, at neutral coefficients; frozen ones stay, and get no residual."""
+        self.learned = learned and self.residual is not None
+        if not self.estimator.frozen.all():
+            self.estimator.reset()
+        if self.residual is not None:
+            self.residual.reset()
+        self.added[:] = 0.0
+
+    def step(
+        self,
+        commanded: FloatArray,
+        measured: FloatArray,
+        active: npt.NDArray[np.bool_],
+        reference_rate: FloatArray,
+        reference: FloatArray,
+    ) -> None:
+        """Take the samples of a policy step, f_r [N] last (shape (n, 10)); the others as `Compensator.step` does."""
+        a = self.estimator.step(commanded, measured, active, reference_rate)
+        if self.residual is None or not self.learned:
+            self.added[:] = 0.0
+            return
+        counted = self.estimator.counted & ~self.estimator.frozen
+        value = self.residual.step(reference, reference_rate, measured, a, counted)
+        self.added = np.where(self.estimator.frozen, 0.0, np.clip(a[:, 3] + value, self._low, self._high) - a[:, 3])

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law, StateArray
 from hydro_policy.compensation.estimator import ADAPTS, Compensator
+from hydro_policy.compensation.residual import AdaptedLaw, Residual
 from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.sac.policy import Policy
 from hydro_policy.task.cases import Case, EvaluationSettings
@@ -79,18 +80,23 @@ def run(
     settings: EvaluationSettings,
     seed: int = 0,
     compensator: Compensator | None = None,
+    residual: Residual | None = None,
 ) -> Iterator[Step]:
     """Run `cases[i]` on bench i, step by step; with a compensator the boxes run the compensated law."""
     law = Law.PAPER if compensator is None else Law.COMPENSATED
+    adapted = None if compensator is None else AdaptedLaw(compensator, residual)
     for index, case in enumerate(cases):
         fleet.begin(index, case.signal, seed, law=law)
     ends = np.array([round(settings.length(case) / SAMPLE_PERIOD) for case in cases])
     first = round(settings.settle / SAMPLE_PERIOD)
     for start in range(1, int(ends.max()), SAMPLES_PER_STEP):
         changes = choose(records(fleet.samples[:, -1], STATE_FIELDS))
-        samples = fleet.step(changes, None if compensator is None else compensator.coefficients)
-        if compensator is not None:
+        samples = fleet.step(changes, None if adapted is None else adapted.coefficients)
+        if adapted is not None:
             active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
-            compensator.step(fleet.compensated, samples["load_force"], active, samples["reference_force_rate"])
+            adapted.step(
+                fleet.compensated, samples["load_force"], active, samples["reference_force_rate"],
+                samples["reference_force"],
+            )  # fmt: skip
         number = start + np.arange(SAMPLES_PER_STEP)
         yield Step(samples, (number >= first) & (number < ends[:, np.newaxis]))
