@@ -7,6 +7,7 @@ there already are not run again: the same command goes on after an interruption.
 
 policy           the shipped policy, its mean action
 compensated      the compensated law, adaptive, from neutral coefficients
+learned_residual  the same with the learned residual
 compensated_specimen  the same for the force in front of the load cell, whose amplifier is known: see true_rmse
 paper_fixed      the paper's law at its gains (90, 15)
 robust_fixed     the paper's law at the gains that trip on the fewest truths of another draw (--robust finds them)
@@ -41,6 +42,7 @@ from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator, LoadCell
+from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_filter import FleetFilter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
@@ -64,10 +66,18 @@ SHORT = EvaluationSettings(settle=1.0, measure=2.0)
 GRID = GridSettings()
 SHOWN = {
     "paper_fixed": "paper's gains (90, 15)", "hindsight_fixed": "best fixed gains on each bench",
-    "policy": "shipped policy", "compensated": "compensated law",
+    "policy": "shipped policy", "compensated": "compensated law", "learned_residual": "with the learned residual",
 }  # fmt: skip
 """Bars of the picture."""
-CONTROLLERS = ("policy", "compensated", "compensated_specimen", "paper_fixed", "robust_fixed", "hindsight_fixed")
+CONTROLLERS = (
+    "policy",
+    "compensated",
+    "learned_residual",
+    "compensated_specimen",
+    "paper_fixed",
+    "robust_fixed",
+    "hindsight_fixed",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,13 +124,14 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 def measure(
     config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, *,
     seed: int = 0, box: BoxConfig | None = None, filters: FleetFilter | None = None, dead_time: int = 0,
+    residual: Residual | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Run every case on this truth, its valve late by some samples; one row of figures for each (see `outcome`)."""
     fleet = truth_fleet(len(cases), config, box, filters)
     fleet.links["dead_time"] = dead_time
     sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
-    for step in vector_runs.run(fleet, cases, choose, SETTINGS, seed, compensator):
+    for step in vector_runs.run(fleet, cases, choose, SETTINGS, seed, compensator, residual):
         wanted, current = step.samples["reference_force"], step.samples["valve_current"]
         rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
         before = current[:, -1].copy()
@@ -145,6 +156,8 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
     """One controller on one truth."""
     if name.startswith("compensated"):
         return compensated(config, cases, cell=load_cell(config) if name == "compensated_specimen" else None)
+    if name == "learned_residual":
+        return compensated(config, cases, residual=Residual(len(cases), Network.load()))
     if name == "policy":
         shipped = load_initial_agent(SHIPPED)
         return measure(config, cases, mean_action(actor_parameters(shipped.agent), shipped))
@@ -158,11 +171,13 @@ def compensated(
     law: BoxLaw | None = None,
     cell: LoadCell | None = None,
     dead_time: int = 0,
+    residual: Residual | None = None,
 ) -> list[dict[str, Any]]:
     """A compensated law, adaptive, from neutral coefficients; rows as of `measure`."""
     law = law or BoxLaw()
     estimator, box = Compensator(len(cases), law=law, cell=cell), BoxConfig(compensated=law)
-    return measure(config, cases, held((law.base_kp, law.base_ki), law), estimator, box=box, dead_time=dead_time)
+    choose = held((law.base_kp, law.base_ki), law)
+    return measure(config, cases, choose, estimator, box=box, dead_time=dead_time, residual=residual)
 
 
 def load_cell(config: TruthConfig) -> LoadCell | None:
