@@ -33,9 +33,6 @@ from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import Authority as AuthorityMessage
 from hydro_msgs.srv import Claim
 
-_NEWCOMERS = 50
-"""Corrections per second without the epoch that are not reported: those of a filter that has not received it yet."""
-
 
 class GateWords:
     """Announces one authority.
@@ -52,6 +49,7 @@ class GateWords:
         self._node, self._authority = node, authority
         self._publisher = create_publisher(node, AUTHORITY)
         self._told: Counter[str] = Counter()
+        self._corrected = False  # corrections were refused in the second before
         self._last = ""
         self._calls = node.get_logger().get_child(CALLS)
 
@@ -73,7 +71,8 @@ class GateWords:
         if news:
             self.tell()
         self._told = self._authority.refused.copy()
-        if news[CORRECTION] <= _NEWCOMERS:
+        corrected, self._corrected = self._corrected, news[CORRECTION] > 0
+        if not corrected:  # those of a filter that has not received the epoch yet
             del news[CORRECTION]
         for topic, count in news.items():
             names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})

@@ -72,10 +72,10 @@ SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0
 """Of these corrections, over policy steps."""
 REMEMBERED = DELAY + 1 + len(SMOOTHING) // 2
 """Policy steps after which the smoothed corrections of a step and the next are known."""
-SETTLING = KEPT + 50
+SETTLING = KEPT + 100
 """Policy steps from the begin of which no correction is repeated: the law settles."""
-STALE = 0.3
-"""Square of a change of the law's f_c over the needed corrections' mean square at which one counts half."""
+STALE = 1.0
+"""N at `NOMINAL_SCALE`: change of the law's f_c since then at which one counts half."""
 REPEAT_GAIN = 0.9
 """Share of a repeated correction that is applied."""
 FORGETTING = 0.01 / 1.5
@@ -179,7 +179,6 @@ class Residual:
         self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), 1e3)
         self._mean, self._variance = np.zeros(n), np.zeros(n)
         self._period = Period(n)
-        self._square: FloatArray = np.zeros(n)  # mean of needed corrections
         self._lately: FloatArray = np.zeros((n, REMEMBERED + 1, 9))  # needed correction, law, reference
         self._past = Past(n, OUTPUTS + 8, len(REPEATS) * LONGEST)  # of each step: corrections, law, reference
         self._steps = 0
@@ -243,7 +242,6 @@ class Residual:
         z = self._seen[:, -DELAY]
         self._zy += FORGETTING * known[:, np.newaxis] * (self.needed[:, np.newaxis] * z - self._zy)
         self._zz += FORGETTING * known[:, np.newaxis] * (z * z - self._zz)
-        self._square += 0.02 * (self.age > SETTLING) * (self.needed**2 - self._square)
         place = self._steps % MEMORY
         self._y[:, place] = self.needed
         self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, 1e3)
@@ -295,7 +293,7 @@ class Residual:
             known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
             then = self._past.at(np.where(known, back, 0.0))
             changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - a) * then[:, OUTPUTS + 4 :], axis=1)
-            share = (usual * known / (1.0 + changed**2 / (STALE * self._square + 1e-3)))[:, np.newaxis]
+            share = (usual * known / (1.0 + (changed / STALE) ** 2))[:, np.newaxis]
             total, weight = total + share * then[:, :OUTPUTS], weight + share
         return total / np.maximum(weight, 1e-6), self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
 
