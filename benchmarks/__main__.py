@@ -21,7 +21,6 @@ STUDIES = frozenset(
         "compensated_law",
         "controllers",
         "dashboard",
-        "diagnosis_peers",
         "effect_table",
         "iterative_learning",
         "model_mismatch",

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PEERS = {"gymnasium", "pysindy"}
-"""Of environments of their own, imported at the top."""
+PEERS = {"gymnasium"}
+"""Of an environment of its own, imported at the top."""
 
 
 def test_every_benchmark_imports(each: Callable[..., None]) -> None:

@@ -145,16 +145,10 @@ def _fitted(
     return kept
 
 
-def prediction_rmse(bench: Bench, runs: list[Run]) -> FloatArray:
-    """RMSE of a bench's 70-sample predictions of the readings, shape (5,); initial states by the filter."""
-    model = BenchModel(bench, substeps=SUBSTEPS)
-    return best_prediction_rmse(Sensitivities(model), model.values, noise_of(runs), runs)[0]
-
-
 def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
 ) -> tuple[FloatArray, StateEstimator]:
-    """Return the lowest `prediction_rmse` over the filter's trusts, and that filter."""
+    """Lowest RMSE of 70-sample predictions of the readings, shape (5,), over the filter's trusts, and that filter."""
     followers = [StateEstimator(exact, theta, noise, trust) for trust in TRIED]
     found = [(_left(follower, runs), follower) for follower in followers]
     return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
