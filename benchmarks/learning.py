@@ -18,6 +18,7 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import OBSERVATIONS, GainRange, observe
+from hydro_sim.model.bench import NOMINAL
 
 ROUNDS, UPDATES, STEPS = 5, 400, 50_000
 
@@ -44,7 +45,7 @@ def policy_steps() -> list[float]:
     samples, action, took = rng.normal(size=(256, 14)), np.zeros(2), []
     for k in range(STEPS):
         began = time.perf_counter()
-        action = policy.act(observe(samples[k % 256], action), rng)
+        action = policy.act(observe(samples[k % 256], action, NOMINAL), rng)
         gains.gains(action)
         took.append(time.perf_counter() - began)
     return took

@@ -84,7 +84,7 @@ def test_the_policy_in_c_acts_as_the_policy(
     rows, worst = drawn_states(2000).astype(np.float32).astype(np.float64), 0.0
     action: FloatArray = np.zeros(ACTIONS)
     for row, found in zip(rows, many(folder, precision, POLICY, rows, 4), strict=True):
-        observation = observe(row, action)
+        observation = observe(row, action, policy.size)
         action = policy.act(observation) if np.isfinite(observation).all() else action
         worst = max(worst, float(np.abs(found[:2] - action).max()))
     print(f"{precision}: {worst:g}")

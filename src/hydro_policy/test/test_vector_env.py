@@ -68,7 +68,7 @@ def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
     for _ in range(5):
         observation = environment.observation[1].copy()
         last = records(environment.fleet.samples[1, -1], STATE_FIELDS)
-        np.testing.assert_array_equal(observation, observe(last, before))
+        np.testing.assert_array_equal(observation, observe(last, before, task.size))
         transitions = environment.step(rng.uniform(-1, 1, (2, 2)))
         step = None
         for sample in transitions.samples[1]:

@@ -45,7 +45,7 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
-from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD
@@ -81,7 +81,7 @@ class CompensatorSettings:
     """Of neutral coefficients in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
     valve_weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-2
     """Of the absence of the valve's terms: smooth steps tell them badly from f'."""
-    force_scale: Annotated[float, quantity("N", 0.1, 1e6)] = 300.0
+    force_scale: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
     """Usual amplitude of the force."""
     good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
     """Excitation above which forgetting is at its fastest; `force_scale` at 1 Hz gives 1, at 0.5 Hz 0.25."""
@@ -89,7 +89,7 @@ class CompensatorSettings:
     """Residual of the fit over `force_scale` at which forgetting is twice as fast."""
     haste: Annotated[float, quantity("-", 1.0, 100.0)] = 8.0
     """Forgetting is never faster than so many times."""
-    reversal: Annotated[float, quantity("N/s", 1.0, 1e4)] = 60.0
+    reversal: Annotated[float, quantity("N/s", 1e-4, 1e7)] = NOMINAL.force / 5.0
     """r, the force rate over which the valve counts as turning."""
     least_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
     """Excitation below which nothing is learnt."""

@@ -67,7 +67,7 @@ class Environment:
         self._references, self._seeds = list(references), np.array(seeds, np.int64)
         for index, reference in enumerate(references):
             self.fleet.begin(index, reference, int(seeds[index]))
-        self.observation = observe(self._last(), np.zeros((len(self.fleet), ACTIONS)))
+        self.observation = observe(self._last(), np.zeros((len(self.fleet), ACTIONS)), self.task.size)
         return self.observation
 
     def step(self, actions: FloatArray) -> Transitions:
@@ -78,7 +78,7 @@ class Environment:
         error_rate = samples["reference_force_rate"] - samples["load_force_rate"]
         tripped = (samples["flags"][:, -1] & Flag.TRIPPED) != 0
         reward = np.where(tripped, -self.task.trip_penalty, self.task.rewards(error, error_rate))
-        following = observe(self._last(), actions)
+        following = observe(self._last(), actions, self.task.size)
         self.observation = following.copy()
         if tripped.any():
             self._begin_tripped(tripped, following)
@@ -89,7 +89,7 @@ class Environment:
         for index in np.flatnonzero(tripped):
             self._seeds[index] += 1
             self.fleet.begin(int(index), self._references[index], int(self._seeds[index]))
-            after = observe(self._last()[index], np.zeros(ACTIONS))
+            after = observe(self._last()[index], np.zeros(ACTIONS), self.task.size)
             self.observation[index] = after
             if not np.isfinite(following[index]).all():
                 following[index] = after

@@ -16,8 +16,10 @@ import numpy as np
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import ReferenceSignal
-from hydro_sim.model.bench import Bench
+from hydro_bridge.size import resized
+from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import Sensors
 
 REACH = 0.8
 """Share of the spring's largest force within the stroke that a reference may demand."""
@@ -42,13 +44,13 @@ class Randomisation:
 
     known_share: Annotated[float, quantity("-", 0.0, 1.0)] = 0.125
     """Share of the episodes that run on the bench as it is known."""
-    spring_min: Annotated[float, quantity("N/m", 1e3, 1e6)] = 5e3
+    spring_min: Annotated[float, quantity("N/m", 1.0, 1e8)] = NOMINAL.force / NOMINAL.length * 4.0 / 3.0
     """Smallest spring stiffness."""
-    spring_max: Annotated[float, quantity("N/m", 1e3, 1e6)] = 5.5e4
+    spring_max: Annotated[float, quantity("N/m", 1.0, 1e8)] = NOMINAL.force / NOMINAL.length * 44.0 / 3.0
     """Largest spring stiffness."""
-    supply_min: Annotated[float, quantity("Pa", 1e6, 5e7)] = 9.5e6
+    supply_min: Annotated[float, quantity("Pa", 1e5, 1e8)] = NOMINAL.pressure * 0.59375
     """Lowest supply pressure."""
-    supply_max: Annotated[float, quantity("Pa", 1e6, 5e7)] = 17e6
+    supply_max: Annotated[float, quantity("Pa", 1e5, 1e8)] = NOMINAL.pressure * 1.0625
     """Highest supply pressure, above the nominal one, for policies are worst at the edge of what they were trained
     on.
     """
@@ -92,8 +94,13 @@ def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedB
     factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _SPREAD.items()}
     noise = rng.uniform(settings.noise_min, settings.noise_max)
     delays = int(rng.integers(1, settings.gain_delay_max + 1)), int(rng.integers(0, settings.dead_time_max + 1))
-    plant = AnalyticPlant(_drawn(source, spring, supply, factors), noise=noise)
+    plant = AnalyticPlant(_drawn(source, spring, supply, factors), noise=noise, settings=sensors_of(source))
     return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=source.stroke)
+
+
+def sensors_of(bench: Bench) -> Sensors:
+    """Return the usual sensors of a bench of this size."""
+    return resized(Sensors(), NOMINAL, bench.size)
 
 
 def _drawn(bench: Bench, spring: float, supply: float, factors: dict[str, float]) -> Bench:

@@ -36,7 +36,7 @@ class PolicyChooser:
         """See `Chooser`."""
         if self._previous is None:
             self._previous = np.zeros((len(samples), ACTIONS))
-        self._previous = self.policy.act(observe(samples, self._previous))
+        self._previous = self.policy.act(observe(samples, self._previous, self.policy.size))
         return self.gains.changes(self._previous)
 
 

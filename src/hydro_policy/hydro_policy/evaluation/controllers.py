@@ -129,7 +129,7 @@ class PolicyController:
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`."""
-        observation = observe(sample, self._action)
+        observation = observe(sample, self._action, self._policy.size)
         if np.isfinite(observation).all():
             self._action = self._policy.act(observation)
         return self.reach.gains(self._action)

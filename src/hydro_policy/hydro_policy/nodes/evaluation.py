@@ -25,8 +25,9 @@ from hydro_bridge.ros.node import declare_parameters, refuse_unknown_parameters
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.size import resized
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_policy.compensation.estimator import LoadCell
+from hydro_policy.compensation.estimator import CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.compensation.residual import Network
 from hydro_policy.evaluation import report
@@ -44,12 +45,14 @@ from hydro_policy.nodes.startup.companions import (
     protection_gap,
     start_companions,
 )
-from hydro_policy.nodes.startup.options import load_cell, may_rearm, plant_options
+from hydro_policy.nodes.startup.options import load_cell, may_rearm, plant_options, unless_said
 from hydro_policy.runs.run import RunDirectory
+from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import BoxIdentity
+from hydro_sim.model.bench import NOMINAL
 
 
 def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Controller]:
@@ -224,6 +227,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
                 raise NotReadyError(NOT_OFFERED)
             node.say(f"{NOT_OFFERED}; the paper's law alone is compared")
         box = BoxIdentity.of_box(node.box)
+        settings = unless_said(node, settings, resized(settings, NOMINAL, node.size))
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
         node.override = GainOverride(
@@ -292,8 +296,9 @@ def search_on(
     """
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     session = GridSession(
-        grid, short, node, rearm=rearm, after=after, override=node.override, requirements=node.requirements
-    )
+        grid, short, node, rearm=rearm, after=after, override=node.override, requirements=node.requirements,
+        monitor=SafetyMonitor(resized(MonitorSettings(), NOMINAL, node.size)),
+    )  # fmt: skip
     told = 0
 
     def tick() -> None:
@@ -328,14 +333,15 @@ def evaluate_on(
     `after` is the watch of the previous session, if there was one; with `law`, the box's compensated law is compared,
     too; with `cell`, for the force in front of that; if `learned`, also with the learned residual.
     """
-    compensation = None if law is None else LiveCompensation(law, cell=cell, network=Network.load())
+    estimator = resized(CompensatorSettings(), NOMINAL, node.size)
+    compensation = None if law is None else LiveCompensation(law, estimator, cell, Network.load())
     if compensation is not None:
         node.compensate(compensation)
         controllers = [*controllers, Compensated(compensation, node.override.base)]
         if learned and cell is None:
             controllers.append(Compensated(compensation, node.override.base, learned=True))
     session = EvaluationSession(
-        settings or EvaluationSettings(),
+        settings or EvaluationSettings(amplitude=node.size.force),
         controllers,
         node,
         rearm=rearm,

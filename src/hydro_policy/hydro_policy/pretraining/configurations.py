@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from hydro_bridge.size import Size, resized
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
+from hydro_sim.model.bench import NOMINAL
 
 WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
 """K_p from 15 to 300, K_i from 5 to 100: the box's limits."""
@@ -21,8 +23,10 @@ WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, t
 CONFIGURATIONS = ("paper", "wide")
 
 
-def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) -> TrainingSettings:
-    """Return one of `CONFIGURATIONS` for 160 episodes on a box with these base gains; the total gain range is kept.
+def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE, size: Size = NOMINAL) -> TrainingSettings:
+    """Return one of `CONFIGURATIONS` for 160 episodes on a bench of this size.
+
+    The total gain range is the same whatever the base gains of its box.
 
     Raises
     ------
@@ -36,13 +40,13 @@ def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) ->
     else:
         raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")
     gains = task.gains.shifted(BASE[0] - base[0], BASE[1] - base[1])
-    return TrainingSettings(seed=seed, sac=sac, task=replace(task, gains=gains))
+    return resized(TrainingSettings(seed=seed, sac=sac, task=replace(task, gains=gains)), NOMINAL, size)
 
 
 def configuration_of(settings: TrainingSettings) -> str | None:
     """Return the name of the configuration that a run was started with; None if it matches none."""
     task, scale = settings.task, settings.sac.reward_scale
-    named = {name: configuration(name, base=settings.base_gains) for name in CONFIGURATIONS}
+    named = {name: configuration(name, base=settings.base_gains, size=task.size) for name in CONFIGURATIONS}
     return next(
         (
             name

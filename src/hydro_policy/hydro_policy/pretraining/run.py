@@ -28,6 +28,7 @@ from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process import endings
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.size import resized
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_filter.controller.factory import FilterChoice
 from hydro_policy.envs import FilterName
@@ -39,12 +40,12 @@ from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, Pret
 from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
-from hydro_policy.task.cases import Case
+from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
 from hydro_sim.files import learned_bench
 from hydro_sim.files.learned_bench import is_bench_file
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched, stamped
-from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.plotting import BLUE, figure, legend
 
 SOURCE = "pretrain.yaml"
@@ -82,7 +83,7 @@ class SimulationSetup:
     def box_config(self) -> BoxConfig:
         """Base gains and limits of the box."""
         box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
-        return replace(box, integral=self.integral)
+        return replace(resized(box, NOMINAL, self.believed().size), integral=self.integral)
 
     def made_for(self) -> MadeFor:
         """Box that its policies are made for: the simulated one, whatever the plant."""
@@ -103,10 +104,10 @@ class SimulationSetup:
 
     def pretraining(self, training: TrainingSettings) -> Pretraining:
         """Return a new pretraining."""
-        randomisation = Randomisation() if self.randomise else None
+        randomisation = resized(Randomisation(), NOMINAL, training.task.size) if self.randomise else None
         settings = PretrainSettings(
             training=training, benches=self.benches, randomisation=randomisation, filter=self.filter,
-            box=self.box_config(),
+            box=self.box_config(), evaluation=EvaluationSettings(amplitude=training.task.size.force),
         )  # fmt: skip
         return Pretraining(settings, self.simulated(), self.believed())
 
@@ -247,7 +248,7 @@ def pretrain(options: argparse.Namespace) -> int:
 def training_settings(options: argparse.Namespace, source: SimulationSetup) -> TrainingSettings:
     """Return the settings of the command line; total gains are the configuration's, whatever the box's base gains."""
     box = source.box_config()
-    settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki))
+    settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki), source.believed().size)
     episodes = settings.episodes if options.episodes is None else options.episodes
     hidden = settings.sac.hidden_size if options.hidden is None else options.hidden
     steps = settings.task.steps_per_episode if options.steps is None else options.steps
@@ -338,7 +339,8 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) 
     best = pretraining.best or dump(pretraining.sac)
     training = pretraining.settings.training
     write_whole(run.path / AGENT, stamped(best, training.made))
-    policy = Policy(training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max))
+    sac = training.sac
+    policy = Policy(sac.hidden_size, (sac.log_std_min, sac.log_std_max), training.task.size)
     policy.load_flat(actor_parameters(best))
     notes = {
         "command": " ".join(["pretrain", *sys.argv[1:]]), "simulated": asdict(source), "seed": training.seed,

@@ -26,7 +26,7 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray, ReferenceSignal
 from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
-from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
+from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench, sensors_of
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
@@ -189,7 +189,9 @@ class Pretraining:
         self.environment = Environment(self.fleet, training.task)
         self.sac = Sac(OBSERVATIONS, ACTIONS, training.sac)
         self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
-        self.policy = Policy(training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max))
+        self.policy = Policy(
+            training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max), training.task.size
+        )
         self.rng = np.random.default_rng(training.seed)
         self.episode = 0
         """Episodes finished."""
@@ -282,7 +284,9 @@ class Pretraining:
         return VectorBench([self._believed] * count, plants, self.settings.box, filters)
 
     def _plant(self) -> Plant:
-        return AnalyticPlant(self._source) if isinstance(self._source, Bench) else self._source()
+        if isinstance(self._source, Bench):
+            return AnalyticPlant(self._source, settings=sensors_of(self._source))
+        return self._source()
 
     def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
         """Return the episode's reference; with randomisation, also install its bench."""

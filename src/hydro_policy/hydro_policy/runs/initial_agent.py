@@ -8,12 +8,14 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from hydro_bridge.size import Size, resized
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import as_beginning, settings_of
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.pairing import MadeFor, stamp_of
+from hydro_sim.model.bench import NOMINAL
 
 AGENT = "learner.safetensors"
 
@@ -39,6 +41,8 @@ class InitialAgent:
     source: Path
     made: MadeFor | None = None
     """Box that it was made for; None: not recorded in its files."""
+    size: Size = NOMINAL
+    """Of the bench that its reward is for."""
 
     def adopted(self, settings: TrainingSettings) -> TrainingSettings:
         """Return the settings with this agent's network size, range of gains and reward.
@@ -54,7 +58,8 @@ class InitialAgent:
             log_std_max=self.sac.log_std_max,
             reward_scale=self.sac.reward_scale,
         )
-        task = replace(settings.task, gains=self.gains, **self.reward)
+        reward = resized(replace(settings.task, **self.reward), self.size, settings.task.size)
+        task = replace(settings.task, gains=self.gains, **{name: getattr(reward, name) for name in self.reward})
         return replace(settings, sac=sac, task=task, warmup_steps=max(settings.warmup_steps, task.steps_per_episode))
 
 
@@ -82,7 +87,7 @@ def load_initial_agent(path: Path) -> InitialAgent:
         sac = settings_of(agent)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{found} is not an agent: {error}") from error
-    _, gains, notes = load_policy(run.policy)
+    policy, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
-    return InitialAgent(agent, sac, gains, reward, path, stamp_of(found) or stamp_of(run.policy))
+    return InitialAgent(agent, sac, gains, reward, path, stamp_of(found) or stamp_of(run.policy), policy.size)

@@ -15,7 +15,7 @@ from hydro_bridge.cli.console import command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
 from hydro_policy.sac.policy import Policy, load_policy
-from hydro_policy.task.mdp import ACTIONS, OBSERVATION_CENTER, OBSERVATION_SCALE, GainRange
+from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
 from hydro_sim.box.c_text import header_file, reals, wrapped
 
 
@@ -41,11 +41,12 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
         for name, array in zip(("HYDRO_POLICY_WEIGHT", "HYDRO_POLICY_BIAS"), pair, strict=True)
     ]
     low, high = (gains.changes(np.full(ACTIONS, end)) for end in (-1.0, 1.0))
+    center, scale = normalization(policy.size)
     members = [
         "    .weight = {HYDRO_POLICY_WEIGHT_1, HYDRO_POLICY_WEIGHT_2, HYDRO_POLICY_WEIGHT_3},",
         "    .bias = {HYDRO_POLICY_BIAS_1, HYDRO_POLICY_BIAS_2, HYDRO_POLICY_BIAS_3},",
-        f"    .center = {reals(OBSERVATION_CENTER)},",
-        f"    .scale = {reals(OBSERVATION_SCALE)},",
+        f"    .center = {reals(center)},",
+        f"    .scale = {reals(scale)},",
         f"    .low = {reals(low)},",
         f"    .high = {reals(high)},",
     ]

@@ -2,8 +2,8 @@
 """Acting policy: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
 
 policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro"
-JSON with architecture, observation names, centers and scales, and the range of the gains, which is all that is needed
-to act, and the box it was made for (`hydro_sim.files.pairing`).
+JSON with architecture, observation names, centers and scales, the bench's size that these follow from, and the range of
+the gains, which is all that is needed to act, and the box it was made for (`hydro_sim.files.pairing`).
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.tensors import check_numbers, check_shapes
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.size import Size
 from hydro_policy.task.mdp import (
     ACTIONS,
-    OBSERVATION_CENTER,
     OBSERVATION_NAMES,
-    OBSERVATION_SCALE,
     OBSERVATIONS,
     GainRange,
+    normalization,
 )
 from hydro_sim.files.pairing import ENTRY, MadeFor
+from hydro_sim.model.bench import NOMINAL
 
 FORMAT = 1
 _WIDEST = 1024  # units, as in `SacSettings`
@@ -47,9 +48,14 @@ class Policy:
         Units in each of the two hidden layers.
     log_std_bounds
         Bounds of log sigma, as in `SacSettings`.
+    size
+        Of the bench, with which its observations are scaled.
     """
 
-    def __init__(self, hidden_size: int, log_std_bounds: tuple[float, float] = (-5.0, 2.0)) -> None:
+    def __init__(
+        self, hidden_size: int, log_std_bounds: tuple[float, float] = (-5.0, 2.0), size: Size = NOMINAL
+    ) -> None:
+        self.size = size
         self.sizes = (OBSERVATIONS, hidden_size, hidden_size, 2 * ACTIONS)
         self.log_std_bounds = log_std_bounds
         self.weights = [np.zeros((i, o)) for i, o in zip(self.sizes, self.sizes[1:], strict=False)]
@@ -94,14 +100,16 @@ class Policy:
         self, path: Path, gains: GainRange, notes: dict[str, object] | None = None, made: MadeFor | None = None
     ) -> None:
         """Write policy.safetensors; `notes` (run, episodes, updates) and what it was made for go into the header."""
+        center, scale = normalization(self.size)
         header = {
             "format": FORMAT,
             "architecture": {"sizes": self.sizes, "activation": "relu", "output": "tanh(mu), log sigma"},
             "log_std_bounds": self.log_std_bounds,
             "observation": {
                 "names": OBSERVATION_NAMES,
-                "center": OBSERVATION_CENTER.tolist(),
-                "scale": OBSERVATION_SCALE.tolist(),
+                "center": center.tolist(),
+                "scale": scale.tolist(),
+                "size": asdict(self.size),
                 "units": "SI before normalization",
             },
             "gains": asdict(gains),
@@ -143,16 +151,19 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
 def _checked(header: dict[str, Any], tensors: dict[str, Any]) -> tuple[Policy, GainRange, dict[str, object]]:
     """Return the policy of a file's header and tensors; raises ValueError, KeyError or TypeError if it is not one."""
     seen = header["observation"]
+    size = Size(**seen["size"]) if "size" in seen else NOMINAL
+    check(size)
+    center, scale = normalization(size)
     if (
         tuple(seen["names"]) != OBSERVATION_NAMES
-        or seen["center"] != OBSERVATION_CENTER.tolist()
-        or seen["scale"] != OBSERVATION_SCALE.tolist()
+        or seen["center"] != center.tolist()
+        or seen["scale"] != scale.tolist()
     ):
         raise ValueError(f"it was trained on another observation: {', '.join(seen['names'])}")
     hidden, (low, high), gains = int(header["architecture"]["sizes"][1]), header["log_std_bounds"], header["gains"]
     if not (1 <= hidden <= _WIDEST and math.isfinite(low) and math.isfinite(high) and low <= high):
         raise ValueError(f"{hidden} units with log sigma in [{low}, {high}] are no policy of ours")
-    policy, reach = Policy(hidden, (low, high)), GainRange(**gains)
+    policy, reach = Policy(hidden, (low, high), size), GainRange(**gains)
     check(reach)
     check_shapes(tensors, {f"weight_{k}": weight.shape for k, weight in enumerate(policy.weights)})
     check_shapes(tensors, {f"bias_{k}": bias.shape for k, bias in enumerate(policy.biases)})

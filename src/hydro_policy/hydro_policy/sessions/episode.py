@@ -97,7 +97,9 @@ class Explorer:
 
     def __init__(self, settings: TrainingSettings, replay: ReplayBuffer, outputs: Outputs) -> None:
         self.task = settings.task
-        self.policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
+        self.policy = Policy(
+            settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max), settings.task.size
+        )
         self.rng = np.random.default_rng(settings.seed)
         self.inference = Latency()  # observe, act, map to gains
         self.published = 0
@@ -129,7 +131,7 @@ class Explorer:
         reward = None
         if before is not None and step is not None:
             reward = self.task.reward(step.error, step.error_rate)
-            after = observe(step.sample, taken)
+            after = observe(step.sample, taken, self.task.size)
             if step.whole and np.isfinite(after).all():
                 self._remember(before, taken, reward, after, terminated=False)
         self._publish(gains)
@@ -140,7 +142,7 @@ class Explorer:
     def terminate(self, sample: FloatArray) -> None:
         """Store the last action's transition as terminal, with the penalty: its result had to be stopped."""
         if self._observation is not None:
-            after = observe(sample, self._action)
+            after = observe(sample, self._action, self.task.size)
             after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
             self._remember(self._observation, self._action, -self.task.trip_penalty, after, terminated=True)
         self.forget()
@@ -152,7 +154,7 @@ class Explorer:
     def _act(self, step: Step) -> FloatArray | None:
         """Publish the policy's gains; returns the observation that it acted on, None if that is not finite."""
         begin = time.perf_counter()
-        observation = observe(step.sample, self._action)
+        observation = observe(step.sample, self._action, self.task.size)
         if not np.isfinite(observation).all():
             self._observation = None  # the box trips on this; its flags follow
             return None

@@ -24,6 +24,7 @@ import numpy as np
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus
 from hydro_policy.task.step_aggregator import Step
+from hydro_sim.model.bench import NOMINAL
 
 _EVALUATED = frozenset(
     set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH}
@@ -38,10 +39,10 @@ _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 class MonitorSettings:
     """Limits; the defaults lie between what good and bad runs reach (training_figures.md)."""
 
-    peak_error: Annotated[float, quantity("N", 1.0, 1e5)] = 300.0
+    peak_error: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
     """|e| in the mean over a policy step."""
-    chatter: Annotated[float, quantity("A/s", 1e-3, 1e3)] = 0.7
-    """RMS of u' in the window's median step."""
+    chatter: Annotated[float, quantity("A/s", 1e-3, 1e3)] = NOMINAL.current * 1.4 * 10.0
+    """RMS of u' in the window's median step: 14 times the valve's limit a second."""
     chatter_window: Annotated[float, quantity("s", 0.02, 10.0)] = 0.1
     """Length of the window that chatter is taken over."""
     violations: Annotated[float, quantity("-", 0.0, 1.0)] = 0.5

@@ -11,6 +11,7 @@ import numpy as np
 
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_sim.model.bench import NOMINAL
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,12 @@ class EvaluationSettings:
 
     frequencies: tuple[Annotated[float, quantity("Hz", 0.05, 10.0)], ...] = (0.5, 1.0, 1.5, 2.0)
     """Of the sines."""
-    amplitude: Annotated[float, quantity("N", 0.0, 1000.0)] = 300.0
+    amplitude: Annotated[float, quantity("N", 0.0, 1e7)] = NOMINAL.force
     """Of sines and multisine."""
     multisine: bool = False
     """Four incommensurate sines from 0.5 Hz up, at most `amplitude` together, too."""
     steps: bool = False
-    """Smooth steps of 200 N to both sides at 0.5 Hz, too."""
+    """Smooth steps of two thirds of `amplitude` to both sides at 0.5 Hz, too."""
     settle: Annotated[float, quantity("s", 0.5, 60.0)] = 2.0
     """Left out at the start of each run: the cross-fade takes 0.3 s."""
     measure: Annotated[float, quantity("s", 0.1, 600.0)] = 3.0
@@ -55,7 +56,7 @@ class EvaluationSettings:
         if self.multisine:
             cases.append(Case("multisine", _signal(Waveform.MULTISINE, self.amplitude, 0.5)))
         if self.steps:
-            cases.append(Case("steps", _signal(Waveform.SMOOTH_STEP, 200.0, 0.5)))
+            cases.append(Case("steps", _signal(Waveform.SMOOTH_STEP, self.amplitude * 2.0 / 3.0, 0.5)))
         return tuple(cases)
 
     def measured(self, frequency: float) -> float:
@@ -77,6 +78,8 @@ class ExamSettings:
     """Left out at the start of each sine, as in an evaluation."""
     measure: Annotated[float, quantity("s", 0.1, 600.0)] = 2.0
     """Measured at least of each sine; rounded up to whole periods."""
+    amplitude: Annotated[float, quantity("N", 0.0, 1e7)] = NOMINAL.force
+    """Of the sines."""
     repeats: Annotated[int, quantity("-", 1, 20)] = 2
     """Runs of each sine. Their scatter is the noise that a policy must be better by to be the best; 1: any counts."""
     reference_kp: Annotated[float, quantity("1/s", 0.0, 500.0)] = 90.0
@@ -87,7 +90,9 @@ class ExamSettings:
     @property
     def evaluation(self) -> EvaluationSettings:
         """Evaluation settings of an examination."""
-        return EvaluationSettings(settle=self.settle, measure=self.measure, repeats=self.repeats)
+        return EvaluationSettings(
+            amplitude=self.amplitude, settle=self.settle, measure=self.measure, repeats=self.repeats
+        )
 
 
 def _signal(waveform: Waveform, amplitude: float, frequency: float) -> ReferenceSignal:

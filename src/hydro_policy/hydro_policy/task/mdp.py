@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The task as a Markov decision process: observation (eq. obs), reward (eq. reward), action (eq. policy_action).
 
-observation  13 numbers, each (value - center) / scale with the constants below, so that a policy's file is complete
+observation  13 numbers, each (value - center) / scale, both a share of the bench's size
 action       2 numbers in [-1, 1], mapped linearly to [delta_kp, delta_ki]
 step         10 box samples of 1 ms; an episode is 1800 steps, 18 s
 """
@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.size import Size
+from hydro_sim.model.bench import NOMINAL
 
 ACTIONS = 2
 
@@ -24,24 +27,22 @@ BASE = (15.0, 5.0)
 
 _SPREAD: FloatArray = np.array((0.7548776662466927, 0.5698402909980532))  # 1 / p, 1 / p^2 with p^3 = p + 1
 
-_NORMALIZATION: tuple[tuple[str, float, float], ...] = (  # name, center, scale: the middle and the reach of normal runs
-    ("hydraulic_force", 0.0, 300.0),  # N
-    ("hydraulic_force_rate", 0.0, 3770.0),  # N/s: 300 N at 2 Hz
-    ("load_force", 0.0, 300.0),
-    ("load_force_rate", 0.0, 3770.0),
-    ("pressure_a", 8.5e6, 5.5e6),  # Pa: 3 to 14 MPa
-    ("pressure_b", 8.5e6, 5.5e6),
-    ("piston_position", 0.04, 0.015),  # m: 300 N on 20 kN/m about mid-stroke
-    ("piston_velocity", 0.0, 0.19),  # m/s: that at 2 Hz
-    ("reference_force", 0.0, 300.0),
-    ("reference_force_rate", 0.0, 3770.0),
-    ("error", 0.0, 30.0),  # N: an order below the reference, or the policy would hardly see it
-    ("previous_action_kp", 0.0, 1.0),
-    ("previous_action_ki", 0.0, 1.0),
+_NORMALIZATION: tuple[tuple[str, str, float, float], ...] = (  # name; scale of `Size`; center and reach of normal runs
+    ("hydraulic_force", "force", 0.0, 1.0),
+    ("hydraulic_force_rate", "force", 0.0, 3770.0 / 300.0),  # 1/s: the usual amplitude at 2 Hz
+    ("load_force", "force", 0.0, 1.0),
+    ("load_force_rate", "force", 0.0, 3770.0 / 300.0),
+    ("pressure_a", "pressure", 0.53125, 0.34375),  # 3 to 14 MPa of 16
+    ("pressure_b", "pressure", 0.53125, 0.34375),
+    ("piston_position", "length", 0.5, 0.1875),  # the usual amplitude on the spring about mid-stroke
+    ("piston_velocity", "length", 0.0, 2.375),  # 1/s: that at 2 Hz
+    ("reference_force", "force", 0.0, 1.0),
+    ("reference_force_rate", "force", 0.0, 3770.0 / 300.0),
+    ("error", "force", 0.0, 0.1),  # an order below the reference, or the policy would hardly see it
+    ("previous_action_kp", "", 0.0, 1.0),
+    ("previous_action_ki", "", 0.0, 1.0),
 )
-OBSERVATION_NAMES = tuple(name for name, _, _ in _NORMALIZATION)
-OBSERVATION_CENTER: FloatArray = np.array([center for _, center, _ in _NORMALIZATION])
-OBSERVATION_SCALE: FloatArray = np.array([scale for _, _, scale in _NORMALIZATION])
+OBSERVATION_NAMES = tuple(name for name, *_ in _NORMALIZATION)
 OBSERVATIONS = len(OBSERVATION_NAMES)
 
 LOAD_FORCE, LOAD_FORCE_RATE = STATE_FIELDS.index("load_force"), STATE_FIELDS.index("load_force_rate")
@@ -97,25 +98,27 @@ class TaskSettings:
     """Q_1, on the square of e / force_scale."""
     error_rate_weight: Annotated[float, quantity("-", 0.0, 1e6)] = 4000.0
     """Q_2, on the square of e' / force_rate_scale."""
-    force_scale: Annotated[float, quantity("N", 1.0, 1e5)] = 300.0
+    force_scale: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
     """Of the error in the reward."""
-    force_rate_scale: Annotated[float, quantity("N/s", 1.0, 1e6)] = 300.0 * 2.0 * math.pi * 2.0
-    """Of the error's rate in the reward: 300 N at 2 Hz."""
+    force_rate_scale: Annotated[float, quantity("N/s", 1e-3, 1e8)] = NOMINAL.force * 2.0 * math.pi * 2.0
+    """Of the error's rate in the reward: `force_scale` at 2 Hz."""
     reward_power: Annotated[float, quantity("-", 0.1, 2.0)] = 2.0
     """Of the reward: 2 is the paper's square, 1 its root, which weighs small errors on slow references more."""
     trip_penalty: Annotated[float, quantity("-", 0.0, 1e6)] = 1000.0
     """Taken from the reward when the box trips (force limit, sensor fault), which ends the episode."""
     steps_per_episode: Annotated[int, quantity("-", 10, 1e6)] = 1800
     """Policy steps, 10 ms each."""
-    amplitude_min: Annotated[float, quantity("N", 0.0, 1000.0)] = 200.0
+    amplitude_min: Annotated[float, quantity("N", 0.0, 1e7)] = NOMINAL.force * 2.0 / 3.0
     """Smallest amplitude of a reference."""
-    amplitude_max: Annotated[float, quantity("N", 0.0, 1000.0)] = 300.0
+    amplitude_max: Annotated[float, quantity("N", 0.0, 1e7)] = NOMINAL.force
     """Largest amplitude of a reference."""
     frequency_min: Annotated[float, quantity("Hz", 0.05, 10.0)] = 0.5
     """Lowest frequency of a reference."""
     frequency_max: Annotated[float, quantity("Hz", 0.05, 10.0)] = 2.0
     """Highest frequency of a reference."""
     gains: GainRange = field(default_factory=GainRange)
+    size: Size = NOMINAL
+    """Of the bench: what observations are scaled with."""
 
     def reward(self, error: FloatArray, error_rate: FloatArray) -> float:
         """Return eq. reward (at power 2) of the means over the action's samples: e [n] in N and e' [n] in N/s.
@@ -147,7 +150,15 @@ class TaskSettings:
         )
 
 
-def observe(sample: FloatArray, previous_action: FloatArray) -> FloatArray:
+@lru_cache
+def normalization(size: Size) -> tuple[FloatArray, FloatArray]:
+    """Return center and scale of the observations on a bench of this size, shape (13,) each."""
+    scales = vars(size) | {"": 1.0}
+    center = np.array([scales[scale] * share for _, scale, share, _ in _NORMALIZATION])
+    return center, np.array([scales[scale] * share for _, scale, _, share in _NORMALIZATION])
+
+
+def observe(sample: FloatArray, previous_action: FloatArray, size: Size) -> FloatArray:
     """Return eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (..., 13).
 
     Parameters
@@ -156,13 +167,16 @@ def observe(sample: FloatArray, previous_action: FloatArray) -> FloatArray:
         Samples in the order of `STATE_FIELDS`, shape (..., 14), SI units.
     previous_action
         Shape (..., 2), within [-1, 1].
+    size
+        Of the bench.
     """
+    center, scale = normalization(size)
     observation = np.empty((*sample.shape[:-1], OBSERVATIONS))
     observation[..., :_PLANT] = sample[..., :_PLANT]
     observation[..., _PLANT] = sample[..., REFERENCE]
     observation[..., _PLANT + 1] = sample[..., REFERENCE_RATE]
     observation[..., _PLANT + 2] = sample[..., REFERENCE] - sample[..., LOAD_FORCE]
     observation[..., _PLANT + 3 :] = previous_action
-    observation -= OBSERVATION_CENTER
-    observation /= OBSERVATION_SCALE
+    observation -= center
+    observation /= scale
     return observation

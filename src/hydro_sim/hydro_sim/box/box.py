@@ -28,7 +28,7 @@ from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_sim.box import kernel
 from hydro_sim.model import hydraulics
-from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.sensors import Sensors
 
 _LAW_TOLD = np.dtype([(name, np.float32, kernel.LAW_DTYPE[name].shape) for name in kernel.LAW_DTYPE.names or ()])
@@ -66,9 +66,9 @@ class BoxConfig:
     """Smallest change of K_i."""
     delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 95.0
     """Largest change of K_i."""
-    delta_u_max: Annotated[float, quantity("A", 0.0, 1.0)] = 0.1
+    delta_u_max: Annotated[float, quantity("A", 0.0, 20.0)] = 2.0 * NOMINAL.current
     """Magnitude of the correction."""
-    load_force_limit: Annotated[float, quantity("N", 1.0, 1e5)] = 700.0
+    load_force_limit: Annotated[float, quantity("N", 1e-3, 1e8)] = NOMINAL.force * 7.0 / 3.0
     """Magnitude beyond which the box trips; the nominal spring reaches the stroke's end at 800 N."""
     hold_timeout: Annotated[float, quantity("s", 0.002, 1.0)] = 0.05
     """Without a command, after which base gains and no correction hold."""
@@ -76,13 +76,13 @@ class BoxConfig:
     """Without a command, after which the box trips; not below `hold_timeout`."""
     gain_floor_share: Annotated[float, quantity("-", 0.01, 1.0)] = 0.1
     """Smallest g that the force law believes, over g of the still bench."""
-    force_range: Annotated[float, quantity("N", 1.0, 1e6)] = 5000.0
+    force_range: Annotated[float, quantity("N", 1e-3, 1e8)] = NOMINAL.force * 50.0 / 3.0
     """Magnitude that a load cell can show."""
-    pressure_min: Annotated[float, quantity("Pa", -1e7, 0.0)] = -0.5e6
+    pressure_min: Annotated[float, quantity("Pa", -1e7, 0.0)] = -NOMINAL.pressure / 32.0
     """Lowest that a pressure sensor can show."""
-    pressure_max: Annotated[float, quantity("Pa", 1e6, 1e9)] = 25e6
+    pressure_max: Annotated[float, quantity("Pa", 1e5, 1e9)] = NOMINAL.pressure * 1.5625
     """Highest that a pressure sensor can show."""
-    position_margin: Annotated[float, quantity("m", 0.0, 1.0)] = 5e-3
+    position_margin: Annotated[float, quantity("m", 0.0, 1.0)] = NOMINAL.length / 16.0
     """How far outside the stroke the encoder can stand."""
     feedback: Literal["load", "hydraulic"] = "load"
     """Force in the tracking error; the paper writes `hydraulic` once, its objective is `load`."""

@@ -22,8 +22,11 @@ from math import isclose
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from hydro_bridge.errors import UserError
 from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.size import Size
 from hydro_sim.model.bench import Bench
 
 ENTRY = "made_for"
@@ -67,18 +70,22 @@ class BoxIdentity:
     base_gains: tuple[float, float] | None = None
     """K_p [1/s], K_i [1/s^2]; None: not known."""
     integral: str = ""
+    size: Size | None = None
+    """Of its bench; None: not known."""
 
     @classmethod
     def of_file(cls, path: str | Path | None, base_gains: tuple[float, float] | None = None) -> BoxIdentity:
         """Return the identity of a box that believes this bench.yaml; None: the nominal one."""
         bench = Bench.load(path) if path else Bench.nominal()
-        return cls(digest=bench.digest, source=str(path or "bench.yaml of hydro_sim"), base_gains=base_gains)
+        source = str(path or "bench.yaml of hydro_sim")
+        return cls(digest=bench.digest, source=source, base_gains=base_gains, size=bench.size)
 
     @classmethod
     def of_box(cls, box: KnownBox) -> BoxIdentity:
         """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
-        return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=box.integral)
+        size = Size.of(yaml.safe_load(box.bench)) if box.bench else None
+        return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=box.integral, size=size)
 
     @property
     def told(self) -> str:

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import yaml
 
 from hydro_bridge.files import bench_file
+from hydro_bridge.size import Size
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.quality import Quality
 
@@ -94,6 +95,11 @@ class Bench:
     def valve_gain(self) -> float:
         """K_v [m3/s/A/sqrt(Pa)] (eq. q4)."""
         return self.valve_nominal_flow / (self.valve_nominal_current * sqrt(self.valve_nominal_pressure_drop / 2.0))
+
+    @property
+    def size(self) -> Size:
+        """Scales of its forces, pressures, lengths and currents."""
+        return Size.of(vars(self))
 
     @property
     def terms(self) -> tuple[Mapping[str, Any], ...]:
@@ -197,7 +203,6 @@ BENCH_DTYPE = np.dtype(
 """The bench for compiled code, SI units; `valve_gain` is K_v, `load_cell_omega` [rad/s] is 0 for an ideal load cell.
 Effects that are wrong numbers of the bench file are in the numbers; the others are the model's (`bench_model`)."""
 
-
 _NOT_NUMBERS = ("effects", "closures", "learned")
 
 
@@ -248,3 +253,7 @@ def _listed(key: str, value: Any, needs: Sequence[str]) -> tuple[Mapping[str, An
         wanted = ", ".join(repr(need) for need in needs)
         raise ValueError(f"{key!r} is a list of mappings, each with an {wanted}")
     return tuple(dict(one) for one in value)
+
+
+NOMINAL = Bench.nominal().size
+"""Size of the nominal bench."""

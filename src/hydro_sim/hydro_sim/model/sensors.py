@@ -23,6 +23,7 @@ import numpy.typing as npt
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.jit import njit
+from hydro_sim.model.bench import NOMINAL
 
 RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """Sensor readings, in the order of every raw array here."""
@@ -42,11 +43,11 @@ READING_MAX = 1e9
 class Sensors:
     """Sensor noise (standard deviation per 1 kHz sample) and the box's differentiators."""
 
-    force_noise: Annotated[float, quantity("N", 0.0, 100.0)] = 0.6
+    force_noise: Annotated[float, quantity("N", 0.0, 1e5)] = NOMINAL.force / 500.0
     """Standard deviation, both load cells."""
-    pressure_noise: Annotated[float, quantity("Pa", 0.0, 1e6)] = 6e3
+    pressure_noise: Annotated[float, quantity("Pa", 0.0, 1e7)] = NOMINAL.pressure * 3.0 / 8000.0
     """Standard deviation."""
-    position_step: Annotated[float, quantity("m", 0.0, 1e-3)] = 1e-6
+    position_step: Annotated[float, quantity("m", 0.0, 1e-1)] = NOMINAL.length / 80000.0
     """The encoder's step; 0: not quantised."""
     force_rate_age: Annotated[float, quantity("s", 0.0005, 0.02)] = 2e-3
     """Age of the force's rate."""

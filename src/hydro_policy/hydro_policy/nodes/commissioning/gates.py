@@ -40,8 +40,6 @@ from hydro_sim.model.bench import Bench
 AT_REST = "rest"
 REST = 10.0
 """s recorded at rest."""
-SHARE = 0.094
-"""Amplitude over the largest force of the piston: the paper's 300 N on its bench."""
 ATTEMPTS = 3
 TRAINING = ("--frequencies", "0.5", "1", "2", "--multisine", "--steps")
 HELD_OUT = ("--frequencies", "0.7", "1.5")
@@ -107,7 +105,7 @@ def sensors(at: Site) -> str:
     box = next(iter(objects(at.recording(AT_REST), "/hydro/box")))[1]
     at.record.base_gains = [float(box.base_kp), float(box.base_ki)]
     if not at.record.amplitude:
-        at.record.amplitude = SHARE * checks.largest_force(bench)
+        at.record.amplitude = bench.size.force
     told = (f"{name} {value:.2g}" for name, value in noise.items())
     return f"noise {', '.join(told)}; hydraulic force {off:.1f} N off the pressures"
 

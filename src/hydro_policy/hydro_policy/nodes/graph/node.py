@@ -32,6 +32,7 @@ from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, LawCommand, ReferenceSignal
+from hydro_bridge.size import Size
 from hydro_msgs.msg import BenchState, Correction, Gains, LawState, PolicyStep
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_policy.compensation.live import LiveCompensation
@@ -40,6 +41,8 @@ from hydro_policy.nodes.graph.services import FreezeService, OverrideService
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.interfaces import Session
 from hydro_policy.supervision.override import GainOverride
+from hydro_sim.files.pairing import BoxIdentity
+from hydro_sim.model.bench import NOMINAL
 
 _PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
 
@@ -346,6 +349,12 @@ class GraphNode(Node):
             raise failure
         if trouble := self.refused or self.companions.lost:
             raise CompanionError(trouble)
+
+    @property
+    def size(self) -> Size:
+        """Of the bench that the box believes; the nominal bench's if that is not known."""
+        known = None if self.box is None else BoxIdentity.of_box(self.box).size
+        return known or NOMINAL
 
     def _on_box(self, box: KnownBox) -> None:
         self.box, self._wrong_box = box, self.box_fault(box)

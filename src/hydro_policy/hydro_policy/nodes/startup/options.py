@@ -9,9 +9,9 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 from rclpy.node import Node
 
@@ -24,9 +24,7 @@ from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
 
-if TYPE_CHECKING:
-    pass
-
+T = TypeVar("T")
 
 LAWS = ("both", "paper", "compensated")
 """Values of `evaluate --law`."""
@@ -177,6 +175,18 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
     exam = declare_parameters(node, settings.exam, "exam.")
     monitor = declare_parameters(node, settings.monitor, "monitor.")
     return replace(declare_parameters(node, settings), task=task, sac=sac, exam=exam, monitor=monitor)
+
+
+def unless_said(node: Node, before: T, after: T, prefix: str = "") -> T:
+    """Return the settings `after`, but what the user set as a parameter is as `before`."""
+    kept: dict[str, Any] = {}
+    for name in (field.name for field in fields(before)):  # type: ignore[arg-type]
+        value = getattr(before, name)
+        if is_dataclass(value):
+            kept[name] = unless_said(node, value, getattr(after, name), f"{prefix}{name}.")
+        elif f"{prefix}{name}" in node._parameter_overrides:  # rclpy: no public way
+            kept[name] = value
+    return replace(after, **kept)  # type: ignore[type-var]
 
 
 LOOK = 5.0

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> l
         name = "I: policy, trained here"
     controllers: list[Controller] = [PolicyController(session.policy, gains, name)]
     if start is not None:
-        before = Policy(start.sac.hidden_size)
+        before = Policy(start.sac.hidden_size, size=session.settings.task.size)
         before.load_flat(actor_parameters(start.agent))
         controllers.append(PolicyController(before, gains, "II: policy it started from"))
     base = session.settings.base_gains
@@ -230,7 +231,7 @@ def drive(
     rearm, watch = may_rearm(options), session.watch
     if rearm:
         grid = coarse_grid(session.settings.task.gains, session.settings.base_gains)
-        search = search_on(node, grid, SEARCHED, rearm=rearm, after=watch)
+        search = search_on(node, grid, replace(SEARCHED, amplitude=node.size.force), rearm=rearm, after=watch)
         if not search.finished:
             return False, None
         controllers += [search.best] if search.search.found else []

@@ -8,7 +8,7 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import numpy as np
 from hydro_bridge.cli.console import writable_folder
 from hydro_bridge.ros.companion import CompanionError, start_page
 from hydro_bridge.ros.node import refuse_unknown_parameters
+from hydro_bridge.size import resized
 from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.startup.box_expectation import (
@@ -40,6 +41,7 @@ from hydro_policy.nodes.startup.options import (
     load_cell,
     plant_options,
     plant_options_as_yaml,
+    unless_said,
 )
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
@@ -51,6 +53,7 @@ from hydro_policy.sessions.run_state import Progress
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.files.pairing import BoxIdentity
+from hydro_sim.model.bench import NOMINAL
 
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
 """Updates per step. From scratch: above the paper's 1, since bench time is costly; a good agent would degrade."""
@@ -110,7 +113,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         start = find_initial_agent(options)
         require_matching_agent(start, box)
         updates = UPDATES_PER_STEP["agent" if start else "scratch"]
-        configured = configuration(options.configuration, base=box.base_gains or BASE)
+        configured = configuration(options.configuration, base=box.base_gains or BASE, size=box.size or NOMINAL)
         settings = replace(configured, updates_per_step=updates)
         settings = start.adopted(settings) if start else settings
     given = {name: getattr(options, name) for name in ("episodes", "updates_per_step", "seed")}
@@ -128,6 +131,9 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     if options.plant == "external":
         box = wait_for_box(node)
         require_matching_agent(start, box)
+        if options.resume is None:
+            size = settings.task.size
+            settings = unless_said(node, settings, resized(settings, size, box.size or size))
         if start is None and options.resume is None:
             settings = rebase_gains(settings, box, node)
     if options.resume is not None:
@@ -205,10 +211,8 @@ def wait_for_box(node: GraphNode) -> BoxIdentity:
 def rebase_gains(settings: TrainingSettings, box: BoxIdentity, node: GraphNode) -> TrainingSettings:
     """Express the configuration's range of total gains relative to this box's base gains; explicit parameters win."""
     base, gains = box.base_gains or BASE, settings.task.gains
-    shifted = asdict(gains.shifted(BASE[0] - base[0], BASE[1] - base[1]))
-    said = {name for name in shifted if f"task.gains.{name}" in node._parameter_overrides}  # rclpy: no public way
-    kept = {name: value for name, value in shifted.items() if name not in said}
-    return replace(settings, task=replace(settings.task, gains=replace(gains, **kept)))
+    shifted = unless_said(node, gains, gains.shifted(BASE[0] - base[0], BASE[1] - base[1]), "task.gains.")
+    return replace(settings, task=replace(settings.task, gains=shifted))
 
 
 def find_initial_agent(options: argparse.Namespace) -> InitialAgent | None:

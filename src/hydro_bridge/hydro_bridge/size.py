@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Size of a bench: its force, pressure, length and current, of which every other number of these units is a share.
+
+Benches that are similar (each force of the one 5 times that of the other, each length 4 times ...) differ by their size
+alone: what a policy sees, rewards and verdicts are the same. Times are not scaled, and neither are gains [1/s].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Annotated, Any, TypeVar
+
+from hydro_bridge.settings import describe, quantity
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """Scales of a bench."""
+
+    force: Annotated[float, quantity("N", 1e-3, 1e7)]
+    """Usual amplitude of a reference."""
+    pressure: Annotated[float, quantity("Pa", 1e5, 1e8)]
+    """Of the supply."""
+    length: Annotated[float, quantity("m", 1e-3, 5.0)]
+    """Stroke."""
+    current: Annotated[float, quantity("A", 1e-4, 10.0)]
+    """At which the valve saturates."""
+
+    @classmethod
+    def of(cls, bench: Mapping[str, Any]) -> Size:
+        """Return the size of a bench.yaml's numbers; its force is 3/32 of the piston's at full supply."""
+        return cls(
+            force=bench["piston_area"] * bench["supply_pressure"] * 0.09375,
+            pressure=bench["supply_pressure"],
+            length=bench["stroke"],
+            current=bench["valve_current_max"],
+        )
+
+
+def resized(settings: T, before: Size, after: Size) -> T:
+    """Return settings made for a bench of the size `before` for a similar one of the size `after`."""
+    force, length = after.force / before.force, after.length / before.length
+    current, pressure = after.current / before.current, after.pressure / before.pressure
+    ratios = {
+        "N": force, "N/s": force, "N/m": force / length, "Pa": pressure, "m": length, "m/s": length, "A": current,
+        "A/s": current,
+    }  # fmt: skip
+
+    def of(one: Any) -> Any:
+        known, changed = describe(type(one)), {}
+        for name in (field.name for field in fields(one)):
+            value, unit = getattr(one, name), known[name].unit
+            if isinstance(value, Size):
+                changed[name] = after
+            elif is_dataclass(value):
+                changed[name] = of(value)
+            elif unit in ratios and value is not None:
+                changed[name] = value * ratios[unit]
+        return replace(one, **changed)
+
+    resized_settings: T = of(settings)
+    return resized_settings

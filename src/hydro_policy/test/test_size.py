@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A similar bench, 5 times the force, 0.3 times the pressure, 4 times the stroke: the same to policy and verdicts."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS
+from hydro_bridge.size import resized
+from hydro_policy.envs.environment import Environment, Transitions
+from hydro_policy.envs.randomisation import Randomisation, sensors_of
+from hydro_policy.envs.vector_env import VectorBench
+from hydro_policy.pretraining.training import Pretraining, PretrainSettings
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.settings import SacSettings
+from hydro_policy.supervision.monitor import SafetyMonitor
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import TaskSettings
+from hydro_policy.task.step_aggregator import Step
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.model.bench import NOMINAL, Bench
+from hydro_sim.model.plant import AnalyticPlant
+
+FORCE, PRESSURE, LENGTH, CURRENT = 5.0, 0.3, 4.0, 1.5
+AREA, STIFFNESS = FORCE / PRESSURE, FORCE / LENGTH
+BY_UNIT = {
+    "Pa": PRESSURE, "m2": AREA, "m": LENGTH, "m3": AREA * LENGTH, "m3/s": AREA * LENGTH, "A": CURRENT, "kg": STIFFNESS,
+    "N s/m": STIFFNESS, "N/m": STIFFNESS, "-": 1.0, "Hz": 1.0,
+}  # fmt: skip
+
+
+def with_effects(force: float = 1.0, pressure: float = 1.0, length: float = 1.0, current: float = 1.0) -> Bench:
+    """The nominal bench or one similar to it, with a lagging valve, friction and a leak."""
+    leak = force * length / pressure**2
+    numbers = (
+        ("valve_lag", {"bandwidth": 110.0, "damping": 1.2}),
+        ("friction_coulomb", {"force": 12.0 * force}),
+        ("friction_stribeck", {"breakaway_force": 5.0 * force, "velocity": 0.01 * length}),
+        ("friction_presliding", {"stiffness": 5e5 * force / length}),
+        ("leakage_internal", {"coefficient": 1e-13 * leak}),
+    )
+    return replace(Bench.nominal(), effects=tuple({"id": name, "parameters": values} for name, values in numbers))
+
+
+def similar(effects: bool) -> tuple[Bench, Bench]:
+    """The nominal bench and the similar one."""
+    one = with_effects() if effects else Bench.nominal()
+    other = with_effects(FORCE, PRESSURE, LENGTH, CURRENT) if effects else Bench.nominal()
+    numbers = {
+        entry.name: getattr(one, entry.name) * BY_UNIT[entry.metadata["unit"]]
+        for entry in fields(Bench)
+        if entry.metadata
+    }
+    return one, replace(other, **numbers)
+
+
+def episode(bench: Bench, steps: int = 200) -> list[Transitions]:
+    """Two benches side by side under drawn actions; the second has a larger reference."""
+    task = resized(TaskSettings(), NOMINAL, bench.size)
+    plants = [AnalyticPlant(bench, settings=sensors_of(bench)) for _ in range(2)]
+    fleet = VectorBench([bench] * 2, plants, resized(BoxConfig(), NOMINAL, bench.size))
+    environment, rng = Environment(fleet, task), np.random.default_rng(0)
+    environment.begin([task.reference(number, seed=4) for number in range(2)], [1, 2])
+    return [environment.step(rng.uniform(-1.0, 1.0, (2, 2))) for _ in range(steps)]
+
+
+def test_the_size_of_the_similar_bench() -> None:
+    one, other = (bench.size for bench in similar(effects=False))
+    assert one == NOMINAL
+    ratios = (other.force / one.force, other.pressure / one.pressure, other.length / one.length)
+    assert (*ratios, other.current / one.current) == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
+    assert resized(TrainingSettings(), one, one) == TrainingSettings()
+
+
+@pytest.mark.parametrize("effects", [False, True])
+def test_observations_and_rewards_are_those_of_the_nominal_bench(effects: bool) -> None:
+    worst = 0.0
+    for here, there in zip(*map(episode, similar(effects)), strict=True):
+        worst = max(worst, float(np.abs(here.following - there.following).max()))
+        worst = max(worst, float(np.abs(here.reward / there.reward - 1.0).max()))
+    print(f"{worst:g}")
+    assert worst < 1e-9
+
+
+def learning(bench: Bench) -> Pretraining:
+    """A short pretraining on drawn benches of this size."""
+    training = TrainingSettings(
+        episodes=4, warmup_steps=40, replay_capacity=2000, task=TaskSettings(steps_per_episode=60),
+        sac=SacSettings(batch_size=32),
+    )  # fmt: skip
+    usual = PretrainSettings(
+        training=training, benches=2, randomisation=Randomisation(), examined=1,
+        evaluation=EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5),
+    )  # fmt: skip
+    pretraining = Pretraining(resized(usual, NOMINAL, bench.size), bench, bench)
+    while not pretraining.finished:
+        pretraining.round()
+    return pretraining
+
+
+def test_learning_curves_are_those_of_the_nominal_bench() -> None:
+    here, there = map(learning, similar(effects=False))
+    assert here.sac.updates > 100
+    np.testing.assert_allclose(there.sac.actor_parameters(), here.sac.actor_parameters(), rtol=0.0, atol=1e-6)
+    for one, other in zip(here.history, there.history, strict=True):
+        assert other["return"] == pytest.approx(one["return"], rel=1e-9)
+        assert other["score"] == pytest.approx(one["score"], rel=1e-9)
+        assert other["changed"] == pytest.approx(one["changed"], rel=1e-9)
+        assert np.array(other["rmse"]) / FORCE == pytest.approx(one["rmse"], rel=1e-9)
+
+
+@pytest.mark.parametrize("chatter", [True, False])
+def test_the_monitor_stops_at_the_same_step(chatter: bool) -> None:
+    """One that chatters, one whose error grows: the limits are met in the same step."""
+
+    def stopped(bench: Bench, share: float) -> int:
+        size = bench.size
+        monitor = SafetyMonitor(resized(TrainingSettings(), NOMINAL, size).monitor)
+        current = size.current * (0.01 * share * np.cos(np.pi * np.arange(10)) if chatter else np.zeros(10))
+        for number in range(1000):
+            error = np.full(10, 0.0 if chatter else 0.0101 * share * number * size.force)
+            step = Step(np.zeros(len(STATE_FIELDS)), error, np.zeros(10), number * current / 30.0, True, 0)
+            if monitor.add(step):
+                return number
+        return -1
+
+    here, there = similar(effects=False)
+    assert stopped(here, 1.0) == stopped(there, 1.0) > 0
+    assert stopped(here, 2.0) < stopped(here, 1.0)
