@@ -7,9 +7,9 @@ velocity. Which of the repairs is right the evidence tells (`stages.hypotheses`)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, combinations
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.bench_numbers import UnknownNumberError, guarded
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import QUANTITY, UNITS
+from hydro_diagnosis.io.columns import UNITS
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.recording import MEASURED
 from hydro_sim.model.bench import Bench
@@ -59,9 +59,9 @@ class Scale(Repair):
     def edit(self, columns: ColumnMap) -> ColumnMap:
         """See `Repair`."""
         source = columns.sources[self.field]
-        si = UNITS.get(source.unit, 1.0)
-        if self.unit and QUANTITY.get(source.unit or self.unit) == QUANTITY[self.unit] and not self.offset:
+        if self.unit and not self.offset:
             return columns.changed(self.field, replace(source, unit=self.unit))
+        si = UNITS.get(source.unit, 1.0)
         steps = list(source.steps)
         if self.factor != 1.0:
             steps.append(("*", self.factor))
@@ -127,9 +127,16 @@ def reversed_sign(field: str) -> Scale:
     return Scale(field, f"{field} has the wrong sign", factor=-1.0)
 
 
-def in_unit(field: str, unit: str) -> Scale:
-    """A field that is not in the SI unit."""
-    return Scale(field, f"{field} is in {unit}", factor=UNITS[unit], unit=unit)
+def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -> list[Scale]:
+    """The field in each of these units but the one in which it was `taken`."""
+    here = taken.get(field, "")
+    said = f", not {here}" if here else ""
+    factors = {unit: UNITS[unit] / UNITS.get(here, 1.0) for unit in units if unit != here}
+    return [
+        Scale(field, f"{field} is in {unit}{said}", factor=factor, unit=unit)
+        for unit, factor in factors.items()
+        if factor != 1.0
+    ]
 
 
 LOOKED_AT = 200_000
@@ -151,11 +158,32 @@ Doubt = tuple[Repair, ...]
 """Repairs of one field, one of which is needed, the likeliest first."""
 
 
-def doubts(table: RawTable, bench: Bench) -> list[Doubt]:
+@dataclass
+class Inspection:
+    """What recordings show before they are diagnosed."""
+
+    doubts: list[Doubt] = field(default_factory=list)
+    """Of each field whose numbers it cannot have."""
+    units: dict[str, str] = field(default_factory=dict)
+    """By field, the unit in which its column was taken; none for SI."""
+
+    def add(self, other: Inspection) -> None:
+        """Add that of another recording."""
+        self.doubts += other.doubts
+        self.units.update(other.units)
+
+
+def inspect_table(table: RawTable, bench: Bench) -> Inspection:
     """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
     channels = _whole({name: values[:LOOKED_AT] for name, values in table.columns.items()})
-    checks = (_copies(channels), _pressures(channels, bench), _position(channels, bench), _current(channels, bench))
-    return list(chain.from_iterable(_as_far_as_known(check) for check in checks))
+    taken = table.units
+    checks = (
+        _copies(channels),
+        _pressures(channels, bench, taken),
+        _position(channels, bench, taken),
+        _current(channels, bench, taken),
+    )
+    return Inspection(list(chain.from_iterable(_as_far_as_known(check) for check in checks)), dict(taken))
 
 
 def _whole(columns: Channels) -> Channels:
@@ -184,7 +212,7 @@ def _copies(channels: Channels) -> Iterator[Doubt]:
             )
 
 
-def _pressures(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
     supply = guarded(bench).supply_pressure
     for name in ("pressure_a", "pressure_b"):
         if name not in channels:
@@ -192,24 +220,26 @@ def _pressures(channels: Channels, bench: Bench) -> Iterator[Doubt]:
         share = float(np.quantile(channels[name], 0.99)) / supply
         alive = float(np.quantile(channels[name], 0.05)) > -0.02 * share * supply
         if alive and not PRESSURES[0] < share < PRESSURES[1]:
-            units = [in_unit(name, unit) for unit in ("bar", "kPa", "MPa", "psi", "hPa")]
+            units = in_other_units(name, ("Pa", "hPa", "kPa", "psi", "bar", "MPa"), taken)
             fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
             fitting.sort(key=lambda one: abs(float(np.log(one.factor * share / 0.6))))
             yield tuple(fitting)
 
 
-def _position(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
     """The piston stays within the stroke, which begins at 0."""
     if "piston_position" not in channels:
         return
     position, stroke = channels["piston_position"], guarded(bench).stroke
     low, high = float(position.min()) / stroke, float(position.max()) / stroke
+    factor, offset = by_spring(channels, bench)
     if low >= -MARGIN and high <= 1.0 + MARGIN:
+        if "piston_position" in taken and high < MARGIN:
+            yield tuple(_lengths(factor, max(-low, high), taken))
         return
-    factor, offset = _by_spring(channels, bench)
     velocity = Rename("piston_position", "piston_position is the velocity", becomes="piston_velocity")
     if max(-low, high) > BEYOND:
-        yield (velocity, *_lengths(factor, max(-low, high)))
+        yield (velocity, *_lengths(factor, max(-low, high), taken))
         return
     zero = offset if factor else 0.5 * stroke - 0.5 * float(position.min() + position.max())
     sign = -1.0 if factor < 0.0 else 1.0
@@ -219,7 +249,7 @@ def _position(channels: Channels, bench: Bench) -> Iterator[Doubt]:
     yield velocity, Scale("piston_position", said, factor=sign, offset=float(f"{zero:.3g}"))
 
 
-def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
+def by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
     """Factor and offset [m] by which the position would compress the spring as the load's force says; else 0, 0."""
     if "load_force" not in channels:
         return 0.0, 0.0
@@ -232,10 +262,9 @@ def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
     return factor, known.spring_rest_position + rest
 
 
-def _lengths(factor: float, share: float) -> Iterator[Scale]:
+def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[Scale]:
     """Units in which the position would lie in the stroke and go with the spring; else the size of one count."""
-    units = [in_unit("piston_position", unit) for unit in ("mm", "cm", "um", "in")]
-    for one in units:
+    for one in in_other_units("piston_position", ("m", "mm", "cm", "um", "in"), taken):
         if one.factor * share < 1.0 + MARGIN and (not factor or 1.0 / SIZE < abs(factor) / one.factor < SIZE):
             yield one
     if factor:
@@ -247,13 +276,13 @@ def _lengths(factor: float, share: float) -> Iterator[Scale]:
         )
 
 
-def _current(channels: Channels, bench: Bench) -> Iterator[Doubt]:
+def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
     if "valve_current" not in channels:
         return
     largest, limit = float(np.max(np.abs(channels["valve_current"]))), guarded(bench).valve_current_max
     if largest > BEYOND * limit:
         scales = (
-            in_unit("valve_current", "mA"),
+            *in_other_units("valve_current", ("mA",), taken),
             Scale("valve_current", f"valve_current is in per cent of {limit:g} A", factor=limit / 100.0),
             Scale("valve_current", f"valve_current is in volts, 10 V for {limit:g} A", factor=limit / 10.0),
             Scale("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),

@@ -22,7 +22,7 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable
 from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
-from hydro_diagnosis.wiring import doubts
+from hydro_diagnosis.wiring import inspect_table
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.schedules import Segment
@@ -55,6 +55,10 @@ MISTAKES: dict[str, tuple[Callable[[Channels], Channels], str]] = {
     "piston_position has its zero elsewhere": (
         scaled("piston_position", by=1.0, plus=-0.04),
         "piston_position=piston_position+0.0",
+    ),
+    "piston_position has its zero elsewhere (judged by the spring": (
+        scaled("piston_position", by=1.0, plus=0.05),
+        "piston_position=piston_position-0.0",
     ),
     "pressure_a is in bar, and pressure_b is in bar": (
         scaled("pressure_a", "pressure_b", by=1e-5),
@@ -115,6 +119,25 @@ def test_every_mistake_is_undone_and_told_with_its_repair(runs: list[Channels], 
         assert "diagnosed as repaired" in case.wiring and "\n" not in case.wiring
 
 
+UNITS_STATED = {
+    "pressure_a=pressure_a[kPa]": ("pressure_a", 1e-5, "pressure_a is in bar, not kPa", "pressure_a=pressure_a[bar]"),
+    "pressure_b=pressure_b[MPa]": ("pressure_b", 1.0, "pressure_b is in Pa, not MPa", "pressure_b=pressure_b[Pa]"),
+    "load_force=load_force[kN]": ("load_force", 1.0, "load_force is in N, not kN", "load_force=load_force[N]"),
+    "piston_position=piston_position[mm]": (
+        "piston_position", 1.0, "piston_position is in m, not mm", "piston_position=piston_position[m]",
+    ),
+}  # fmt: skip
+"""By map: the field, the factor from SI to what was written, what must be said, and the map that repairs it."""
+
+
+def test_units_that_a_map_states_wrongly_are_replaced(runs: list[Channels], tmp_path: Path) -> None:
+    for given, (field, by, said, repair) in UNITS_STATED.items():
+        recordings = [written(scaled(field, by=by)(one), tmp_path / f"run{k}.csv") for k, one in enumerate(runs)]
+        case = read(recordings, columns=given)
+        assert said in case.wiring, case.wiring
+        assert repair in case.wiring.split('--columns "')[1].split('"')[0], case.wiring
+
+
 RIGHT: tuple[tuple[dict[str, Any], float], ...] = (
     ({"leakage_internal": {"coefficient": 1.4e-13}}, 80.0),
     ({"leakage_internal": {"coefficient": 3.3e-13}}, 60.0),
@@ -173,4 +196,4 @@ def test_as_wired_tries_no_repair_and_a_map_that_repairs_is_enough(runs: list[Ch
 
 def test_right_recordings_raise_no_suspicion(problem: Problem, nominal: StateArray) -> None:
     assert suspected(problem, ()) == ()
-    assert doubts(RawTable("run", nominal["time"].copy(), None, fields(nominal)), BENCH) == []
+    assert inspect_table(RawTable("run", nominal["time"].copy(), None, fields(nominal)), BENCH).doubts == []

@@ -10,7 +10,7 @@ the sample that begins there, which up to 1 ms is what acted from this row to th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -247,6 +247,8 @@ class RawTable:
     """BenchState fields, each of shape (n,)."""
     notes: tuple[str, ...] = ()
     """Conversions applied to the file, one sentence each."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """By field, the unit in which its column was taken, by the map or the file; none for SI."""
 
 
 def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
@@ -309,7 +311,7 @@ def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
     """
     turned = _from_columns(path, Columns({"time": raw.time, **raw.columns}), columns)
     same = turned.time is not None and len(turned.time) == len(raw.time)
-    return RawTable(raw.name, turned.time, raw.sample if same else None, turned.columns, turned.notes)
+    return replace(turned, name=raw.name, sample=raw.sample if same else None)
 
 
 def from_bag(path: Path) -> RawTable:
@@ -345,7 +347,8 @@ def _from_columns(path: Path, found: Columns, columns: ColumnMap | None) -> RawT
         time, fields, notes = fields_of(found, chosen)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return RawTable(path.stem, time, None, fields, tuple(notes))
+    units = {name: _in_unit(name, source, found, []).unit for name, source in chosen.sources.items()}
+    return RawTable(path.stem, time, None, fields, tuple(notes), {name: unit for name, unit in units.items() if unit})
 
 
 __all__ = ["InputError", "RawTable", "UnusableRecordingError", "read_table"]

@@ -26,7 +26,7 @@ from hydro_diagnosis.preprocessing.streaming import (
     table_within,
 )
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
-from hydro_diagnosis.wiring import Doubt, doubts
+from hydro_diagnosis.wiring import Inspection, inspect_table
 from hydro_sim.model.bench import Bench
 
 LONGEST = 100.0
@@ -44,11 +44,11 @@ def load_dataset(
     holdout: Sequence[str | Path],
     bench: Bench,
     columns: ColumnMap | None = None,
-    doubted: list[Doubt] | None = None,
+    inspection: Inspection | None = None,
 ) -> tuple[list[Segment], list[Segment], list[str]]:
     """Return segments to fit, segments held out, and notes on their quality; `column_map`: see `read_table`.
 
-    `doubted` is told of fields whose numbers they cannot have, of each recording, also where none can be diagnosed.
+    `inspection` collects the doubts about each recording, also where none can be diagnosed.
 
     Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
 
@@ -57,9 +57,9 @@ def load_dataset(
     InputError
         If none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
     """
-    doubted = [] if doubted is None else doubted
-    to_fit, notes = _read(recordings, bench, columns, doubted)
-    to_check, more_notes = _read(holdout, bench, columns, doubted, spare=True)
+    inspection = Inspection() if inspection is None else inspection
+    to_fit, notes = _read(recordings, bench, columns, inspection)
+    to_check, more_notes = _read(holdout, bench, columns, inspection, spare=True)
     _refuse_twice([*to_fit, *to_check])
     fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
     _refuse_too_little(fitted, bench, notes)
@@ -120,14 +120,15 @@ def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
 
 
 def _read(
-    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, doubted: list[Doubt], *, spare: bool = False
+    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, inspection: Inspection, *, spare: bool = False
 ) -> tuple[list[Recording], list[str]]:
     """Recordings with information, and a note on each without.
 
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
     """
     looked = Parallel()(delayed(_look)(path, bench, columns) for path in paths)
-    doubted += [doubt for _, found in looked for doubt in found]
+    for _, found in looked:
+        inspection.add(found)
     recordings = [one for one, _ in looked if isinstance(one, Recording)]
     refused = [one for one, _ in looked if not isinstance(one, Recording)]
     if refused and not recordings and not spare:
@@ -138,11 +139,11 @@ def _read(
 
 def _look(
     path: str | Path, bench: Bench, columns: ColumnMap | None
-) -> tuple[Recording | UnusableRecordingError, list[Doubt]]:
-    path, found = Path(path), list[Doubt]()
+) -> tuple[Recording | UnusableRecordingError, Inspection]:
+    path, found = Path(path), Inspection()
 
     def inspected(table: RawTable) -> RawTable:
-        found.extend(doubts(table, bench))
+        found.add(inspect_table(table, bench))
         return table
 
     try:

@@ -204,7 +204,7 @@ def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
     numbers = [table.sample for table in tables if table.sample is not None]
     samples = np.concatenate(numbers) if len(numbers) == len(tables) else None
     time = np.concatenate([table.time for table in tables])
-    return RawTable(path.name, time, samples, columns, tables[0].notes)
+    return replace(tables[0], name=path.name, time=time, sample=samples, columns=columns)
 
 
 @dataclass(frozen=True)

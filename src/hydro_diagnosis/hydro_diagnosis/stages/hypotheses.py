@@ -8,7 +8,7 @@ repaired, with the same small effort, and what is left on fitted and held-out re
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice, product
@@ -26,7 +26,20 @@ from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.outcome import NAMES
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages.reading import Case, Progress, Question, StageResult, read
-from hydro_diagnosis.wiring import Advance, Doubt, Exchange, Rename, Repair, Scale, in_unit, reversed_sign
+from hydro_diagnosis.wiring import (
+    MARGIN,
+    SIZE,
+    Advance,
+    Doubt,
+    Exchange,
+    Inspection,
+    Rename,
+    Repair,
+    Scale,
+    by_spring,
+    in_other_units,
+    reversed_sign,
+)
 
 CLEAR = float(np.log(10.0))
 """Log of the factor, over all channels, by which a repair must reduce what is left: more than any chance."""
@@ -36,6 +49,8 @@ UNJUDGED = 100.0
 """Price of a sample that a hypothesis does not judge, in noise variances: it is left if it is not known better."""
 MOST_REPAIRS = 4
 """Largest number of simultaneous mistakes."""
+VOLUMES = 0.7
+"""Share of what the pressures leave that may be left once the position's zero is moved."""
 STEP = 0.02
 """s by which a channel is moved to see which way it is late."""
 REACH = 0.15
@@ -53,6 +68,7 @@ PHYSICS = {
 """s by which a channel may be late (negative: early) because of valve, play or an amplifier: causes, no mistakes."""
 
 
+NO_UNITS: Mapping[str, str] = {}
 Left = dict[str, tuple[float, float]]
 """By channel: sum of the squares that are left, over the noise's, and how many they are."""
 
@@ -89,16 +105,18 @@ def times(found: Left) -> float:
     return float(np.sqrt(sum(squares for squares, _ in found.values()) / sum(count for _, count in found.values())))
 
 
-def suspected(problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = ()) -> tuple[Repair, ...]:
+def suspected(
+    problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = (), units: Mapping[str, str] = NO_UNITS
+) -> tuple[Repair, ...]:
     """The repairs that together leave much less under these claims, the most telling first; empty if none does.
 
-    `held`: recordings that are judged besides those of the problem.
+    `held`: recordings that are judged besides those of the problem; `units`: by field, where it was not taken as SI.
     """
     segments = [replace(one, thinner=None) for one in (*(model.segment for model in problem.models), *held)]
     found: list[Repair] = []
     while len(found) < MOST_REPAIRS:
         trial = _Trial(problem, claims, segments)
-        better = max(trial.repairs(), key=trial.gain, default=None)
+        better = max(trial.repairs(units), key=trial.gain, default=None)
         if better is None or trial.gain(better) < CLEAR:
             break
         found.append(trial.timed(better) if isinstance(better, Advance) else better)
@@ -128,7 +146,7 @@ class _Trial:
         """The segments after it, without the ends where the clocks do not meet."""
         return [_corrected(segment, repair) for segment in self._segments]
 
-    def repairs(self) -> Iterator[Repair]:
+    def repairs(self, units: Mapping[str, str]) -> Iterator[Repair]:
         """Yield the repairs that are possible for channels whose numbers have the right size."""
         here, bench = self._channels, self._problem.bench
         for name in ("valve_current", "hydraulic_force", "load_force"):
@@ -136,15 +154,36 @@ class _Trial:
                 yield reversed_sign(name)
         if "piston_position" in here and knows(bench, "stroke"):
             yield Scale("piston_position", "piston_position has the wrong sign", factor=-1.0, offset=bench.stroke)
+        yield from self._origin()
         for one, other in (("pressure_a", "pressure_b"), ("hydraulic_force", "load_force")):
             if {one, other} <= here:
                 yield Exchange(one, f"{one} and {other} are exchanged", other=other)
         for name in ("hydraulic_force", "load_force"):
             if name in here:
-                yield from (in_unit(name, unit) for unit in ("kN", "daN", "lbf"))
+                yield from in_other_units(name, ("N", "kN", "daN", "lbf"), units)
         for name in (*MEASURED, "valve_current"):
             if name in here:
                 yield from self._delays(name)
+
+    def _origin(self) -> Iterator[Scale]:
+        """The position's zero by the spring, if the chambers' volumes agree: else the spring rests elsewhere."""
+        needed, bench = ("piston_position", "load_force", "pressure_a", "pressure_b"), self._problem.bench
+        if not (
+            self._channels.issuperset(needed) and knows(bench, "stroke", "spring_stiffness", "spring_rest_position")
+        ):
+            return
+        pooled = {name: np.concatenate([one.channels[name] for one in self._segments]) for name in needed[:2]}
+        factor, offset = by_spring(pooled, bench)
+        if not 1.0 / SIZE < factor < SIZE:
+            return
+        zero = bench.spring_rest_position + (offset - bench.spring_rest_position) / factor
+        said = "piston_position has its zero elsewhere (judged by the spring: write what was measured)"
+        moved = Scale("piston_position", said, offset=float(f"{zero:.3g}"))
+        before, after = (
+            sum(one[name][0] for name in needed[2:] if name in one) for one in (self._before, self._left(moved))
+        )
+        if abs(zero) > MARGIN * bench.stroke and after < VOLUMES * before:
+            yield moved
 
     def timed(self, repair: Advance) -> Advance:
         """The repair with the delay that leaves least; that of whole rows, if it leaves no more."""
@@ -238,19 +277,20 @@ def read_repaired(question: Question, progress: Progress) -> Case:
     InputError
         If they cannot be diagnosed, neither as they are nor repaired.
     """
-    doubted: list[Doubt] = []
+    inspection = Inspection()
     case: Case | None = None
     refusal = ""
     try:
-        case = read(question, progress, doubted)
+        case = read(question, progress, inspection)
     except InputError as error:
-        if question.as_wired or not doubted:
+        if question.as_wired or not inspection.doubts:
             raise
         refusal = str(error)
-    if case is not None and (question.as_wired or not (doubted or _mismatch(case.problem))):
+    if case is not None and (question.as_wired or not (inspection.doubts or _mismatch(case.problem))):
         return case
-    readings = _plausible(question, doubted, progress) if doubted or case is None else [((), case)]
-    readings = [_with_suspected_repairs(question, *one, progress) for one in readings]
+    doubted = inspection.doubts or case is None
+    readings = _plausible(question, inspection, progress) if doubted else [((), case)]
+    readings = [_with_suspected_repairs(question, *one, inspection.units, progress) for one in readings]
     if not readings:
         return read(question, progress)
     repairs, other = _best_reading(readings, progress)
@@ -269,11 +309,11 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
     left_over = found.assessment.remainder or noticeable(found.holdout, found.holdout.residual(claims))
     if case.question.as_wired or not left_over:
         return case
-    repairs = suspected(found.problem, claims, case.held)
+    repairs = suspected(found.problem, claims, case.held, case.units)
     if not repairs:
         return case
     try:
-        other = read(_repaired(case.question, repairs), progress)
+        other = read(_repaired(case.question, repairs, case.units), progress)
     except InputError:
         return case
     return _choose(case, _left(found.problem, found.holdout, claims), repairs, other, progress)
@@ -283,19 +323,20 @@ def _mismatch(problem: Problem) -> bool:
     return noticeable(problem, problem.residual(()))
 
 
-def _plausible(question: Question, doubted: Iterable[Doubt], progress: Progress) -> list[Repaired]:
+def _plausible(question: Question, inspection: Inspection, progress: Progress) -> list[Repaired]:
     """Of the repairs that numbers ask for which cannot be what they are named, those that leave least.
 
     One for each choice of channels that is left.
     """
     best: dict[frozenset[str], Repaired] = {}
-    for repairs in islice(product(*_one_per_field(doubted)), MOST_READINGS):
-        further: list[Doubt] = []
+    units = inspection.units
+    for repairs in islice(product(*_one_per_field(inspection.doubts)), MOST_READINGS):
+        further = Inspection()
         try:
-            case = read(_repaired(question, repairs), progress, further)
-            if further:  # in millimetres and from mid-stroke, for instance
-                repairs = (*repairs, *(doubt[-1] for doubt in _one_per_field(further)))
-                case = read(_repaired(question, repairs), progress)
+            case = read(_repaired(question, repairs, units), progress, further)
+            if further.doubts:  # in millimetres and from mid-stroke, for instance
+                repairs = (*repairs, *(doubt[-1] for doubt in _one_per_field(further.doubts)))
+                case = read(_repaired(question, repairs, units), progress)
         except InputError:
             continue
         key = frozenset(case.problem.models[0].channels)
@@ -305,14 +346,14 @@ def _plausible(question: Question, doubted: Iterable[Doubt], progress: Progress)
 
 
 def _with_suspected_repairs(
-    question: Question, repairs: tuple[Repair, ...], case: Case, progress: Progress
+    question: Question, repairs: tuple[Repair, ...], case: Case, units: Mapping[str, str], progress: Progress
 ) -> Repaired:
     """A reading without the mistakes that the model suspects in it too."""
-    further = suspected(case.problem, (), case.held)
+    further = suspected(case.problem, (), case.held, case.units)
     if not further:
         return repairs, case
     try:
-        return (*repairs, *further), read(_repaired(question, (*repairs, *further)), progress)
+        return (*repairs, *further), read(_repaired(question, (*repairs, *further), units), progress)
     except InputError:
         return repairs, case
 
@@ -339,12 +380,15 @@ def _one_per_field(doubted: Iterable[Doubt]) -> list[Doubt]:
     return [tuple(doubt) for doubt in middle]
 
 
-def _repaired(question: Question, repairs: Sequence[Repair]) -> Question:
-    """The same question with the column map that repairs the recordings."""
+def _repaired(question: Question, repairs: Sequence[Repair], units: Mapping[str, str]) -> Question:
+    """The same question with the column map that repairs the recordings; `units` as the columns were taken."""
     given = ColumnMap.load(question.columns) or ColumnMap({})
     fields = [name for one in repairs for name in (one.field, one.other if isinstance(one, Exchange) else one.field)]
     whole = "time" in given.sources
     columns = given if whole else ColumnMap({**{name: Source(name) for name in fields}, **given.sources}, given.absent)
+    for name in fields:
+        if name in units and (source := columns.sources[name]).plain:
+            columns = columns.changed(name, replace(source, unit=units[name]))
     for repair in repairs:
         columns = repair.edit(columns)
     return replace(question, columns=columns if whole else columns.corrections())
@@ -369,7 +413,7 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
     again = retimed(other.problem, [claim for claim in there.claims if claim.effect.id not in LAGS], repairs)
     if again != tuple(repairs):
         with suppress(InputError):
-            nearer = read(_repaired(case.question, again), progress)
+            nearer = read(_repaired(case.question, again, case.units), progress)
             closer = _searched(nearer, progress)
             gained = gain(there.fitted, closer.fitted)
             if gained > ALIKE or (gained > -ALIKE and closer.numbers <= there.numbers):

@@ -36,7 +36,7 @@ from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_diagnosis.validation import Known
-from hydro_diagnosis.wiring import Doubt
+from hydro_diagnosis.wiring import Inspection
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
 
@@ -136,12 +136,14 @@ class Case:
     """Fields of the report that are known already."""
     numbers: dict[str, float | None]
     """Numbers to be estimated, as they were given."""
+    units: Mapping[str, str]
+    """By field, the unit in which its column was taken; none for SI."""
     wiring: str = ""
     """Note on how the recordings were taken, as they are or repaired, where both can be meant; else empty."""
 
 
-def read(question: Question, progress: Progress, doubted: list[Doubt] | None = None) -> Case:
-    """Read the recordings, check them against the bench file, begin the estimated numbers; `doubted`: `load_dataset`.
+def read(question: Question, progress: Progress, inspection: Inspection | None = None) -> Case:
+    """Read the recordings, check them against the bench file, begin the estimated numbers; `inspection`: `load_dataset`.
 
     Raises
     ------
@@ -154,8 +156,9 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
     given = base.bench
     unruled = _candidates(question.without)
     progress(stage_bar.READING)
+    inspection = Inspection() if inspection is None else inspection
     fitted, held, quality = load_dataset(
-        question.recordings, question.holdout, hiding(given, estimate), ColumnMap.load(question.columns), doubted
+        question.recordings, question.holdout, hiding(given, estimate), ColumnMap.load(question.columns), inspection
     )  # fmt: skip
     channels = set.intersection(*(set(segment.channels) for segment in fitted))
     refuse_missing(channels, given, estimate)
@@ -190,6 +193,7 @@ def read(question: Question, progress: Progress, doubted: list[Doubt] | None = N
         held=held,
         facts=facts,
         numbers=numbers,
+        units=inspection.units,
     )
 
 
