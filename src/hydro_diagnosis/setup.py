@@ -39,7 +39,7 @@ setup(
             "diagnose = hydro_bridge.process.start:main_of.hydro_diagnosis.cli",
             "calibrate = hydro_bridge.process.start:main_of.hydro_diagnosis.calibrate",
             "prove = hydro_bridge.process.start:main_of.hydro_diagnosis.blind_benchmark.prove",
-            "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.io.listing",
+            "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.listing",
         ],
     },
 )

@@ -68,10 +68,23 @@ def simulated_recording(
 SECONDS = 10.0
 """Length of a rehearsal; the proposal is for `PROPOSED`."""
 PROPOSED = 20.0
+NOMINAL = Bench.nominal()
 
 
-def catalog() -> Iterator[ReferenceSignal]:
-    """References that the box can run, over the working range."""
+def catalog(bench: Bench) -> list[ReferenceSignal]:
+    """References that the box can run, over the working range: forces in proportion to the bench's largest."""
+    strength = bench.piston_area * bench.supply_pressure / (NOMINAL.piston_area * NOMINAL.supply_pressure)
+    return [
+        replace(one, amplitude=_rounded(strength * one.amplitude), offset=_rounded(strength * one.offset))
+        for one in _nominal_catalog()
+    ]
+
+
+def _rounded(force: float) -> float:
+    return float(f"{force:.2g}")
+
+
+def _nominal_catalog() -> Iterator[ReferenceSignal]:
     for offset in (-120.0, 0.0, 120.0):
         yield ReferenceSignal(waveform=Waveform.SINE, amplitude=150.0, offset=offset, frequency=0.3)
         yield ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=170.0, offset=offset, frequency=0.7)
@@ -95,7 +108,7 @@ def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -
 
 def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike: str) -> dict[str, Any]:
     """The reference of the catalog on which two fits differ most; `alike`: how near they are, without a full stop."""
-    gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog()]
+    gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog(problem.bench)]
     gain, reference = max(gains, key=lambda one: one[0])
     if gain < CLOSE:
         why = f"No reference tells {names[0]} from {names[1]} on this bench: another sensor or a known load would."

@@ -37,8 +37,8 @@ from hydro_bridge.pages import environment
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import UNITS
-from hydro_diagnosis.io.listing import COLUMNS, as_yaml, listed, missing
-from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_diagnosis.listing import COLUMNS, as_yaml, listed, missing
+from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
 
@@ -64,7 +64,7 @@ class Check(msgspec.Struct, tag="check", frozen=True, forbid_unknown_fields=True
     """A map to be checked."""
 
     columns: dict[str, dict[str, str]]
-    """By field: its `column` and `unit`."""
+    """By field: its `column`, `unit`, `scale` and `offset`, as in a map."""
 
 
 class Diagnose(msgspec.Struct, tag="diagnose", frozen=True, forbid_unknown_fields=True):
@@ -104,7 +104,7 @@ class Import:
             try:
                 self._answer(_DECODER.decode(message))
             except (InputError, UserError, OSError, ValueError, msgspec.DecodeError) as error:
-                self._send("error", sentence=" ".join(str(error).split()))
+                self._send("error", sentence=" ".join(str(error).replace(f"{self._folder}/", "").split()))
 
     def _answer(self, request: Upload | Check | Diagnose) -> None:
         if isinstance(request, Upload):
@@ -131,7 +131,7 @@ class Import:
             self._send("bench", name=path.name)
             return
         if path.suffix.lower() not in (".mcap", *SUFFIXES):
-            raise InputError(f"{path.name}: neither a bench file nor a recording: {', '.join(('.mcap', *SUFFIXES))}")
+            raise InputError(f"{path.name}: {unreadable(path)}, nor a bench file")
         table = Table(COLUMNS)
         proposal = listed(path, None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,14 @@ import numpy.typing as npt
 from hydro_bridge.signals import FloatArray
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
+SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
+
+
+def unreadable(path: Path) -> str:
+    """Return why a file is no recording."""
+    if path.suffix.lower() in SPREADSHEETS:
+        return "a spreadsheet: save its table as CSV"
+    return f"not a rosbag2 folder, nor a file .mcap, {', '.join(SUFFIXES)}"
 
 
 MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")

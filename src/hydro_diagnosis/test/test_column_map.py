@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from scipy.io import savemat
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.listing import improbable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
@@ -122,12 +124,20 @@ def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Pat
 def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     pd.DataFrame({"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}).to_csv(path)
-    command = [sys.executable, "-m", "hydro_diagnosis.io.listing", str(path)]
+    command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = {line.split()[1]: line.split() for line in ended.stdout.splitlines() if line.startswith("run.csv")}
     assert rows["Time"][-1] == "time?" and rows["load_force"][-1] == "load_force"
     assert rows["Piston_Position"][-1] == "piston_position?"
     assert "foo" in rows
+
+
+def test_inspect_says_which_numbers_the_bench_cannot_have(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    pd.DataFrame({"t": np.arange(100) / 1e3, "pA": np.full(100, 60.0), "x": np.full(100, 0.1)}).to_csv(path)
+    given = cast(ColumnMap, ColumnMap.load("time=t,pressure_a=pA[kPa],piston_position=x"))
+    found = improbable(path, given, Bench.nominal())
+    assert len(found) == 1 and found[0].startswith("pressure_a has numbers") and "in bar, not kPa" in found[0]
 
 
 def same(table: RawTable, true: dict[str, list[float]]) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.io.columns import UNITS
-from hydro_diagnosis.io.listing import proposed
 from hydro_diagnosis.io.table import columns_of, read_table
+from hydro_diagnosis.listing import proposed
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 

@@ -73,6 +73,7 @@ def test_files_become_a_map_and_a_report(address: str, recordings: list[Path]) -
         assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["missing"])
         page.send("check", columns={"time": proposed["time"]})
         assert len(page.answer()["missing"]) > len(found["missing"])
+        proposed["piston_position"] |= {"scale": "1", "offset": "0.0"}
         page.send("diagnose", columns=proposed, fit=["monday.csv"], check=["tuesday.csv"])
         told = []
         while (answer := page.answer())["kind"] == "progress":
@@ -81,13 +82,15 @@ def test_files_become_a_map_and_a_report(address: str, recordings: list[Path]) -
         assert set(range(len(STAGES) - 1)) <= set(told)
         assert answer["verdict"] == "no_mismatch" and "<h1>Diagnosis</h1>" in answer["report"]
         assert "piston_area" in answer["corrected"] and "kN" in answer["columns"]
+        assert "piston_position: x[mm]*1+0" in answer["columns"]
 
 
 @pytest.mark.parametrize(
     ("name", "content", "sentence"),
-    [("../../notes.docx", b"x" * 300_000, "neither a bench file nor a recording"), ("a.csv", b"", "is empty"),
+    [("../../notes.docx", b"x" * 300_000, "nor a bench file"), ("a.xlsx", b"PK", "save its table as CSV"),
+     ("a.csv", b"", "is empty"),
      ("page.csv", b"<html></html>", "web page"), ("bench.yaml", b"piston_area: [", "bench.yaml")],
-    ids=["another kind", "empty", "web page", "broken bench"],
+    ids=["another kind", "spreadsheet", "empty", "web page", "broken bench"],
 )  # fmt: skip
 def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on(
     name: str, content: bytes, sentence: str, address: str, recordings: list[Path]
@@ -115,6 +118,7 @@ def test_a_person_gets_from_files_to_the_report_in_a_browser(
         page.driver.find_element("id", "files").send_keys("\n".join(map(str, recordings)))
         page.wait("document.querySelectorAll('#list tr').length == 2")
         assert page.run("return document.querySelectorAll('#columns select')[1].value") == "piston_position"
+        page.run("document.querySelectorAll('#columns input[name=offset]')[1].value = '0'")
         page.run("const last = document.querySelectorAll('#list select')[1]; last.value = 'check'; last.onchange()")
         page.click("run")
         page.wait("!document.getElementById('result').hidden", timeout=120.0)

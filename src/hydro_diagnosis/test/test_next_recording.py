@@ -40,7 +40,7 @@ def undecided() -> Problem:
 
 def test_the_proposed_recording_settles_more_than_a_random_one(undecided: Problem) -> None:
     true, rival = fits(undecided)
-    references = list(catalog())
+    references = catalog(Bench.nominal())
     expected = [expected_gain(undecided, reference, true, rival) for reference in references]
     best = references[int(np.argmax(expected))]
     others = np.random.default_rng(1).choice(len(references), 4, replace=False)

@@ -30,7 +30,7 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"bulk_modulos": 1e9}, "unknown key 'bulk_modulos'"),
+        ({"bulk_modulos": 1e9}, "unknown key 'bulk_modulos', did you mean 'bulk_modulus'?"),
         ({"stroke": ...}, "key 'stroke' is missing"),
         ({"stroke": -0.08}, "stroke = -0.08 is not a number in [0.001, 5] m"),
         ({"moving_mass": nan}, "moving_mass = nan is not a number in [0.01, 10000] kg"),

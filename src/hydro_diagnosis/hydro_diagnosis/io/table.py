@@ -9,8 +9,9 @@ the sample that begins there, which up to 1 ms is what acted from this row to th
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from hydro_diagnosis.io.delimited import delimited_columns
 from hydro_diagnosis.io.matlab import hdf5_columns, is_hdf5, matlab_columns
 from hydro_diagnosis.io.measurement_files import mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
-from hydro_diagnosis.recording import MEASURED, SUFFIXES, InputError, UnusableRecordingError
+from hydro_diagnosis.recording import MEASURED, SUFFIXES, InputError, UnusableRecordingError, unreadable
 
 SLOWER = 1.2
 """Multiple of the chosen clock's sampling time up to which a sensor counts as equally fast."""
@@ -247,7 +248,7 @@ class RawTable:
     """BenchState fields, each of shape (n,)."""
     notes: tuple[str, ...] = ()
     """Conversions applied to the file, one sentence each."""
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """By field, the unit in which its column was taken, by the map or the file; none for SI."""
 
 
@@ -298,7 +299,7 @@ def columns_of(path: Path) -> Columns:
         return Columns({"time": raw.time, **raw.columns}, units={"time": "s"})
     if path.suffix.lower() in SUFFIXES:
         return read_columns(path)
-    raise InputError(f"{path}: not a rosbag2 folder, nor a file .mcap, {', '.join(SUFFIXES)}")
+    raise InputError(f"{path}: {unreadable(path)}")
 
 
 def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:

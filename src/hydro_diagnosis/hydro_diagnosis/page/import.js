@@ -3,6 +3,7 @@
 
 const PIECE = 1 << 20; // bytes of a file in one message
 const COLUMNS = ["column", "unit", "count", "rate", "low", "high", "shape"];
+const GIVEN = [["unit", "in"], ["scale", "times"], ["offset", "plus"]]; // of a map's entry, and their titles
 const $ = (id) => document.getElementById(id);
 const socket = new WebSocket(`ws://${location.host}/socket`);
 const recordings = new Map(); // name: "fit" or "check"
@@ -45,27 +46,32 @@ function columns() {
   const chosen = {};
   for (const row of $("columns").querySelectorAll("tr[data-column]")) {
     const field = row.querySelector("select").value;
-    if (field) chosen[field] = { column: row.dataset.column, unit: row.querySelector("input").value };
+    if (!field) continue;
+    chosen[field] = { column: row.dataset.column };
+    for (const input of row.querySelectorAll("input")) chosen[field][input.name] = input.value.trim();
   }
   return chosen;
 }
 
 function table(proposed) {
   const head = document.createElement("tr");
-  for (const name of [...COLUMNS, "is", "in"]) cell(head, name, "th");
-  const becomes = Object.fromEntries(Object.entries(proposed).map(([field, source]) => [source.column, [field, source.unit]]));
+  for (const name of [...COLUMNS, "is", ...GIVEN.map(([, title]) => title)]) cell(head, name, "th");
+  const becomes = Object.fromEntries(Object.entries(proposed).map(([field, source]) => [source.column, [field, source]]));
   $("columns").replaceChildren(head, ...rows.map((entry) => {
     const row = document.createElement("tr");
-    const [field, unit] = becomes[entry.column] ?? ["", ""];
+    const [field, source] = becomes[entry.column] ?? ["", {}];
     row.dataset.column = entry.column;
     for (const key of COLUMNS) cell(row, entry[key]).className = key === "shape" ? "curve" : "";
     const choice = $("fields").content.firstElementChild.cloneNode(true);
-    const given = document.createElement("input");
-    [choice.value, given.value, given.className] = [field, unit, "unit"];
-    given.setAttribute("list", "units");
-    choice.onchange = given.onchange = () => send("check", { columns: columns() });
+    choice.value = field;
     cell(row, choice);
-    cell(row, given);
+    for (const [name] of GIVEN) {
+      const given = document.createElement("input");
+      [given.name, given.value] = [name, source[name] ?? ""];
+      if (name === "unit") given.setAttribute("list", "units");
+      cell(row, given);
+    }
+    row.onchange = () => send("check", { columns: columns() });
     return row;
   }));
   $("mapping").hidden = false;

@@ -288,8 +288,7 @@ def read_repaired(question: Question, progress: Progress) -> Case:
         refusal = str(error)
     if case is not None and (question.as_wired or not (inspection.doubts or _mismatch(case.problem))):
         return case
-    doubted = inspection.doubts or case is None
-    readings = _plausible(question, inspection, progress) if doubted else [((), case)]
+    readings = _plausible(question, inspection, progress) if case is None or inspection.doubts else [((), case)]
     readings = [_with_suspected_repairs(question, *one, inspection.units, progress) for one in readings]
     if not readings:
         return read(question, progress)

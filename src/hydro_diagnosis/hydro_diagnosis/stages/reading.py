@@ -143,7 +143,9 @@ class Case:
 
 
 def read(question: Question, progress: Progress, inspection: Inspection | None = None) -> Case:
-    """Read the recordings, check them against the bench file, begin the estimated numbers; `inspection`: `load_dataset`.
+    """Read the recordings, check them against the bench file, begin the estimated numbers.
+
+    `inspection`: as of `load_dataset`.
 
     Raises
     ------

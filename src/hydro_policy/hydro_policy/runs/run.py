@@ -22,6 +22,7 @@ import json
 import math
 import os
 import shutil
+import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
@@ -170,23 +171,27 @@ class Scalars:
         self._writer: Any = None
 
     def add(self, kind: str, numbers: Mapping[str, Any]) -> None:
-        """Add `kind/name` at `episode` for each number, `kind/name_0` and so on for each of a list."""
-        if self._writer is None:
-            from tensorboardX import SummaryWriter  # takes a second
+        """Add `kind/name` at `episode` for each finite number, `kind/name_0` and so on for each of a list."""
+        from tensorboardX.event_file_writer import EventsWriter  # takes a second
+        from tensorboardX.proto.event_pb2 import Event
+        from tensorboardX.summary import scalar
 
-            self._writer = SummaryWriter(str(self._folder), flush_secs=10)
+        if self._writer is None:  # its own SummaryWriter loses what waits in its queue at the end of the process
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._writer = EventsWriter(str(self._folder / "events"))
         entries = dict(numbers)
         step = entries.pop("episode")
         for name, value in entries.items():
             for tag, one in _numbered(name, value):
-                self._writer.add_scalar(f"{kind}/{tag}", one, step)
+                summary = scalar(f"{kind}/{tag}", one)
+                self._writer.write_event(Event(wall_time=time.time(), step=step, summary=summary))
         self._writer.flush()
 
 
 def _numbered(name: str, value: Any) -> list[tuple[str, float]]:
     if isinstance(value, (list, tuple)):
-        return [(f"{name}_{n}", one) for n, one in enumerate(value)]
-    return [(name, float(value))] if isinstance(value, (int, float)) else []
+        return [(f"{name}_{n}", one) for n, one in enumerate(value) if math.isfinite(one)]
+    return [(name, float(value))] if isinstance(value, (int, float)) and math.isfinite(value) else []
 
 
 class RunRecord:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
 from importlib import resources
 from math import inf, isfinite, pi, sqrt
 from pathlib import Path
@@ -152,7 +153,8 @@ class Bench:
         unknown = [str(key) for key in content if key not in entries]
         missing = [name for name, entry in entries.items() if name not in content and _required(entry)]
         if unknown:
-            raise ValueError(f"unknown key {unknown[0]!r}")
+            close = get_close_matches(unknown[0], entries, 1)
+            raise ValueError(f"unknown key {unknown[0]!r}" + (f", did you mean {close[0]!r}?" if close else ""))
         if missing:
             several = len(missing) > 1
             named = ", ".join(repr(name) for name in missing)

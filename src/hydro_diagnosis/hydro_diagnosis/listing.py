@@ -26,7 +26,9 @@ from hydro_bridge.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
 from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward, without_unit
+from hydro_diagnosis.io.table import base_of, columns_of, read_table
 from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.wiring import inspect_table
 from hydro_sim.model.bench import Bench
 
 ENOUGH = 3.0
@@ -71,8 +73,6 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
 
 
 def _proposed(found: Columns, bench: Bench) -> ColumnMap:
-    from hydro_diagnosis.io.table import base_of
-
     sources: dict[str, Source] = {}
     if not found.clocks:
         times = [name for name, values in found.series.items() if runs_forward(values)]
@@ -150,7 +150,8 @@ def as_yaml(columns: ColumnMap) -> str:
     """The map as a YAML file for `--columns`."""
     words: dict[str, Any] = {}
     for field, source in columns.sources.items():
-        words[field] = {"column": source.column, "unit": source.unit} if source.unit else {"column": source.column}
+        entry = {"column": source.column, "unit": source.unit} if source.unit else {"column": source.column}
+        words[field] = str(source) if source.steps or source.delay else entry
     return str(yaml.safe_dump(words, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120))
 
 
@@ -270,8 +271,6 @@ def listed(path: Path, columns: ColumnMap | None, table: Table, bench: Bench) ->
     InputError
         If the file cannot be read.
     """
-    from hydro_diagnosis.io.table import columns_of
-
     found = columns_of(path)
     chosen = proposed(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
@@ -351,6 +350,9 @@ def main() -> int:
     table = Table(COLUMNS)
     maps = [listed(path, columns, table, bench) for path in chosen.recordings]
     table.show(chosen.json)
+    for path, proposal in zip(chosen.recordings, maps, strict=True):
+        for sentence in improbable(path, proposal, bench):
+            print(f"{path.name}: {sentence}")
     if columns is None:
         for path, proposal in zip(chosen.recordings, maps, strict=True):
             print(_advice(path, proposal))
@@ -369,6 +371,19 @@ def _advice(path: Path, proposal: ColumnMap) -> str:
     if not proposal.corrections().sources:
         return f"{path.name}: its columns carry the fields' own names: no map is needed"
     return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
+
+
+def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:
+    """Return which fields of a map the bench cannot have, and what they may be."""
+    try:
+        doubts = inspect_table(read_table(path, columns), bench).doubts
+    except InputError:
+        return []
+    return [
+        f"{doubt[0].field} has numbers that this bench cannot have; it may be that "
+        + ", or ".join(one.sentence for one in doubt)
+        for doubt in doubts
+    ]
 
 
 def missing(proposal: ColumnMap) -> list[str]:
