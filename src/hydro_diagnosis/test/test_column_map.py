@@ -134,7 +134,7 @@ def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
 
 def test_inspect_says_which_numbers_the_bench_cannot_have(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    pd.DataFrame({"t": np.arange(100) / 1e3, "pA": np.full(100, 60.0), "x": np.full(100, 0.1)}).to_csv(path)
+    pd.DataFrame({"t": np.arange(100) / 1e3, "pA": np.full(100, 60.0), "x": np.full(100, 0.04)}).to_csv(path)
     given = cast(ColumnMap, ColumnMap.load("time=t,pressure_a=pA[kPa],piston_position=x"))
     found = improbable(path, given, Bench.nominal())
     assert len(found) == 1 and found[0].startswith("pressure_a has numbers") and "in bar, not kPa" in found[0]
