@@ -25,10 +25,8 @@
 #define HYDRO_LOOP 8
 #define HYDRO_INPUT 7          /* column of tangents that is the current's: the box's own velocity moves nothing */
 #define HYDRO_CLOSED 1e-9      /* A, where the spool is taken to stand in a sample in which it passes zero */
-#define HYDRO_BEND_MAX 2e5     /* N/s^2, largest f_r'' that is believed */
 #define HYDRO_PROBE 0.1        /* m/s, over which the velocity's part of the flows is taken; they are linear in it */
 #define HYDRO_SMALLEST_DROP 1e3 /* Pa, no slope of a square root is taken nearer to zero pressure drop */
-#define HYDRO_CREEP 2e-3       /* m/s, below which the sign of a velocity is noise, where dry friction can hold */
 #define HYDRO_STATES 16        /* of a model, at most */
 #define HYDRO_READINGS 5
 
@@ -71,6 +69,8 @@ typedef struct {
     hydro_real gain[HYDRO_READINGS], bias[HYDRO_READINGS]; /* of f_h f_l p_a p_b x_p */
     hydro_real area, ratio, mass, dead_a, dead_b, stroke; /* m2 - kg m3 m3 m */
     hydro_real least_gain, least_opening;         /* N/s/A, A */
+    hydro_real bend_max; /* N/s^2, largest f_r'' that is believed */
+    hydro_real creep;    /* m/s, below which the sign of a velocity is noise, where dry friction can hold */
     hydro_bench bench;          /* what the force law believes */
     hydro_real gain_floor;      /* N/s/A */
     hydro_real velocity_memory; /* a of the box's velocity (differentiation.h) */
@@ -227,7 +227,7 @@ static inline hydro_real hydro_position(const hydro_loop *loop, hydro_real force
 static inline hydro_real hydro_dry_friction(
     const hydro_loop *loop, hydro_real *y, hydro_real *state, hydro_real *slopes)
 {
-    hydro_real measured = y[3], share = HYDRO_R(1), creep = HYDRO_R(HYDRO_CREEP), whole;
+    hydro_real measured = y[3], share = HYDRO_R(1), creep = loop->creep, whole;
     if (loop->holds && hydro_abs(measured) < creep) {
         share = hydro_abs(measured) / creep;
         y[3] = state[3] = hydro_copysign(creep, measured);
@@ -252,7 +252,7 @@ static inline void hydro_displace(
     const hydro_loop *loop, const hydro_memory_of_loop *memory, const hydro_real *x, hydro_real reference,
     hydro_real reference_rate, hydro_real *v)
 {
-    hydro_real limit = HYDRO_R(HYDRO_BEND_MAX), y[HYDRO_STATES] = {HYDRO_R(0)}, state[HYDRO_STATES] = {HYDRO_R(0)};
+    hydro_real limit = loop->bend_max, y[HYDRO_STATES] = {HYDRO_R(0)}, state[HYDRO_STATES] = {HYDRO_R(0)};
     hydro_real bend = hydro_clamp((reference_rate - memory->reference_rate) / HYDRO_R(HYDRO_PERIOD), -limit, limit);
     hydro_real opening = memory->hidden[loop->whole.spool] + loop->after, slopes[2 * HYDRO_STATES];
     hydro_real turned = memory->hidden[loop->whole.spool_rate], stiffness, position, velocity, driven, dry, pushing;

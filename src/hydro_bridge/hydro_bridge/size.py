@@ -39,6 +39,14 @@ class Size:
             current=bench["valve_current_max"],
         )
 
+    @classmethod
+    def told(cls, bench: Mapping[str, Any] | None) -> Size | None:
+        """Return the size of a bench that a box believes; None if too little of it is known."""
+        try:
+            return None if bench is None else cls.of(bench)
+        except (KeyError, TypeError):
+            return None
+
 
 def resized(settings: T, before: Size, after: Size) -> T:
     """Return settings made for a bench of the size `before` for a similar one of the size `after`."""

@@ -8,10 +8,15 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS
+from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_bridge.size import resized
+from hydro_filter.controller.loop_filter import loop_filter
+from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.model.loop import loop_of
+from hydro_filter.training.data import STABLE, UNSTABLE, DataSettings, roll_out
+from hydro_filter.validation.trial import Trial, run
 from hydro_policy.envs.environment import Environment, Transitions
-from hydro_policy.envs.randomisation import Randomisation, sensors_of
+from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings
@@ -23,6 +28,7 @@ from hydro_policy.task.step_aggregator import Step
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import Sensors
 
 FORCE, PRESSURE, LENGTH, CURRENT = 5.0, 0.3, 4.0, 1.5
 AREA, STIFFNESS = FORCE / PRESSURE, FORCE / LENGTH
@@ -60,7 +66,7 @@ def similar(effects: bool) -> tuple[Bench, Bench]:
 def episode(bench: Bench, steps: int = 200) -> list[Transitions]:
     """Two benches side by side under drawn actions; the second has a larger reference."""
     task = resized(TaskSettings(), NOMINAL, bench.size)
-    plants = [AnalyticPlant(bench, settings=sensors_of(bench)) for _ in range(2)]
+    plants = [AnalyticPlant(bench, settings=Sensors.of_size(bench.size)) for _ in range(2)]
     fleet = VectorBench([bench] * 2, plants, resized(BoxConfig(), NOMINAL, bench.size))
     environment, rng = Environment(fleet, task), np.random.default_rng(0)
     environment.begin([task.reference(number, seed=4) for number in range(2)], [1, 2])
@@ -130,3 +136,49 @@ def test_the_monitor_stops_at_the_same_step(chatter: bool) -> None:
     here, there = similar(effects=False)
     assert stopped(here, 1.0) == stopped(there, 1.0) > 0
     assert stopped(here, 2.0) < stopped(here, 1.0)
+
+
+def corrected(bench: Bench, gains: tuple[float, float]) -> tuple[FloatArray, list[CorrectionStatus]]:
+    """Corrections over the valve's limit, and their statuses, of the shipped metric's table on this bench."""
+    size = bench.size
+    trial = Trial(
+        bench=bench,
+        reference=ReferenceSignal(waveform=Waveform.SINE, amplitude=size.force, frequency=1.0),
+        gains=np.tile(gains, (100, 1)),
+        box=BoxConfig().of_size(size),
+    )
+    metric = replace(ScheduledMetric.load(), another=None)
+    done = run(trial, AnalyticPlant(bench, settings=Sensors.of_size(size)), loop_filter(metric, bench, bench))
+    return np.array([result.delta_u for result in done.results]) / size.current, [one.status for one in done.results]
+
+
+@pytest.mark.parametrize("effects", [False, True])
+def test_the_filter_corrects_a_similar_bench_alike(effects: bool) -> None:
+    """Up to the tolerance of its solver."""
+    for gains in ((90.0, 15.0), (-30.0, -3.0)):
+        (here, told), (there, also_told) = (corrected(bench, gains) for bench in similar(effects))
+        print(gains, f"{np.abs(here - there).max():g} of {np.abs(here).max():g}")
+        np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-8)
+        assert also_told == told and CorrectionStatus.MISMATCH not in told
+    assert np.abs(here).max() > 1e-3 and CorrectionStatus.MODIFIED in told
+
+
+def test_what_the_filter_allows_is_a_share_of_the_size() -> None:
+    here, there = (loop_of(bench, bench).model for bench in similar(effects=True))
+    assert there.allowed / here.allowed == pytest.approx([FORCE, FORCE, FORCE, PRESSURE, PRESSURE], rel=1e-12)
+    assert (there.bend_max / here.bend_max, there.creep / here.creep) == pytest.approx((FORCE, LENGTH), rel=1e-12)
+
+
+def test_rollouts_of_a_similar_bench_have_the_same_labels() -> None:
+    """References are rounded to 0.1 mN, the same on every bench."""
+    settings = DataSettings(rollouts=8)
+    here, there = (
+        [roll_out(AnalyticPlant(b, settings=Sensors.of_size(b.size)), b, settings, index) for index in range(8)]
+        for b in similar(effects=False)
+    )
+    assert [one.label for one in here] == [one.label for one in there]
+    assert {STABLE, UNSTABLE} <= {one.label for one in here}
+    for one, other in zip(here, there, strict=True):
+        length = min(len(one.states), len(other.states))
+        wanted = [each.states["reference_force"][:length] for each in (one, other)]
+        assert other.gains == one.gains and np.abs(wanted[1] / FORCE - wanted[0]).max() < 3e-4

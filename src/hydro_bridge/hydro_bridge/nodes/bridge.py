@@ -27,6 +27,7 @@ from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTake
 from hydro_bridge.serial.protocol import State
 from hydro_bridge.settings import describe
 from hydro_bridge.signals import Flag, flag_names
+from hydro_bridge.size import Size
 
 
 class BridgeSide(Link):
@@ -82,7 +83,9 @@ class BridgeNode(PlantNode):
 
     def __init__(self, settings: PortSettings, bench: Mapping[str, Any] | None = None, *, realtime: bool) -> None:
         super().__init__("bridge")
-        guard = CommandGuard(settings=declare_parameters(self, GuardSettings(), "guard."))
+        size = Size.told(bench)
+        usual = GuardSettings() if size is None else GuardSettings.of_size(size)
+        guard = CommandGuard(settings=declare_parameters(self, usual, "guard."))
         port = Port(declare_parameters(self, settings))
         if not guard.settings.require_filter:
             self.get_logger().warning(

@@ -11,6 +11,7 @@ from typing import Annotated
 from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_bridge.size import Size
 
 _LINE = Struct("<4f")
 _LINE_MAX = 3.4028234e38
@@ -28,9 +29,9 @@ class GuardSettings:
     """Smallest change of the integral gain."""
     delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 100.0)] = 10.0
     """Largest change of the integral gain."""
-    delta_u_max: Annotated[float, quantity("A", 0.0, 0.2)] = 0.02
+    delta_u_max: Annotated[float, quantity("A", 0.0, 20.0)] = 0.02
     """Largest magnitude of the correction; the learned metric's filter needs 0.0045 (authority.md)."""
-    reference_force_max: Annotated[float, quantity("N", 0.0, 5000.0)] = 1000.0
+    reference_force_max: Annotated[float, quantity("N", 0.0, 1e8)] = 1000.0
     """Largest |offset| + amplitude of the reference."""
     reference_frequency_max: Annotated[float, quantity("Hz", 0.1, 100.0)] = 20.0
     """Largest frequency of the reference."""
@@ -46,6 +47,11 @@ class GuardSettings:
     """The filter that gains of this range need to be safe; nothing: the bench bears them all; told at the start."""
     require_filter: bool = True
     """Without a fresh correction: base gains; false lets gains pass unfiltered: logged, flagged and on /diagnostics."""
+
+    @classmethod
+    def of_size(cls, size: Size) -> GuardSettings:
+        """Return the usual limits for a bench of this size; those above are the nominal bench's."""
+        return cls(delta_u_max=0.4 * size.current, reference_force_max=size.force * 10.0 / 3.0)
 
 
 NARROW = GuardSettings()

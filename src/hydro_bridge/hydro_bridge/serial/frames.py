@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -158,6 +158,17 @@ class BoxLaw:
     """Upper limits."""
     coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 2000.0)
     """Fastest changes [1/s], [-], [s], [N/s]."""
+
+    def enlarged(self, ratio: float) -> BoxLaw:
+        """Return the law of a box whose bench has forces larger by this ratio."""
+
+        def level(numbers: Coefficients) -> Coefficients:
+            return (*numbers[:3], ratio * numbers[3])
+
+        return replace(
+            self, reference_max=ratio * self.reference_max, coefficient_min=level(self.coefficient_min),
+            coefficient_max=level(self.coefficient_max), coefficient_rate=level(self.coefficient_rate),
+        )  # fmt: skip
 
 
 PAPER_LAW = BoxLaw(

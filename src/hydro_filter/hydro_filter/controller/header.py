@@ -114,7 +114,8 @@ def _loop(loop: Loop, truth: Bench) -> list[str]:
         "after": model.after, "lag": model.lag, "inertia": model.inertia, "area": model.area, "ratio": model.ratio,
         "mass": model.mass, "dead_a": numbers["dead_volume_a"], "dead_b": numbers["dead_volume_b"],
         "stroke": numbers["stroke"], "least_gain": model.least_gain, "least_opening": model.least_opening,
-        "gain_floor": loop.gain_floor, "velocity_memory": model.memories[1],
+        "bend_max": model.bend_max, "creep": model.creep, "gain_floor": loop.gain_floor,
+        "velocity_memory": model.memories[1],
     }  # fmt: skip
     whole = len(model.rest), model.spool, model.spool_rate, model.cell, model.cell_rate
     linear = (

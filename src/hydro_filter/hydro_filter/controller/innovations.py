@@ -2,7 +2,7 @@
 """Model monitor: detects from one-step prediction errors whether the model still fits the bench.
 
 Of three consecutive samples the middle one gives the model's state, and the outer two its change. The predicted load is
-the simulated state of its amplifier. Static friction may have any force up to its level: below `displacement.CREEP` the
+the simulated state of its amplifier. Static friction may have any force up to its level: below `ModelParts.creep` the
 best-fitting one is used. Behind a lagging sensor, a chamber's error is what the observer corrects of its pressure in a
 sample. The equations are
 then independent, and none contains the lag of the box's velocity. Their errors, T = 1 ms::
@@ -14,7 +14,7 @@ then independent, and none contains the lag of the box's velocity. Their errors,
 
 The test is a two-sided CUSUM (Page, Biometrika 41, 1954) of each error relative to its allowance::
 
-    z = error / (ALLOWED + SHARE size), within +-CLIP       up = max(0, up + z - 1)     down = max(0, down - z - 1)
+    z = error / (allowed + SHARE size), within +-CLIP       up = max(0, up + z - 1)     down = max(0, down - z - 1)
 
 A sum above `ALARM` means that the equation does not hold. A learned model has small lasting errors (friction, leakage,
 temperature) and large ones for some milliseconds (a spool at its rate limit): the allowance covers the former, the clip
@@ -32,8 +32,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.model.displacement import CREEP
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.observer import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.parts import MEMORY_DTYPE, NONE
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
@@ -51,8 +50,6 @@ SUSPECTS = (
 """Cause of a violation of each equation."""
 COUNT = len(EQUATIONS)
 
-ALLOWED: FloatArray = np.array([7.5, 15.0, 12.0, 3e3, 3e3])
-"""N, N, N, Pa, Pa in a sample: 2.5 % of 300 N; dry friction; a cell's drift; 0.03 l/min."""
 SHARE = 0.05
 """Further allowance, as a share of the equation's terms: the accuracy of learning, sufficient for the certificate."""
 CLIP = 5.0
@@ -135,8 +132,8 @@ def errors(model, m, x, error, size):
     held_rates(p, y, opening, True, slopes)
     rate_a, rate_b, pull = slopes[0], slopes[1], slopes[3]
     error[1] = p.mass * (bend - pull)
-    if p.holds and abs(speed) < CREEP:
-        y[3] = state[3] = math.copysign(CREEP, speed)
+    if p.holds and abs(speed) < p.creep:
+        y[3] = state[3] = math.copysign(p.creep, speed)
         held_rates(p, y, opening, True, slopes)
         whole = slopes[3]
         held_rates(p, state, 0.0, False, slopes)
@@ -166,7 +163,7 @@ def _judge(model, limit, m, x):
     errors(model, m, x, error, size)
     highest = 0.0
     for i in range(COUNT):
-        z = min(max(error[i] / (limit * (ALLOWED[i] + SHARE * size[i])), -CLIP), CLIP)
+        z = min(max(error[i] / (limit * (model.allowed[i] + SHARE * size[i])), -CLIP), CLIP)
         for side in range(2):
             total = min(max(m.sums[i, side] + (z if side == 0 else -z) - 1.0, 0.0), 2.0 * ALARM)
             m.sums[i, side] = total
@@ -174,7 +171,7 @@ def _judge(model, limit, m, x):
             highest = max(highest, total)
             if total > ALARM and m.broken == 0:
                 m.broken, m.held = i + 1, 0
-                m.ratio, m.effort = 1.0 + total / m.runs[i, side], max(0.5 * size[i], limit * ALLOWED[i])
+                m.ratio, m.effort = 1.0 + total / m.runs[i, side], max(0.5 * size[i], limit * model.allowed[i])
     if m.broken != 0:
         moved = size[m.broken - 1] >= m.effort
         m.held = 0 if highest > 0.5 * ALARM else m.held + moved

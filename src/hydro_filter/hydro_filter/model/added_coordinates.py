@@ -22,9 +22,9 @@ import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.model.coordinates import Q_SPOOL
+from hydro_bridge.size import Size
+from hydro_filter.model.coordinates import Q_HYDRAULIC, Q_SPOOL
 from hydro_filter.model.parts import NONE
-from hydro_filter.model.state import FORCE_SCALE
 from hydro_filter.model.terms import Name, state_number
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -38,8 +38,8 @@ ROUNDING = 1e-9
 POSITION_STATE, VELOCITY_STATE = 2, 3
 """Of the textbook's states."""
 
-UNCERTAINTY = 3e3
-"""Pa: standard deviation of the model's pressure after one sample, which is what the monitor allows it to be off."""
+UNCERTAINTY = 1.875e-4
+"""Standard deviation of the model's pressure after one sample, over the supply's: what the monitor allows."""
 
 
 class Added(NamedTuple):
@@ -68,7 +68,7 @@ def added_coordinates(bench: Bench, whole: Mapping[Name, int], loop: Mapping[Nam
         `coordinates.loop_scale`.
     """
     lagging, kept, scale, ages = [], [], [], []
-    pressure = FORCE_SCALE / bench.piston_area
+    pressure = float(drive[Q_HYDRAULIC]) / bench.piston_area
     for place, chamber in enumerate(CHAMBERS):
         label = f"sensor_lag sensor=pressure_{chamber}"
         if (signal := state_number(whole, label, "signal")) == NONE:
@@ -101,7 +101,7 @@ def current_at_valve(bench: Bench) -> int:
     return floor(catalogue.delay(bench.effects) / SAMPLE_PERIOD + ROUNDING)
 
 
-def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64]) -> FloatArray:
+def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64], size: Size) -> FloatArray:
     """Gains of the observer of the pressures behind lagging sensors.
 
     It corrects pressure, what the sensor shows and its rate, of each lagging sensor, twice a sample. By the position's
@@ -115,6 +115,8 @@ def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64]) -> Floa
         The loop's model.
     lagging
         As `Added.lagging`, of this model.
+    size
+        Of the bench.
 
     Returns
     -------
@@ -130,14 +132,14 @@ def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64]) -> Floa
     by_position = slopes[numbers, VELOCITY_STATE] / slopes[POSITION_STATE, VELOCITY_STATE]
     # a wrong pressure moves the position, too, and is corrected as if by a velocity
     moves = slopes[np.ix_(numbers, numbers)] - np.outer(by_position, slopes[POSITION_STATE, numbers])
-    noise = float(Sensors().constants()[0]["pressure_noise"])
+    noise, uncertain = Sensors.of_size(size).pressure_noise, UNCERTAINTY * size.pressure
     into = slopes[np.ix_(numbers, [pressure for _, _, pressure in lagging])]
     # units of 1 Pa and, of rates, 1 Pa a sample
     units = np.tile([1.0, 1.0, 1.0 / SAMPLE_PERIOD], count)
     moves, into = moves * units / units[:, None], into / units[:, None]
     shown = np.zeros((count, 3 * count))
     shown[np.arange(count), 3 * np.arange(count) + 1] = 1.0
-    spread = UNCERTAINTY**2 * into @ into.T + 1e-6 * noise**2 * np.eye(3 * count)
+    spread = uncertain**2 * into @ into.T + 1e-6 * noise**2 * np.eye(3 * count)
     known = np.asarray(solve_discrete_are(moves.T, shown.T, spread, noise**2 * np.eye(count)))
     gains = known @ shown.T @ np.linalg.inv(shown @ known @ shown.T + noise**2 * np.eye(count))
     return np.vstack(((units[:, None] * gains).T, by_position))

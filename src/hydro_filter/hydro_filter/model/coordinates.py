@@ -27,7 +27,7 @@ import numpy as np
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter.model import force_law
-from hydro_filter.model.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
+from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 
@@ -43,10 +43,11 @@ LOOP_RATE = 130.0
 
 
 def loop_scale(bench: Bench) -> FloatArray:
-    """Scales of the coordinates, shape (8,): 300 N, moving at `LOOP_RATE`, and the drive that this takes."""
-    position, rate = FORCE_SCALE / bench.spring_stiffness, FORCE_SCALE * LOOP_RATE
+    """Scales of the coordinates, shape (8,): the bench's force, at `LOOP_RATE`, and the drive that this takes."""
+    force = bench.size.force
+    position, rate = force / bench.spring_stiffness, force * LOOP_RATE
     speed, drive = position * LOOP_RATE, 20.0 * rate  # the oil is some 18 times as stiff as the spring
-    return np.array([FORCE_SCALE, drive, 500.0 * drive, FORCE_SCALE, rate, position, speed, speed])
+    return np.array([force, drive, 500.0 * drive, force, rate, position, speed, speed])
 
 
 def least_gain(area: float, stiffness_a: float, valve_gain: float, supply: float) -> float:

@@ -41,17 +41,11 @@ from hydro_filter.model.state import (
 )
 from hydro_sim.jit import njit
 
-BEND_MAX = 2e5
-"""N/s^2, limit of f_r'': 300 N at 4 Hz; that of a switched reference is arbitrary."""
-
-CREEP = 2e-3
-"""m/s, below which the sign of a measured velocity is noise: dry friction that holds counts by its share of this."""
-
 
 @njit
-def second_derivative(memory, reference_rate):
+def second_derivative(p, memory, reference_rate):
     """Return f_r'' [N/s^2] from two samples of f_r'."""
-    return min(max((reference_rate - memory.reference_rate) / SAMPLE_PERIOD, -BEND_MAX), BEND_MAX)
+    return min(max((reference_rate - memory.reference_rate) / SAMPLE_PERIOD, -p.bend_max), p.bend_max)
 
 
 @njit
@@ -73,7 +67,7 @@ def load_at(p, position):
 @njit
 def displace(loop, memory, x, reference, reference_rate, v):
     """Write v, of each coordinate, of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
-    p, n, bent = loop.model, len(loop.model.rest), second_derivative(memory, reference_rate)
+    p, n, bent = loop.model, len(loop.model.rest), second_derivative(loop.model, memory, reference_rate)
     y, state, slopes = np.empty(n), np.empty(len(p.from_whole)), np.empty(p.slopes)
     opening = memory.hidden[n]
     model_state(p, memory.hidden, x, y, True)
@@ -133,12 +127,12 @@ def _displace_commands(p, memory, y, v, closed, wanted, wanted_rate, slopes):
 def dry_force(p, y, state, slopes):
     """Force [N] of the disturbances against the motion, from the difference of both models' accelerations.
 
-    Where friction can hold, a velocity below `CREEP` counts by its share: its sign is noise.
+    Where friction can hold, a velocity below `creep` counts by its share: its sign is noise.
     """
     measured, share = y[3], 1.0
-    if p.holds and abs(measured) < CREEP:
-        share = abs(measured) / CREEP
-        y[3] = state[3] = math.copysign(CREEP, measured)
+    if p.holds and abs(measured) < p.creep:
+        share = abs(measured) / p.creep
+        y[3] = state[3] = math.copysign(p.creep, measured)
     held_rates(p, y, 0.0, True, slopes)
     whole = slopes[3]
     held_rates(p, state, 0.0, False, slopes)

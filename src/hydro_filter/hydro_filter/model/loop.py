@@ -24,7 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.size import Size
 from hydro_filter.model.added_coordinates import (
+    UNCERTAINTY,
     added_coordinates,
     current_at_valve,
     currents_on_their_way,
@@ -59,6 +61,13 @@ DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", 
 OVERLAP = "valve_deadband"
 """Of these, the one within which no current moves anything: B = 0."""
 
+BEND_MAX = 2000.0 / 3.0
+"""1/s^2, limit of f_r'' over the bench's force: that at 4 Hz."""
+CREEP = 0.025
+"""1/s, `ModelParts.creep` over the stroke."""
+FORCES_ALLOWED, PRESSURES_ALLOWED = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
+"""`ModelParts.allowed` over the bench's force: 2.5 %; dry friction; a cell's drift; of pressures in `UNCERTAINTY`."""
+
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
 
@@ -82,7 +91,7 @@ def loop_of(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> Loop
     """
     refuse(truth)
     floor, scale = float((box or BoxConfig()).constants(believed)["gain_floor"][0]), loop_scale(believed)
-    model, added = parts(truth, scale)
+    model, added = parts(truth, scale, believed.size)
     return Loop(model, believed.constants(), floor, believed.valve_current_max, np.append(scale, added))
 
 
@@ -148,7 +157,7 @@ def rest_measurement(model: ModelParts) -> FloatArray:
     return x
 
 
-def parts(truth: Bench, scale: FloatArray) -> tuple[ModelParts, FloatArray]:
+def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, FloatArray]:
     """Compute the `ModelParts` of a bench file, and the scales of its added coordinates; `scale`: of the eight."""
     loop_bench = without_disturbances(truth)
     whole, loop = BenchModel(truth, substeps=SUBSTEPS), BenchModel(loop_bench, substeps=SUBSTEPS)
@@ -184,13 +193,15 @@ def parts(truth: Bench, scale: FloatArray) -> tuple[ModelParts, FloatArray]:
         loop_spool=state_number(loop_places, "valve_lag", "spool"),
         loop_spool_rate=state_number(loop_places, "valve_lag", "rate"), before=before, after=after,
         cell=cell[0], cell_rate=cell[1], loop_cell=loop_cell[0], loop_cell_rate=loop_cell[1],
-        lagging=added.lagging, observer=pressure_observer(loop, sensors), sensor_ages=added.ages, direct=direct,
+        lagging=added.lagging, observer=pressure_observer(loop, sensors, size), sensor_ages=added.ages, direct=direct,
         kept=added.kept, on_their_way=currents_on_their_way(truth), past=past, at_valve=current_at_valve(truth),
         delay=catalogue.delay(truth.effects), spool_age=valve_age(truth),
         force_shown=state_number(places, "sensor_lag sensor=hydraulic_force", "signal"),
         lag=lag, inertia=inertia, gain=gain, bias=bias,
         area=area, ratio=ratio, mass=float(numbers["moving_mass"]), positions=positions, forces=forces,
         holds=dry and not bristles, least_gain=least, least_opening=0.1 * float(numbers["valve_current_max"]),
+        bend_max=size.force * BEND_MAX, creep=size.length * CREEP,
+        allowed=size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
         memories=np.array([record["force_memory"], record["velocity_memory"]]),
         slopes=TEXTBOOK + max(len(rest), len(loop_rest)),
     )  # fmt: skip

@@ -92,6 +92,12 @@ class ModelParts(NamedTuple):
     """N/s/A: a chamber at its limit has no gain."""
     least_opening: float
     """A, at which the gain is taken where the valve is closed."""
+    bend_max: float
+    """N/s^2, limit of f_r'': that of a switched reference is arbitrary."""
+    creep: float
+    """m/s, below which the sign of a velocity is noise: dry friction that holds counts by its share of this."""
+    allowed: FloatArray
+    """N, N, N, Pa, Pa in a sample: what the equations of `innovations` may be off, whatever moves; shape (5,)."""
     memories: FloatArray
     """Of the box's differentiators: force rates, velocity."""
     slopes: int

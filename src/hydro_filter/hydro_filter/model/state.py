@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of the state, and the force that scales of the certificate are made of."""
+"""Layout of the state."""
 
 from __future__ import annotations
 
@@ -17,6 +17,3 @@ STATES = 8
     VELOCITY,
 ) = range(STATES)
 """Indices into x."""
-
-FORCE_SCALE = 300.0
-"""N, the paper's largest reference amplitude."""

@@ -38,12 +38,12 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
-PULSE = 3e-3
-"""A, pulse of 10 ms in the twin run: some 15 N."""
+PULSE = 0.06
+"""Pulse of 10 ms in the twin run over the valve's limit: some 15 N on the nominal bench."""
 PULSE_AT = 1000
 EARLY, LATE = slice(1050, 1350), slice(-300, None)
-OFF_STOPS = 5e-4
-"""m, distance of windows from the end stops."""
+OFF_STOPS = 0.00625
+"""Distance of windows from the end stops over the stroke."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
 DECAYED = 0.6
 SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
@@ -85,7 +85,7 @@ class DataSettings:
 
     @property
     def box(self) -> BoxConfig:
-        """A box that admits all gains of the rollouts."""
+        """A box of the nominal bench that admits all gains of the rollouts."""
         own = BoxConfig()
         wide = replace(own.compensated, delta_kp_min=-own.compensated.base_kp, delta_kp_max=self.gain_max)
         return replace(own, compensated=wide)
@@ -139,12 +139,13 @@ def roll_out(
     edges = [(low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high)][0 if low < 0.0 else 1 :]
     integral_gains = settings.integral_gain_min, settings.integral_gain_max
     gains = float(rng.uniform(*edges[index % len(edges)])), float(rng.uniform(*integral_gains))
-    reference, seed = _reference(rng), int(rng.integers(2**31))
+    reference, seed = _reference(rng, bench.size.force), int(rng.integers(2**31))
     plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds, law=settings.law)
-    first, second = _twins(plant, bench, plan, settings.box, seed)
+    box = settings.box.of_size(bench.size)
+    first, second = _twins(plant, bench, plan, box, seed)
     label = label_of(first, second)
     if free is not None:
-        label = label_of_both(label, label_of(*_twins(free, bench, plan, settings.box, seed)))
+        label = label_of_both(label, label_of(*_twins(free, bench, plan, box, seed)))
     trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
     kept = first[: trips[0]] if len(trips) else first
     return Rollout(states=kept, gains=gains, label=label)
@@ -156,12 +157,13 @@ def _twins(
     """Run twice with the same noise, the second time with the pulse."""
     pulse = np.zeros(plan.samples)
     first = simulate(plant, bench, replace(plan, correction=pulse.copy()), config=box, seed=seed)
-    pulse[PULSE_AT : PULSE_AT + 10] = PULSE
+    pulse[PULSE_AT : PULSE_AT + 10] = PULSE * bench.valve_current_max
     return first, simulate(plant, bench, replace(plan, correction=pulse), config=box, seed=seed)
 
 
-def _reference(rng: np.random.Generator) -> ReferenceSignal:
-    limits = drawn.Range(seconds=(4.0, 5.0), force_max=330.0, offset_max=100.0, frequency=(0.3, 3.0))
+def _reference(rng: np.random.Generator, force: float) -> ReferenceSignal:
+    usual = drawn.Range.of_force(force)
+    limits = replace(usual, seconds=(4.0, 5.0), force_max=1.1 * force, offset_max=force / 3.0, frequency=(0.3, 3.0))
     return drawn.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
 
 
@@ -210,7 +212,8 @@ def _between_stops(
     positions: FloatArray, starts: npt.NDArray[np.int64], span: int, stroke: float
 ) -> npt.NDArray[np.bool_]:
     """Return which windows stay off the end stops: a piston that rests on one is not part of the loop."""
-    inside = (positions > OFF_STOPS) & (positions < stroke - OFF_STOPS)
+    off = OFF_STOPS * stroke
+    inside = (positions > off) & (positions < stroke - off)
     return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
 
 

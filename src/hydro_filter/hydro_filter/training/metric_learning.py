@@ -47,6 +47,7 @@ from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import Sensors
 
 HELD_OUT = 5
 """Every fifth rollout is held out."""
@@ -162,7 +163,7 @@ def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDe
 def free_plant(model: Bench) -> AnalyticPlant | None:
     """Return the plant of a bench file without its valve's overlap; None if it has none."""
     free = without_overlap(model)
-    return None if free is None else AnalyticPlant(free)
+    return None if free is None else AnalyticPlant(free, settings=Sensors.of_size(free.size))
 
 
 def require_held_out(held_out: Windows, design: MetricDesign) -> None:

@@ -21,6 +21,7 @@ from hydro_filter.model.loop import closing_current, memories, step_of
 from hydro_filter.model.observer import follow, settle
 from hydro_filter.model.parts import Loop
 from hydro_filter.training.data import DataSettings
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -74,11 +75,12 @@ def integral_terms(loop: Loop, states: StateArray, velocity_compensation: float 
 ASKING = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
 """K_p [1/s], K_i [1/s^2] of the runs that measure the integral."""
 ASKED_BY = (
-    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0),
-    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, offset=150.0, frequency=0.5),
-    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, offset=-150.0, frequency=0.5),
-    ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=300.0, frequency=1.0),
+    (Waveform.SINE, 2.0 / 3.0, 0.0, 1.0),
+    (Waveform.SINE, 2.0 / 3.0, 0.5, 0.5),
+    (Waveform.SINE, 2.0 / 3.0, -0.5, 0.5),
+    (Waveform.MULTISINE, 1.0, 0.0, 1.0),
 )
+"""Their references: waveform, amplitude and offset over the bench's force, frequency [Hz]."""
 ASKED_FOR = 18.0
 """s: the integral takes some K_p / K_i = 6 s to settle."""
 
@@ -89,9 +91,13 @@ def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: Dat
     law, asking = data.box.compensated, list(ASKING)
     if data.law is Law.COMPENSATED:
         asking = [(law.base_kp, law.base_ki), *((s * law.base_kp, data.integral_gain_max) for s in (1.0, 0.5))]
-    for gains, reference in product(asking, ASKED_BY):
+    force, box = bench.size.force, BoxConfig().of_size(bench.size)
+    for gains, (waveform, amplitude, offset, frequency) in product(asking, ASKED_BY):
+        reference = ReferenceSignal(
+            waveform=waveform, amplitude=amplitude * force, offset=offset * force, frequency=frequency
+        )
         plan = Schedule(reference=reference, gains=gains, seconds=ASKED_FOR, law=data.law)
-        states = simulate(plant, bench, plan, seed=seed)
+        states = simulate(plant, bench, plan, config=box, seed=seed)
         terms = integral_terms(loop, states[1000:], data.velocity_compensation)
         largest = max(largest, float(np.abs(terms).max()))
     return 1.25 * largest

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray, ReferenceSignal, Waveform
+from hydro_sim.model.bench import NOMINAL
 
-SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
-FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force * 2.0 / 3.0, frequency=1.0)
+FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force, frequency=2.0)
 Box = tuple[tuple[float, float], tuple[float, float]]
 """Ranges of K_p [1/s] and K_i [1/s^2]."""
 

@@ -7,7 +7,7 @@ the box trips (700 N, sensor ranges): that is not bounded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,9 @@ from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.validation.cases import CASES, Case
 from hydro_filter.validation.plants import plant_named
 from hydro_filter.validation.trial import Corrector, Gammas, Run, Trial, gammas, run
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.learned_bench import load_model
-from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import Plant
 
 FILTERS = ("none", "learned")
@@ -85,11 +86,20 @@ def make_plant(task: Task) -> Plant:
     return _MADE[key]
 
 
+def _bench(task: Task) -> Bench:
+    """What box and filter believe."""
+    return Bench.load(task.bench) if task.bench else Bench.nominal()
+
+
 def simulate(task: Task) -> tuple[Run, Case]:
     """Run a task."""
     case = CASES[task.case]
-    bench = Bench.load(task.bench) if task.bench else Bench.nominal()
-    trial = Trial(bench=bench, reference=case.reference, gains=case.draw(task.seed, task.seconds), seed=task.seed)
+    bench = _bench(task)
+    amplitude = case.reference.amplitude * bench.size.force / NOMINAL.force
+    trial = Trial(
+        bench=bench, reference=replace(case.reference, amplitude=amplitude), gains=case.draw(task.seed, task.seconds),
+        box=BoxConfig().of_size(bench.size), seed=task.seed,
+    )  # fmt: skip
     return run(trial, make_plant(task), make_filter(task, bench)), case
 
 
@@ -98,7 +108,7 @@ def evaluate_task(task: Task) -> Outcome:
     done, _ = simulate(task)
     states = done.states
     settled = states[min(SETTLING, len(states) // 2) :]
-    numbers = gammas(done.results, Bench.nominal().valve_current_max)
+    numbers = gammas(done.results, _bench(task).valve_current_max)
     return Outcome(
         bounded=done.bounded, seconds=len(states) * SAMPLE_PERIOD, peak=float(np.abs(states["load_force"]).max()),
         rmse=float(np.sqrt(np.mean(tracking_error(settled) ** 2))), chattering=chattering(settled), numbers=numbers,

@@ -12,7 +12,7 @@ part of the run. Gains change at 100 Hz. The five numbers of the paper's Table v
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
 from typing import NamedTuple, Protocol
 
@@ -30,6 +30,7 @@ from hydro_bridge.signals import (
     ReferenceSignal,
     StateArray,
 )
+from hydro_bridge.size import Size
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_sim.box.box import Box, BoxConfig
@@ -80,7 +81,7 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
     """Run a trial; use a filter with `bypass` set for the loop without it."""
     contraction_filter.reset()
     box = Box(trial.bench, trial.box)
-    guard = CommandGuard(settings=permissive_guard(box.config))
+    guard = CommandGuard(settings=permissive_guard(box.config, trial.bench.size))
     guard.set_arm(True)
     guard.set_reference(trial.reference)
     changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
@@ -104,11 +105,11 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
     return Run(states, results)
 
 
-def permissive_guard(box: BoxConfig) -> GuardSettings:
+def permissive_guard(box: BoxConfig, size: Size) -> GuardSettings:
     """A guard that allows all that the box accepts, so that the filter's effect is visible."""
-    return GuardSettings(
-        delta_kp_min=box.delta_kp_min, delta_kp_max=box.delta_kp_max, delta_ki_min=box.delta_ki_min,
-        delta_ki_max=box.delta_ki_max, delta_u_max=box.delta_u_max, require_filter=False,
+    return replace(
+        GuardSettings.of_size(size), delta_kp_min=box.delta_kp_min, delta_kp_max=box.delta_kp_max,
+        delta_ki_min=box.delta_ki_min, delta_ki_max=box.delta_ki_max, delta_u_max=box.delta_u_max, require_filter=False,
     )  # fmt: skip
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import ReferenceSignal
-from hydro_bridge.size import resized
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -94,13 +93,8 @@ def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedB
     factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _SPREAD.items()}
     noise = rng.uniform(settings.noise_min, settings.noise_max)
     delays = int(rng.integers(1, settings.gain_delay_max + 1)), int(rng.integers(0, settings.dead_time_max + 1))
-    plant = AnalyticPlant(_drawn(source, spring, supply, factors), noise=noise, settings=sensors_of(source))
+    plant = AnalyticPlant(_drawn(source, spring, supply, factors), noise=noise, settings=Sensors.of_size(source.size))
     return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=source.stroke)
-
-
-def sensors_of(bench: Bench) -> Sensors:
-    """Return the usual sensors of a bench of this size."""
-    return resized(Sensors(), NOMINAL, bench.size)
 
 
 def _drawn(bench: Bench, spring: float, supply: float, factors: dict[str, float]) -> Bench:

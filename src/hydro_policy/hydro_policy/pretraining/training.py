@@ -26,7 +26,7 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray, ReferenceSignal
 from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
-from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench, sensors_of
+from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
@@ -40,6 +40,7 @@ from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.sensors import Sensors
 
 REFERENCE_GAINS = (90.0, 15.0)
 """K_p, K_i of the paper's controller III, which scores are relative to."""
@@ -285,7 +286,7 @@ class Pretraining:
 
     def _plant(self) -> Plant:
         if isinstance(self._source, Bench):
-            return AnalyticPlant(self._source, settings=sensors_of(self._source))
+            return AnalyticPlant(self._source, settings=Sensors.of_size(self._source.size))
         return self._source()
 
     def _bench_of(self, index: int, episode: int) -> ReferenceSignal:

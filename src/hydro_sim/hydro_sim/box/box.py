@@ -26,6 +26,7 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
+from hydro_bridge.size import Size, resized
 from hydro_sim.box import kernel
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import NOMINAL, Bench
@@ -95,6 +96,11 @@ class BoxConfig:
         check(self)
         if self.hold_timeout > self.trip_timeout:
             raise SettingsError(f"hold_timeout {self.hold_timeout:g} s is above trip_timeout {self.trip_timeout:g} s")
+
+    def of_size(self, size: Size) -> BoxConfig:
+        """Return these settings, which are for the nominal bench, for one of this size."""
+        law = self.compensated.enlarged(size.force / NOMINAL.force)
+        return replace(resized(self, NOMINAL, size), compensated=law)
 
     def constants(self, bench: Bench) -> npt.NDArray[np.void]:
         """Return the settings for the compiled box: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from hydro_bridge.signals import Waveform
 from hydro_sim.excitation.schedules import Segment, name_of
+from hydro_sim.model.bench import NOMINAL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,12 +19,12 @@ class Range:
 
     seconds: tuple[float, float] = (2.0, 6.0)
     """s, of one segment."""
-    force_max: float = 440.0
-    """N, |offset| + amplitude, [1, 600]."""
-    offset_max: float = 220.0
+    force_max: float = NOMINAL.force * 22.0 / 15.0
+    """N, |offset| + amplitude."""
+    offset_max: float = NOMINAL.force * 11.0 / 15.0
     """N, |offset|."""
-    force_rate_max: float = 4000.0
-    """N/s, peak of the reference's rate, [1, 2e4]."""
+    force_rate_max: float = NOMINAL.force * 40.0 / 3.0
+    """N/s, peak of the reference's rate."""
     frequency: tuple[float, float] = (0.15, 4.0)
     """Hz, drawn evenly on a logarithmic scale."""
     kp: tuple[float, float] = (15.0, 75.0)
@@ -32,6 +33,15 @@ class Range:
     """
     ki: tuple[float, float] = (5.0, 15.0)
     """1/s^2, what the guard lets through."""
+
+    @classmethod
+    def of_force(cls, force: float) -> Range:
+        """Return the defaults for a bench whose size has this force [N]."""
+        share, usual = force / NOMINAL.force, cls()
+        return cls(
+            force_max=share * usual.force_max, offset_max=share * usual.offset_max,
+            force_rate_max=share * usual.force_rate_max,
+        )  # fmt: skip
 
 
 SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Waveform.SMOOTH_STEP: 0.15}

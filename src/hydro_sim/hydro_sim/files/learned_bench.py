@@ -64,8 +64,10 @@ def load_model(path: str | Path | None = None) -> Bench:
 def make_plant(path: str | Path | None = None, *, noise: float = 1.0) -> AnalyticPlant:
     """Return a plant of a learned bench (raises as `read`)."""
     from hydro_sim.model.plant import AnalyticPlant  # numba: not needed to find a file
+    from hydro_sim.model.sensors import Sensors
 
-    return AnalyticPlant(read(path), noise=noise)
+    bench = read(path)
+    return AnalyticPlant(bench, noise=noise, settings=Sensors.of_size(bench.size))
 
 
 def digest(path: str | Path | None = None) -> str:

@@ -84,7 +84,7 @@ class BoxIdentity:
     def of_box(cls, box: KnownBox) -> BoxIdentity:
         """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
-        size = Size.of(yaml.safe_load(box.bench)) if box.bench else None
+        size = Size.told(yaml.safe_load(box.bench))
         return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=box.integral, size=size)
 
     @property

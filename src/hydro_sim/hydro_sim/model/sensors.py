@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_bridge.size import Size, resized
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
 
@@ -56,6 +57,11 @@ class Sensors:
 
     def __post_init__(self) -> None:
         check(self)
+
+    @classmethod
+    def of_size(cls, size: Size) -> Sensors:
+        """Return the usual sensors of a bench of this size."""
+        return resized(cls(), NOMINAL, size)
 
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
         """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""

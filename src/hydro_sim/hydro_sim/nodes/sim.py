@@ -32,6 +32,7 @@ from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
 SIMULATED_BOX = "hydro sim"
@@ -80,15 +81,15 @@ class SimNode(PlantNode):
     def __init__(self, settings: SimSettings, *, realtime: bool) -> None:
         super().__init__("sim")
         settings = declare_parameters(self, settings)
-        guard = CommandGuard(settings=declare_parameters(self, GuardSettings(), "guard."))
+        bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
+        believed = Bench.load(settings.box_bench) if settings.box_bench else bench
+        guard = CommandGuard(settings=declare_parameters(self, GuardSettings.of_size(believed.size), "guard."))
         if not guard.settings.require_filter:
             self.get_logger().warning(
                 "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
                 "leave it out unless that is meant"
             )
-        bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
-        believed = Bench.load(settings.box_bench) if settings.box_bench else bench
-        config = declare_parameters(self, BoxConfig(), "box.")
+        config = declare_parameters(self, BoxConfig().of_size(believed.size), "box.")
         box, plant = Box(believed, config), _plant(settings, bench)
         effects = ", ".join(map(label, plant.model.bench.terms)) if isinstance(plant, AnalyticPlant) else ""
         what = f"its effects: {effects}" if effects else "without an effect beyond its numbers"
@@ -133,7 +134,7 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     """Create the plant that the settings name."""
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
-        return AnalyticPlant(bench, noise=settings.noise)
+        return AnalyticPlant(bench, noise=settings.noise, settings=Sensors.of_size(bench.size))
     path = None if name == "shipped" else name
     remedy = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
     learned_bench.require_match(path, BoxIdentity.of_file(settings.box_bench or settings.bench or None), remedy)
