@@ -35,12 +35,7 @@ REWARD_SCALE = 0.02
 class HydroEnv(gymnasium.Env[FloatArray, FloatArray]):
     """Episodes of the paper: a sine of 200 to 300 N and 0.5 to 2 Hz from rest; truncated at their end.
 
-    Parameters
-    ----------
-    seed
-        Of references and noise.
-    frequency
-        Hz, the same always; None: as the task draws them.
+    `seed`: of references and noise. `frequency`: Hz, the same always; None: as the task draws them.
     """
 
     def __init__(self, seed: int = 0, frequency: float | None = None, steps: int = 1800) -> None:
@@ -98,10 +93,7 @@ class Ours:
 class Baselines:
     """stable-baselines3, or SBX, which has the same face.
 
-    Parameters
-    ----------
-    module
-        `stable_baselines3` or `sbx`.
+    `module`: `stable_baselines3` or `sbx`.
     """
 
     def __init__(self, module: Any, batch: int, seed: int) -> None:

@@ -101,10 +101,7 @@ class Reference:
 def load_cases(path: Path | None) -> tuple[Case, ...]:
     """References of a YAML list of `Reference`; without a file the six of `evaluate`.
 
-    Raises
-    ------
-    SettingsError
-        The file does not hold such a list.
+    Raises SettingsError: the file does not hold such a list.
     """
     if path is None:
         return SETTINGS.cases

@@ -53,12 +53,8 @@ class NetworkDynamics:
 class NetworkMetric:
     """M(x) on normalized states.
 
-    Parameters
-    ----------
-    layers
-        Weights and biases of three layers, 8 inputs and 36 outputs.
-    center, scale
-        Of the model's states, shape (8,), SI units.
+    `layers`: weights and biases of three layers, 8 inputs and 36 outputs. `center`, `scale`: of the model's states,
+    shape (8,), SI units.
     """
 
     layers: tuple[FloatArray, ...]

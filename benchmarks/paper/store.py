@@ -70,14 +70,9 @@ QUICK = Size(
 class Store:
     """The results of one size, in `folder/NAME.json`.
 
-    Parameters
-    ----------
-    folder
-        Where; made if there is none.
-    size
-        What is run; a result of another size is never taken for one of this.
-    shipped
-        Folder of results that were made elsewhere, one file of lines for each size; None: only what is in `folder`.
+    `folder`: where; made if there is none. `size`: what is run; a result of another size is never taken for one of
+    this. `shipped`: folder of results that were made elsewhere, one file of lines for each size; None: only what is in
+    `folder`.
     """
 
     def __init__(self, folder: Path, size: Size, shipped: Path | None = None) -> None:

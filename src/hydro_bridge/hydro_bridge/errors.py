@@ -36,10 +36,7 @@ def user_message(error: Exception) -> str:
 def writable(path: str) -> str:
     """Return `path` if a file can be written there; for a check at the start, not after hours of work.
 
-    Raises
-    ------
-    UnwritableError
-        The file cannot be written; the sentence gives the reason.
+    Raises UnwritableError: the file cannot be written; the sentence gives the reason.
     """
     if os.path.isdir(path):
         raise UnwritableError(f"{path} is a folder: name a file")

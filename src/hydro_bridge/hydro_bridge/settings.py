@@ -98,10 +98,7 @@ def check(settings: Any) -> None:
 def converted(setting: Setting, value: Any, where: str, *, strict: bool = False) -> Any:
     """Return the value in the declared type; unless `strict`, numbers may be given as text (as 1e9 is in YAML 1.1).
 
-    Raises
-    ------
-    SettingsError
-        The value violates the declaration; the sentence begins with `where`.
+    Raises SettingsError: the value violates the declaration; the sentence begins with `where`.
     """
     try:
         return msgspec.convert(value, setting.hint, strict=strict)

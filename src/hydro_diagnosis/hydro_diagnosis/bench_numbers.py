@@ -70,17 +70,8 @@ def hiding(bench: Bench, names: Collection[str]) -> Bench:
 def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Bench:
     """Read a bench file that may lack numbers: a `Bench` where it holds all, else a `PartialBench`.
 
-    Parameters
-    ----------
-    path
-        bench.yaml or corrected.yaml.
-    estimated
-        Numbers that will be estimated: those that are not given hold stand-ins, also of `NONE`.
-
-    Raises
-    ------
-    ValueError
-        As `Bench.load`.
+    `path`: bench.yaml or corrected.yaml. `estimated`: numbers that will be estimated: those that are not given hold
+    stand-ins, also of `NONE`. Raises ValueError: as `Bench.load`.
     """
     content = read_content(path)
     try:

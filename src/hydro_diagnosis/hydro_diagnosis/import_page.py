@@ -83,14 +83,7 @@ _DECODER = msgspec.json.Decoder(Upload | Check | Diagnose)
 class Import:
     """One page's recordings and its requests.
 
-    Parameters
-    ----------
-    connection
-        To the page.
-    folder
-        Where its files go.
-    bench
-        Baseline, until the page sends a bench file.
+    `connection`: to the page. `folder`: where its files go. `bench`: baseline, until the page sends a bench file.
     """
 
     def __init__(self, connection: ServerConnection, folder: Path, bench: Bench) -> None:
@@ -177,10 +170,7 @@ def _shown(value: Any) -> str:
 def serve_imports(port: int, bench: Bench) -> Server:
     """Return a server of the page at a port, any free one for 0; call its `serve_forever`.
 
-    Raises
-    ------
-    UserError
-        The port cannot be listened at.
+    Raises UserError: the port cannot be listened at.
     """
     page = environment("hydro_diagnosis", "page").get_template("import.html")
     files = {

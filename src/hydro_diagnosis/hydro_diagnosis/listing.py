@@ -266,10 +266,7 @@ COLUMNS = {
 def listed(path: Path, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
     """Add a row per column; returns the map, proposed if none is given.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
+    Raises InputError if the file cannot be read.
     """
     found = columns_of(path)
     chosen = proposed(found, bench) if columns is None else columns.completed(found.series)

@@ -71,17 +71,8 @@ class FixedLayout:
     def decode(self, rows: ByteRows, log_times: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
         """Decode serialized messages into a table.
 
-        Parameters
-        ----------
-        rows
-            Shape (n, bytes).
-        log_times
-            ns, shape (n,); used if the type has no header.
-
-        Raises
-        ------
-        ValueError
-            The bytes are not valid CDR of this type.
+        `rows`: shape (n, bytes). `log_times`: ns, shape (n,); used if the type has no header. Raises ValueError: the
+        bytes are not valid CDR of this type.
         """
         out = np.empty(len(rows), self.table)
         for part, size, order in self._kinds(rows):
@@ -131,10 +122,7 @@ class FixedLayout:
 def fixed_layout(text: str, type_name: str) -> FixedLayout:
     """Return the layout of a type from its ros2msg text.
 
-    Raises
-    ------
-    NotFixedError
-        The type is not numbers only with at most a leading header.
+    Raises NotFixedError: the type is not numbers only with at most a leading header.
     """
     _, members = get_types_from_msg(text, type_name)[type_name]
     has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == _HEADER

@@ -73,17 +73,8 @@ class _Column:
 def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recording:
     """Read a recording into arrays.
 
-    Parameters
-    ----------
-    path
-        A rosbag2 folder or an .mcap file.
-    topics
-        Topics to read; all by default.
-
-    Raises
-    ------
-    RecordingError
-        Nothing there, damaged, or a topic in `topics` has no messages.
+    `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. Raises RecordingError: nothing
+    there, damaged, or a topic in `topics` has no messages.
     """
     source = BagSource(Path(path))
     types: dict[str, str] = {}

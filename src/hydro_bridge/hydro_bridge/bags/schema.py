@@ -53,10 +53,7 @@ class UnknownTypeError(LookupError):
 def definition(type_name: str) -> Definition:
     """Return the definition of `package/msg/Type`.
 
-    Raises
-    ------
-    UnknownTypeError
-        Neither package data nor the ament index has it.
+    Raises UnknownTypeError: neither package data nor the ament index has it.
     """
     packaged = _packaged().get(type_name)
     return Definition(**packaged) if packaged else installed_definition(type_name)

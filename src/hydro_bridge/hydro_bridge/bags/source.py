@@ -27,10 +27,7 @@ from hydro_bridge.bags.types import RecordingError
 def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
     """Return the .mcap files in order, and notes on anything unusual about the folder.
 
-    Raises
-    ------
-    RecordingError
-        Nothing there, or a recording that is not stored as plain mcap.
+    Raises RecordingError: nothing there, or a recording that is not stored as plain mcap.
     """
     if path.is_file():
         return [path], []
@@ -91,10 +88,8 @@ class McapScan:
     def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
         """Yield the bytes of each block and the location of each channel's messages in it.
 
-        Raises
-        ------
-        RecordingError
-            Not an MCAP file, or a damaged chunk. A truncated file raises nothing: `finished` stays False.
+        Raises RecordingError: not an MCAP file, or a damaged chunk. A truncated file raises nothing: `finished` stays
+        False.
         """
         try:
             stream = self.path.open("rb")
@@ -303,13 +298,7 @@ class RecordingSummary:
 
 
 def summarized(path: Path | str) -> RecordingSummary:
-    """Count a recording's messages in one pass over its files.
-
-    Raises
-    ------
-    RecordingError
-        Nothing there, or damaged.
-    """
+    """Count a recording's messages in one pass over its files. Raises RecordingError: nothing there, or damaged."""
     source = BagSource(Path(path))
     counts: dict[str, int] = {}
     first, last = 2**63 - 1, 0

@@ -41,19 +41,9 @@ class _Topic:
 class BagWriter:
     """A recording in progress; use as context manager, or call `close`.
 
-    Parameters
-    ----------
-    folder
-        Created here; must not exist.
-    metadata
-        Run's parameters, code version, digests: MCAP metadata record `hydro`, and custom_data of metadata.yaml.
-    attachments
-        Files to attach, by name, for instance bench.yaml.
-
-    Raises
-    ------
-    RecordingError
-        The folder exists, or cannot be created.
+    `folder`: created here; must not exist. `metadata`: run's parameters, code version, digests: MCAP metadata record
+    `hydro`, and custom_data of metadata.yaml. `attachments`: files to attach, by name, for instance bench.yaml. Raises
+    RecordingError: the folder exists, or cannot be created.
     """
 
     def __init__(
@@ -205,12 +195,8 @@ def sequence_of(data: bytes) -> int:
 class RecordingRun:
     """A recording in progress and its counts.
 
-    Parameters
-    ----------
-    folder
-        Created here; must not exist.
-    metadata, attachments
-        As for `BagWriter`; the version of the code is added.
+    `folder`: created here; must not exist. `metadata`, `attachments`: as for `BagWriter`; the version of the code is
+    added.
     """
 
     def __init__(self, folder: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> None:

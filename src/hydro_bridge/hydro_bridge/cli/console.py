@@ -46,11 +46,8 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
 
     Ctrl-C, SIGTERM and SIGHUP raise `endings.Ended` in it: the status is 128 + the signal's number, 130 for Ctrl-C.
 
-    Parameters
-    ----------
-    errors
-        Known errors in addition to those of this package and to files that cannot be read or written; all others
-        keep their traceback.
+    `errors`: known errors in addition to those of this package and to files that cannot be read or written; all others
+    keep their traceback.
     """
     known: tuple[type[Exception], ...] = (UserError, *KNOWN_ERRORS, *errors)
 
@@ -121,12 +118,8 @@ class _Lines:
 class Table:
     """Table of results: aligned text for people, and JSON with documented keys for programs.
 
-    Parameters
-    ----------
-    columns
-        Key and meaning, with unit, of each column. The keys are those of the JSON.
-    title
-        Heading above the table.
+    `columns`: key and meaning, with unit, of each column. The keys are those of the JSON. `title`: heading above the
+    table.
     """
 
     columns: Mapping[str, str]
@@ -160,10 +153,7 @@ class Table:
 
         A missing folder is created.
 
-        Raises
-        ------
-        UserError
-            The file cannot be written.
+        Raises UserError: the file cannot be written.
         """
         rows = [{key: _plain(value) for key, value in row.items()} for row in self.rows]
         content = {"title": self.title, "columns": dict(self.columns), "rows": rows}

@@ -30,18 +30,9 @@ def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> d
 def refuse_changes(parser: argparse.ArgumentParser, words: Sequence[str], what: str, begun: Mapping[str, Any]) -> None:
     """Raise UserError if `words` contradict the options that `what` was started with.
 
-    Parameters
-    ----------
-    what
-        Name of what is resumed, for the message.
-    begun
-        Original values by option name, files as absolute paths, or `NEW_ONLY`. Options that are not listed may
-        change.
-
-    Raises
-    ------
-    UserError
-        The message names each contradicting option and the run's own value.
+    `what`: name of what is resumed, for the message. `begun`: original values by option name, files as absolute paths,
+    or `NEW_ONLY`. Options that are not listed may change. Raises UserError: the message names each contradicting option
+    and the run's own value.
     """
     spelled = {action.dest: action.option_strings[0] for action in parser._actions if action.option_strings}
     wrong = [

@@ -54,10 +54,7 @@ def shipped() -> tuple[Case, ...]:
 def read(content: Any) -> tuple[Case, ...]:
     """Parse the cases from a file's content.
 
-    Raises
-    ------
-    UserError
-        A case is incomplete, a verb is unknown, or a case that is not marked as moving asks a box to arm.
+    Raises UserError: a case is incomplete, a verb is unknown, or a case that is not marked as moving asks a box to arm.
     """
     cases = tuple(_case(entry) for entry in content)
     ids = [case.id for case in cases]
@@ -107,10 +104,7 @@ def run(
 ) -> list[Result]:
     """Return all results in order; each case opens its own conversation, which disarms, and ends disarmed.
 
-    Raises
-    ------
-    UnreadableError
-        No frame arrived before the first result: no case can be run.
+    Raises UnreadableError: no frame arrived before the first result: no case can be run.
     """
     results: list[Result] = []
     for case in cases:
@@ -205,10 +199,7 @@ def parser() -> argparse.ArgumentParser:
 def chosen(cases: tuple[Case, ...], beginnings: list[str]) -> tuple[Case, ...]:
     """The cases whose id begins with one of these; all without any.
 
-    Raises
-    ------
-    UserError
-        One of them is the beginning of none.
+    Raises UserError: one of them is the beginning of none.
     """
     for each in beginnings:
         if not any(case.id.startswith(each) for case in cases):

@@ -63,12 +63,7 @@ class Sent:
 class Host:
     """One conversation with a box.
 
-    Parameters
-    ----------
-    line
-        Transport of the bytes.
-    clock
-        Returns seconds; the line's own clock where the box is run in step.
+    `line`: transport of the bytes. `clock`: returns seconds; the line's own clock where the box is run in step.
     """
 
     line: Line
@@ -151,12 +146,8 @@ class Host:
     def listen(self, samples: int, each: Callable[[], None] | None = None) -> None:
         """Wait for a number of states, and call a function after each.
 
-        Raises
-        ------
-        SilentError
-            No state arrives for a second.
-        UnreadableError
-            No state arrives for a second, and no frame had arrived before.
+        Raises SilentError: no state arrives for a second; UnreadableError: no state arrives for a second, and no frame
+        had arrived before.
         """
         wanted, last = len(self.states) + samples, self.clock()
         while len(self.states) < wanted:

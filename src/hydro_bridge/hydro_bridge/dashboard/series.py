@@ -68,10 +68,7 @@ def described() -> list[list[dict[str, str]]]:
 class Decoder:
     """Vectorised decoder of serialized messages of one type into a table.
 
-    Parameters
-    ----------
-    type_name
-        Type of numbers only, with a header.
+    `type_name`: type of numbers only, with a header.
     """
 
     def __init__(self, type_name: str) -> None:

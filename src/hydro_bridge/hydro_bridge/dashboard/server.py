@@ -86,13 +86,7 @@ _DECODER = msgspec.json.Decoder(PageCommand)
 
 
 def read(text: str | bytes) -> PageCommand:
-    """Parse a received command.
-
-    Raises
-    ------
-    RefusedError
-        The text is not a command.
-    """
+    """Parse a received command. Raises RefusedError: the text is not a command."""
     try:
         command = _DECODER.decode(text)
     except (msgspec.DecodeError, UnicodeError) as error:
@@ -105,10 +99,7 @@ def read(text: str | bytes) -> PageCommand:
 class Rules:
     """Access rules of one run of the dashboard.
 
-    Parameters
-    ----------
-    token
-        Token shown on the terminal; drawn at random if not given.
+    `token`: token shown on the terminal; drawn at random if not given.
     """
 
     def __init__(self, token: str = "") -> None:
@@ -117,10 +108,7 @@ class Rules:
     def check(self, command: PageCommand, epoch: int) -> None:
         """Accept or refuse a command; `epoch` is the plant's present one, 0 if no plant has announced one.
 
-        Raises
-        ------
-        RefusedError
-            The command is refused.
+        Raises RefusedError: the command is refused.
         """
         if command.command == "disarm":
             return
@@ -164,17 +152,9 @@ Message = str | bytes
 class PageServer:
     """Serves the page until `close`.
 
-    Parameters
-    ----------
-    act
-        Executes a received command and returns the answer for the viewer; called in the server's thread.
-    host, port
-        Address to listen at; port None: `PORT`, or any free one.
-
-    Raises
-    ------
-    UserError
-        The address cannot be listened at.
+    `act`: executes a received command and returns the answer for the viewer; called in the server's thread. `host`,
+    `port`: address to listen at; port None: `PORT`, or any free one. Raises UserError: the address cannot be listened
+    at.
     """
 
     def __init__(self, act: Callable[[Message], Future[str]], host: str = "127.0.0.1", port: int | None = None) -> None:

@@ -48,12 +48,7 @@ class Slots:
 class Thinner:
     """Thins one stream of samples.
 
-    Parameters
-    ----------
-    columns
-        Number of values in a sample.
-    kept
-        Slots in the ring.
+    `columns`: number of values in a sample. `kept`: slots in the ring.
     """
 
     def __init__(self, columns: int, kept: int = KEPT) -> None:
@@ -66,12 +61,7 @@ class Thinner:
         Samples older than the open slot are skipped; if time falls back by more than the ring, as after the clock was
         set, the series is restarted.
 
-        Parameters
-        ----------
-        times
-            s, shape (n,), not falling.
-        values
-            Shape (n, columns). Non-finite values count as missing.
+        `times`: s, shape (n,), not falling. `values`: shape (n, columns). Non-finite values count as missing.
         """
         if not len(times):
             return
@@ -120,14 +110,7 @@ JUMP = 3600.0
 class GrowingThinner:
     """Thins one stream of samples from `begin` on.
 
-    Parameters
-    ----------
-    columns
-        Number of values in a sample.
-    begin
-        Start of the first slot, s.
-    limit
-        Number of slots kept, even.
+    `columns`: number of values in a sample. `begin`: start of the first slot, s. `limit`: number of slots kept, even.
     """
 
     def __init__(self, columns: int, begin: float, limit: int = LIMIT) -> None:
@@ -147,12 +130,7 @@ class GrowingThinner:
     def add(self, times: FloatArray, values: FloatArray) -> None:
         """Add samples.
 
-        Parameters
-        ----------
-        times
-            s, shape (n,).
-        values
-            Shape (n, columns). Non-finite values count as missing.
+        `times`: s, shape (n,). `values`: shape (n, columns). Non-finite values count as missing.
         """
         good = (times >= self._begin) & (times < self._last + JUMP)
         self.left_out += int(len(times) - np.count_nonzero(good))

@@ -15,10 +15,7 @@ def write_whole(path: Path, content: bytes) -> None:
     Anything but a regular file (/dev/stdout, a pipe) is written directly. A link is kept and its target replaced; a
     file keeps its mode.
 
-    Raises
-    ------
-    OSError
-        The file cannot be written; the previous one is unchanged, and no temporary file is left.
+    Raises OSError: the file cannot be written; the previous one is unchanged, and no temporary file is left.
     """
     if path.absolute().parts[1] in ("dev", "proc") or (path.exists() and not path.is_file()):
         path.write_bytes(content)

@@ -36,10 +36,7 @@ def digest(bench: Mapping[str, Any]) -> str:
 def read_numbers(path: str | Path) -> dict[str, Any]:
     """Return keys and numbers of a bench.yaml, with its lists `effects` and `closures` unchanged.
 
-    Raises
-    ------
-    UserError
-        The file cannot be read, or is not a mapping of keys to numbers.
+    Raises UserError: the file cannot be read, or is not a mapping of keys to numbers.
     """
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
@@ -54,10 +51,7 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
 def read_believed(path: str | Path) -> dict[str, Any]:
     """Return the numbers of the bench.yaml that a box believes.
 
-    Raises
-    ------
-    UserError
-        As `read_numbers`, or the file says what a bench is beyond these numbers.
+    Raises UserError: as `read_numbers`, or the file says what a bench is beyond these numbers.
     """
     numbers = read_numbers(path)
     if found := [key for key in _LISTS if numbers.get(key)]:

@@ -18,13 +18,7 @@ T = TypeVar("T")
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
-    """Return the mapping in a YAML file.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read or does not hold a mapping.
-    """
+    """Return the mapping in a YAML file. Raises SettingsError if the file cannot be read or does not hold a mapping."""
     try:
         data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except UnicodeDecodeError as error:
@@ -41,19 +35,9 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 def from_mapping(cls: type[T], data: object, where: str) -> T:
     """Build a settings dataclass from plain YAML data.
 
-    Parameters
-    ----------
-    cls
-        A settings dataclass. Its fields may be such dataclasses, and tuples of them.
-    data
-        Mapping from field name to value. A tuple of dataclasses takes one mapping or a list of them.
-    where
-        Path to `data` inside its file, for messages.
-
-    Raises
-    ------
-    SettingsError
-        On an unknown or missing key, a wrong type, or a value outside its range.
+    `cls`: a settings dataclass. Its fields may be such dataclasses, and tuples of them. `data`: mapping from field name
+    to value. A tuple of dataclasses takes one mapping or a list of them. `where`: path to `data` inside its file, for
+    messages. Raises SettingsError: on an unknown or missing key, a wrong type, or a value outside its range.
     """
     if not isinstance(data, Mapping):
         raise SettingsError(f"{where} must be a mapping of settings, not {data!r}")

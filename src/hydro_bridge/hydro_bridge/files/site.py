@@ -34,17 +34,8 @@ def add_site_option(parser: argparse._ActionsContainer, taken: str) -> None:
 def take_site(options: argparse.Namespace, **files: str) -> None:
     """Set options to files of --site, if it is given.
 
-    Parameters
-    ----------
-    options
-        Parsed options; `site` may be None.
-    files
-        Name of the file by option; or words for a command line, in which such names are replaced.
-
-    Raises
-    ------
-    UserError
-        The folder is no site, or one of the options was given, too.
+    `options`: parsed options; `site` may be None. `files`: name of the file by option; or words for a command line, in
+    which such names are replaced. Raises UserError: the folder is no site, or one of the options was given, too.
     """
     if options.site is None:
         return

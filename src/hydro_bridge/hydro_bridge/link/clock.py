@@ -76,10 +76,7 @@ class HostClock:
 
     NTP slews both clocks alike, so that their difference changes only by steps.
 
-    Parameters
-    ----------
-    wall, monotonic
-        The two clocks, ns.
+    `wall`, `monotonic`: the two clocks, ns.
     """
 
     STEP = 1_000_000

@@ -58,10 +58,7 @@ def main() -> None:
 def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
     """Ask the plant to arm or disarm, and return its answer; if `whom` is named, arm only if that node commands it.
 
-    Raises
-    ------
-    UserError
-        There is no plant, it does not answer within `timeout` [s], or it refuses.
+    Raises UserError: there is no plant, it does not answer within `timeout` [s], or it refuses.
     """
     client = node.create_client(Claim, CLAIM_SERVICE)
     act = Claim.Request.ARM if arm else Claim.Request.DISARM

@@ -129,10 +129,7 @@ HOST = "127.0.0.1"
 class DashboardNode(Node):
     """Passes messages of the graph to the page, and the page's commands to the plant; publishes only its diagnostics.
 
-    Parameters
-    ----------
-    host, port
-        Address of the page.
+    `host`, `port`: address of the page.
     """
 
     def __init__(self, host: str, port: int | None) -> None:

@@ -147,10 +147,7 @@ _SHOWN = (STATE, CORRECTION, GAINS, REFERENCE)
 class Feed:
     """Subscribes to the graph and keeps the data that a page shows.
 
-    Parameters
-    ----------
-    node
-        Subscribes to the infrequent topics; `Samples` to the others.
+    `node`: subscribes to the infrequent topics; `Samples` to the others.
     """
 
     def __init__(self, node: Node) -> None:

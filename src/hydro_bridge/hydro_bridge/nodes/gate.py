@@ -37,12 +37,7 @@ from hydro_msgs.srv import Claim
 class GateWords:
     """Announces one authority.
 
-    Parameters
-    ----------
-    node
-        Node of the plant.
-    authority
-        Authority that is announced.
+    `node`: node of the plant. `authority`: authority that is announced.
     """
 
     def __init__(self, node: Node, authority: Authority) -> None:
@@ -119,14 +114,8 @@ class PlantSide(Protocol):
 class Gate:
     """ROS interface of the authority over one plant.
 
-    Parameters
-    ----------
-    node
-        Node of the plant.
-    plant
-        Plant that is armed and disarmed.
-    tripped
-        Whether the box has disarmed by itself.
+    `node`: node of the plant. `plant`: plant that is armed and disarmed. `tripped`: whether the box has disarmed by
+    itself.
     """
 
     def __init__(self, node: Node, plant: PlantSide, tripped: Callable[[], bool]) -> None:

@@ -17,12 +17,7 @@ def environment(package: str, folder: str = "templates") -> Environment:
 
     Text is escaped unless it is marked safe; an undefined name is an error, not empty text.
 
-    Parameters
-    ----------
-    package
-        Import name, for instance ``hydro_diagnosis``.
-    folder
-        Folder with ``.html`` templates.
+    `package`: import name, for instance ``hydro_diagnosis``. `folder`: folder with ``.html`` templates.
     """
     return Environment(
         loader=ChoiceLoader([PackageLoader(package, folder), PackageLoader("hydro_bridge", "pages/templates")]),
@@ -66,19 +61,8 @@ class Section:
 def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Section]) -> str:
     """Return the page, self-contained.
 
-    Parameters
-    ----------
-    title
-        Heading of the page.
-    about
-        Facts about the run by name: plant, seed, filter, version of the code.
-    sections
-        Sections in order.
-
-    Raises
-    ------
-    OSError
-        A picture cannot be read.
+    `title`: heading of the page. `about`: facts about the run by name: plant, seed, filter, version of the code.
+    `sections`: sections in order. Raises OSError: a picture cannot be read.
     """
     made = environment("hydro_bridge", "pages/templates")
     made.filters["shown"] = _shown

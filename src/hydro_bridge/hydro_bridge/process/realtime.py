@@ -65,12 +65,8 @@ def _end(number: int, _: FrameType | None) -> None:
 class Pacer:
     """Deadlines at start + n period; delays are caught up, unless they are long.
 
-    Parameters
-    ----------
-    period
-        s between deadlines.
-    give_up
-        Delay [s] (the machine slept) from which on the lost time is not caught up, but skipped.
+    `period`: s between deadlines. `give_up`: delay [s] (the machine slept) from which on the lost time is not caught
+    up, but skipped.
     """
 
     def __init__(self, period: float, *, give_up: float = 0.1) -> None:

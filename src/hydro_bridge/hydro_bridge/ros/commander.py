@@ -38,14 +38,9 @@ _ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
 class Commander:
     """A node's authority over the running plant. Use it only in the thread that spins the node.
 
-    Parameters
-    ----------
-    node
-        The commanding node, whose name is the holder's.
-    changed
-        Called when the authority has been granted (with an empty sentence) or lost (with the reason).
-    end
-        Ends the run, as Ctrl-C does; anybody may call it by /hydro/end while this node commands. None: nobody may.
+    `node`: the commanding node, whose name is the holder's. `changed`: called when the authority has been granted (with
+    an empty sentence) or lost (with the reason). `end`: ends the run, as Ctrl-C does; anybody may call it by /hydro/end
+    while this node commands. None: nobody may.
     """
 
     def __init__(
@@ -128,10 +123,7 @@ class Commander:
     def give(self, heir: str = "") -> Future | None:
         """Return the authority, which disarms; returns the plant's answer, or None without the authority.
 
-        Parameters
-        ----------
-        heir
-            Name of the only node that may take it next, for 10 s; empty: the first to ask.
+        `heir`: name of the only node that may take it next, for 10 s; empty: the first to ask.
         """
         if not (self.held and self._claims.service_is_ready()):
             return None

@@ -156,14 +156,8 @@ WITHIN = 60.0
 class RecorderWatch:
     """Watches one recorder.
 
-    Parameters
-    ----------
-    node
-        Node that subscribes to /diagnostics.
-    folder
-        Folder of the recording, as passed to the recorder.
-    recorder
-        Its process.
+    `node`: node that subscribes to /diagnostics. `folder`: folder of the recording, as passed to the recorder.
+    `recorder`: its process.
     """
 
     def __init__(self, node: Node, folder: Path, recorder: Companion) -> None:
@@ -223,14 +217,8 @@ def start_page(
 
     A page that fails to start, or ends, does not affect the run.
 
-    Parameters
-    ----------
-    node
-        Node of the caller.
-    wanted
-        False: no page.
-    keep
-        Takes each line of its output except its address, which contains the token and goes to the terminal only.
+    `node`: node of the caller. `wanted`: False: no page. `keep`: takes each line of its output except its address,
+    which contains the token and goes to the terminal only.
     """
     if not wanted or NAME in node.get_node_names():
         return

@@ -89,10 +89,7 @@ CALLS = "calls"
 class Journal:
     """Publishes sentences on /rosout under a node's name.
 
-    Parameters
-    ----------
-    node
-        Source of the messages.
+    `node`: source of the messages.
     """
 
     def __init__(self, node: Node) -> None:

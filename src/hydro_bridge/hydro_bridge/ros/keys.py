@@ -189,10 +189,7 @@ def enclave_arguments() -> list[str]:
 def security_enabled() -> bool:
     """Whether security is enabled; if so, enforce it for this process and its children unless the user has chosen.
 
-    Raises
-    ------
-    SettingsError
-        A variable has a value that ROS would read as off.
+    Raises SettingsError: a variable has a value that ROS would read as off.
     """
     for variable, meant in _MEANT.items():
         if (value := os.environ.get(variable, "")) and value not in meant:
@@ -206,10 +203,7 @@ def security_enabled() -> bool:
 def verify_keys() -> None:
     """Join and leave the graph, so that missing or rejected keys fail at the start.
 
-    Raises
-    ------
-    SettingsError
-        This enclave has no keys, or the middleware has no security.
+    Raises SettingsError: this enclave has no keys, or the middleware has no security.
     """
     no_services = Parameter("start_type_description_service", value=False)
     try:
@@ -273,10 +267,7 @@ def make_keystore(folder: Path, policy: bytes, enclaves: Iterable[str]) -> None:
 
     It is valid for the domain of ROS_DOMAIN_ID. The policy is stored beside the keys.
 
-    Raises
-    ------
-    UserError
-        The package sros2 is missing or refuses, or the folder exists.
+    Raises UserError: the package sros2 is missing or refuses, or the folder exists.
     """
     try:
         from sros2 import errors, keystore
@@ -303,10 +294,7 @@ def make_keystore(folder: Path, policy: bytes, enclaves: Iterable[str]) -> None:
 def domain() -> int:
     """Return the domain that keys are made for: ROS_DOMAIN_ID, or 0.
 
-    Raises
-    ------
-    UserError
-        It is not a number that ROS accepts.
+    Raises UserError: it is not a number that ROS accepts.
     """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (text.isascii() and text.isdecimal() and int(text) <= 232):

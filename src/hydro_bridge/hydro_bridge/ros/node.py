@@ -49,10 +49,7 @@ _OLD_RANGE = "ROS_LOCALHOST_ONLY"  # takes precedence over `RANGE` if set; depre
 def stay_on_this_machine() -> None:
     """Restrict ROS to this machine for this process and its children; call before ROS starts. The user's settings win.
 
-    Raises
-    ------
-    UserError
-        The middleware that the user selected is not installed.
+    Raises UserError: the middleware that the user selected is not installed.
     """
     if trouble := start.missing_middleware():
         raise UserError(trouble)
@@ -70,18 +67,9 @@ T = TypeVar("T")
 def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
     """Declare a read-only parameter for each field, and return the settings with the user's values.
 
-    Parameters
-    ----------
-    settings
-        Instance of a settings dataclass: its values are the defaults. Fields other than numbers, strings and flags
-        are skipped.
-    prefix
-        Prefix of each name, for instance ``guard.``.
-
-    Raises
-    ------
-    SettingsError
-        A value has the wrong type or is out of range.
+    `settings`: instance of a settings dataclass: its values are the defaults. Fields other than numbers, strings and
+    flags are skipped. `prefix`: prefix of each name, for instance ``guard.``. Raises SettingsError: a value has the
+    wrong type or is out of range.
     """
     chosen: dict[str, Any] = {}
     for field in fields(settings):  # type: ignore[arg-type]
@@ -101,10 +89,7 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
 def refuse_unknown_parameters(node: Node) -> None:
     """Raise for parameters that were set but not declared; ROS would ignore them, even a misspelt limit.
 
-    Raises
-    ------
-    SettingsError
-        The user set a parameter, by name or in a file, that this node does not have.
+    Raises SettingsError: the user set a parameter, by name or in a file, that this node does not have.
     """
     for name in node._parameter_overrides:  # rclpy has no public access to the user's values
         if not node.has_parameter(name):
@@ -135,14 +120,8 @@ def request_realtime(*, realtime: bool, priority: int = PRIORITY, inherited: boo
     (CAP_SYS_NICE, or rtprio in limits.conf) the process keeps ordinary scheduling. A process that never blocks under it
     is ended (`hydro_bridge.process.realtime`).
 
-    Parameters
-    ----------
-    realtime
-        Request SCHED_FIFO.
-    priority
-        Priority under SCHED_FIFO.
-    inherited
-        False: processes and threads started later use ordinary scheduling (SCHED_RESET_ON_FORK).
+    `realtime`: request SCHED_FIFO. `priority`: priority under SCHED_FIFO. `inherited`: False: processes and threads
+    started later use ordinary scheduling (SCHED_RESET_ON_FORK).
     """
     gc.collect()
     gc.freeze()
@@ -176,10 +155,7 @@ def start_ros(ros: Sequence[str] = ()) -> None:
 
     See `network` for the discovery range, `keys.enclave` for the keys used if security is enabled.
 
-    Raises
-    ------
-    SettingsError
-        The arguments, `--ros-args` and what follows, cannot be used, or the keys cannot.
+    Raises SettingsError: the arguments, `--ros-args` and what follows, cannot be used, or the keys cannot.
     """
     stay_on_this_machine()
     keys = security_enabled()
@@ -237,15 +213,10 @@ def spin(node: Node, until: Future | None = None) -> bool:
 def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
     """Start ROS, create the node, spin it, and shut down in order.
 
-    Parameters
-    ----------
-    make
-        Creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that reaches
-        a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a callback,
-        since the next one would find no context. Its method `close`, if any, is called while the context is still
-        valid.
-    ros
-        Arguments from `--ros-args` on.
+    `make`: creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that
+    reaches a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a
+    callback, since the next one would find no context. Its method `close`, if any, is called while the context is still
+    valid. `ros`: arguments from `--ros-args` on.
     """
     start_ros(ros)
     node = None

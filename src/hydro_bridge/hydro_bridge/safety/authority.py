@@ -38,10 +38,7 @@ def _draw() -> int:
 class Authority:
     """The authority over one plant. Times are seconds of any one monotonic clock.
 
-    Parameters
-    ----------
-    draw
-        Returns non-zero numbers that do not repeat.
+    `draw`: returns non-zero numbers that do not repeat.
     """
 
     def __init__(self, draw: Callable[[], int] = _draw) -> None:

@@ -45,12 +45,7 @@ class Requirement:
 class Readiness:
     """Tracks whether all requirements for arming are met.
 
-    Parameters
-    ----------
-    requirements
-        Requirements in order; names are unique.
-    say
-        Takes a sentence.
+    `requirements`: requirements in order; names are unique. `say`: takes a sentence.
     """
 
     def __init__(self, requirements: Sequence[Requirement], say: Callable[[str], None]) -> None:
@@ -74,10 +69,7 @@ class Readiness:
     def look(self, now: float) -> None:
         """Check all requirements; `now` by any one clock [s].
 
-        Raises
-        ------
-        NotReadyError
-            An essential requirement was not met within its time, or never will be.
+        Raises NotReadyError: an essential requirement was not met within its time, or never will be.
         """
         missing = [requirement for requirement in self._requirements if not requirement.ready()]
         absent = {requirement.name for requirement in missing}

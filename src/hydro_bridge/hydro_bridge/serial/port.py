@@ -84,10 +84,7 @@ class Port:
     def read(self, timeout: float) -> bytes:
         """Return the available bytes as soon as there are any; none after `timeout` seconds.
 
-        Raises
-        ------
-        PortLostError
-            The port is closed, gone, or ready without data, which is how an unplugged one appears.
+        Raises PortLostError: the port is closed, gone, or ready without data, which is how an unplugged one appears.
         """
         try:
             descriptor = self._descriptor()

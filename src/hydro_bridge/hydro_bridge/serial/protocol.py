@@ -169,11 +169,8 @@ def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
 def decode(encoded: bytes) -> Frame:
     """Decode the frame between two delimiters.
 
-    Raises
-    ------
-    MalformedError
-        Broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError` are subclasses.
-        Nothing else is ever raised.
+    Raises MalformedError: broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError`
+    are subclasses. Nothing else is ever raised.
     """
     try:
         raw = cobs.decode(encoded)
@@ -198,10 +195,7 @@ def decode(encoded: bytes) -> Frame:
 def negotiate(hello: Hello) -> int:
     """Return the highest protocol version that both ends support.
 
-    Raises
-    ------
-    WrongVersionError
-        There is none; the message names the versions of each end.
+    Raises WrongVersionError: there is none; the message names the versions of each end.
     """
     if hello.version_min <= VERSION and hello.version_max >= VERSION_MIN:
         return min(VERSION, hello.version_max)

@@ -238,10 +238,7 @@ class ReportMarks:
 def read_report_marks(report: Path) -> ReportMarks:
     """Read report.json of a diagnosis.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or is not the report of a diagnosis.
+    Raises RecordingError: the file cannot be read, or is not the report of a diagnosis.
     """
     try:
         content = json.loads(report.read_text(encoding="utf-8"))

@@ -171,19 +171,9 @@ class _Reading:
 def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> Recorded:
     """Read a recording for a page.
 
-    Parameters
-    ----------
-    path
-        A rosbag2 folder or an .mcap file.
-    span
-        Part to show, s from the first sample; a shorter part is shown in finer detail.
-    report
-        report.json of a diagnosis whose windows are marked.
-
-    Raises
-    ------
-    RecordingError
-        The recording is missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
+    `path`: a rosbag2 folder or an .mcap file. `span`: part to show, s from the first sample; a shorter part is shown in
+    finer detail. `report`: report.json of a diagnosis whose windows are marked. Raises RecordingError: the recording is
+    missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
     """
     found = None if report is None else read_report_marks(report)
     source = BagSource(Path(path))

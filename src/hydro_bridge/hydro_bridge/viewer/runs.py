@@ -62,10 +62,8 @@ def list_runs(folder: Path) -> list[RunEntry]:
 def write_index(folder: Path) -> Path:
     """Write the index page of a folder of runs, and return its path.
 
-    Raises
-    ------
-    OSError
-        The folder cannot be read, or the page cannot be written, for instance because a foreign file has its name.
+    Raises OSError: the folder cannot be read, or the page cannot be written, for instance because a foreign file has
+    its name.
     """
     index, here = folder / INDEX, folder.resolve()
     if index.is_file() and MARK not in index.read_text(encoding="utf-8", errors="replace"):

@@ -35,10 +35,7 @@ ANSWERS, DIGEST = "answers.json", "answers.sha256"
 def seal(cases: Sequence[Case], folder: Path) -> str:
     """Write the answers into `folder`, readable by their owner alone; returns their SHA-256.
 
-    Raises
-    ------
-    UserError
-        The folder holds the seal of other cases.
+    Raises UserError: the folder holds the seal of other cases.
     """
     content = json.dumps([case.to_mapping() for case in cases], sort_keys=True, indent=1).encode()
     digest = hashlib.sha256(content).hexdigest()
@@ -55,13 +52,7 @@ def seal(cases: Sequence[Case], folder: Path) -> str:
 
 
 def unseal(folder: Path, digest: str) -> list[Case]:
-    """Return the answers, if they match the seal.
-
-    Raises
-    ------
-    UserError
-        They were changed since.
-    """
+    """Return the answers, if they match the seal. Raises UserError: they were changed since."""
     content = (folder / ANSWERS).read_bytes()
     if hashlib.sha256(content).hexdigest() != digest:
         raise UserError(f"{folder / ANSWERS} was changed after it was sealed: its digest is not {digest}")

@@ -67,14 +67,8 @@ class Blocks:
 class HeldOutBlocks:
     """Columns of candidates beside a fit, and how well any set of them predicts blocks that it was not fitted to.
 
-    Parameters
-    ----------
-    problem
-        The least-squares problem.
-    found
-        The present fit; its parameters are estimated anew with each set.
-    columns
-        By candidate: derivatives of the residual, shape (n, numbers).
+    `problem`: the least-squares problem. `found`: the present fit; its parameters are estimated anew with each set.
+    `columns`: by candidate: derivatives of the residual, shape (n, numbers).
     """
 
     def __init__(self, problem: Problem, found: Fit, columns: Sequence[FloatArray]) -> None:

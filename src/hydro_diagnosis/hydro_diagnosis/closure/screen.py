@@ -160,14 +160,8 @@ Chunk = tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]
 class FoldedResponses:
     """Responses of `terms` terms, added law by law.
 
-    Attributes
-    ----------
-    every
-        Only every so many residuals are looked at.
-    count
-        Residuals of each channel that are, shape (channels,).
-    square
-        Of each term with itself, shape (folds, channels, terms).
+    `every`: only every so many residuals are looked at. `count`: residuals of each channel that are, shape (channels,).
+    `square`: of each term with itself, shape (folds, channels, terms).
     """
 
     def __init__(self, layout: Layout, terms: int) -> None:
@@ -250,14 +244,8 @@ class Prospect:
 class Screen:
     """All laws over the recordings of a problem.
 
-    Parameters
-    ----------
-    problem
-        The least-squares problem.
-    base
-        Names that stand.
-    terms
-        Laws at start values, those of a law one after the other; without amplitude.
+    `problem`: the least-squares problem. `base`: names that stand. `terms`: laws at start values, those of a law one
+    after the other; without amplitude.
     """
 
     def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:

@@ -127,10 +127,7 @@ def responses(claim: Claim, compute: Callable[[Claim], ResidualParts]) -> Residu
 def direct_response(model: SegmentModel, claim: Claim, beside: Sequence[Claim]) -> dict[str, FloatArray] | None:
     """Return the change of the residual by a term, by channel, physical unit; None behind a changed sensor.
 
-    Raises
-    ------
-    TypeError
-        If the term is none of those that add.
+    Raises TypeError if the term is none of those that add.
     """
     if any(changes(one, "measure") for one in beside):
         return None
@@ -173,14 +170,8 @@ _CACHE = 24
 class EquationResiduals:
     """Residuals of these segments in these blocks.
 
-    Parameters
-    ----------
-    models
-        Segments.
-    blocks
-        Blocks of equations that the recorded channels check.
-    baseline
-        Claims that are already made.
+    `models`: segments. `blocks`: blocks of equations that the recorded channels check. `baseline`: claims that are
+    already made.
     """
 
     def __init__(self, models: Sequence[SegmentModel], blocks: Sequence[str], baseline: Sequence[Claim]) -> None:

@@ -141,12 +141,8 @@ def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
     The larger of that of a first-order process (Andrews and Monahan 1992), which lasts, and of the sum of pairs of
     autocorrelations up to the first that chance would make (Geyer 1992), which may end at once: a stroke's own error.
 
-    Parameters
-    ----------
-    moves
-        What each block moves each parameter by, shape (blocks, k).
-    blocks
-        Number of each block in time; those that follow upon each other differ by 1.
+    `moves`: what each block moves each parameter by, shape (blocks, k). `blocks`: number of each block in time; those
+    that follow upon each other differ by 1.
     """
     chance = QUANTILE / sqrt(max(len(blocks), 1))
     power = np.maximum(np.mean(np.square(moves), axis=0), 1e-300)

@@ -153,12 +153,8 @@ LEVEL = 1.0
 class Noise:
     """What the sensors' noise makes of the residuals, whatever is claimed.
 
-    Parameters
-    ----------
-    models, blocks, bench
-        Segments, blocks of equations that they check, and the assumed bench.
-    sensors
-        Noise of each sensor by its channel, SI units.
+    `models`, `blocks`, `bench`: segments, blocks of equations that they check, and the assumed bench. `sensors`: noise
+    of each sensor by its channel, SI units.
     """
 
     def __init__(

@@ -120,17 +120,9 @@ def units(law: Law) -> dict[str, str]:
 def sightings(reports: Sequence[str | Path], form: str | None = None) -> list[Sighting]:
     """The law that all reports hold, as each of them found it.
 
-    Parameters
-    ----------
-    reports
-        report.json of diagnoses, or the folders that hold them.
-    form
-        Name of the law, where the reports have several in common.
-
-    Raises
-    ------
-    UserError
-        Reports that are too few, of the same recordings, unreadable, without a closure, or without a law in common.
+    `reports`: report.json of diagnoses, or the folders that hold them. `form`: name of the law, where the reports have
+    several in common. Raises UserError: reports that are too few, of the same recordings, unreadable, without a
+    closure, or without a law in common.
     """
     contents = [(str(report), _read(Path(report))) for report in reports]
     _refuse_twins(contents)

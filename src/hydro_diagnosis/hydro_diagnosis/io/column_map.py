@@ -79,10 +79,8 @@ class Source:
     def of(self, columns: Mapping[str, FloatArray], constants: Mapping[str, float], length: int) -> FloatArray:
         """The field in SI units, shape (length,).
 
-        Raises
-        ------
-        InputError
-            If the file lacks the column or a number that the steps name; the sentence lists what there is.
+        Raises InputError if the file lacks the column or a number that the steps name; the sentence lists what there
+        is.
         """
         if not self.column:
             values: FloatArray = np.zeros(length)
@@ -101,13 +99,7 @@ class Source:
 
 
 def source_of(field: str, value: Any) -> Source:
-    """The source that an entry of a map describes.
-
-    Raises
-    ------
-    InputError
-        In one sentence that names the field.
-    """
+    """The source that an entry of a map describes. Raises InputError: in one sentence that names the field."""
     if isinstance(value, bool) or value is None:
         raise InputError(f"columns: {field} = {value!r} is neither a column nor a number")
     if isinstance(value, (int, float)):
@@ -232,10 +224,7 @@ class ColumnMap:
     def load(cls, given: str | Path | Mapping[str, Any] | ColumnMap | None) -> ColumnMap | None:
         """Load a map from `FIELD=SOURCE,...`, the path of a YAML file, or a mapping; None stays None.
 
-        Raises
-        ------
-        InputError
-            In one sentence that names what cannot be read, and for a field the names that there are.
+        Raises InputError: in one sentence that names what cannot be read, and for a field the names that there are.
         """
         if given is None or isinstance(given, ColumnMap):
             return given

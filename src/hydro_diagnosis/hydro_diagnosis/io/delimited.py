@@ -56,13 +56,7 @@ class Header:
 
 
 def header_of(lines: list[str], separator: str, decimal: str) -> Header:
-    """Header of a block that begins with `lines`.
-
-    Raises
-    ------
-    ValueError
-        If no row of numbers is among them.
-    """
+    """Header of a block that begins with `lines`. Raises ValueError if no row of numbers is among them."""
     rows = list(csv.reader([line.replace("\0", "") for line in lines], delimiter=separator, skipinitialspace=True))
     rows = [[cell.strip() for cell in row] for row in rows]
     marked = (k for k, row in enumerate(rows) if row and row[0].lower() == FIRST_NUMBERS)
@@ -164,13 +158,7 @@ _TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
 
 
 def delimited_columns(path: Path) -> Columns:
-    """Read a table of text.
-
-    Raises
-    ------
-    ValueError, OSError, pandas.errors.EmptyDataError
-        If it cannot be read.
-    """
+    """Read a table of text. Raises ValueError, OSError, pandas.errors.EmptyDataError if it cannot be read."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     if not head.strip():

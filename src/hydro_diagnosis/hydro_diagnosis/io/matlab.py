@@ -18,10 +18,7 @@ from hydro_diagnosis.io.columns import Columns, known, unique, with_clocks_of_eq
 def matlab_columns(path: Path) -> Columns:
     """Numbers of a .mat file; structs and cells are taken apart by dots, matrices into `name.0`, `name.1`.
 
-    Raises
-    ------
-    ValueError, OSError
-        If it cannot be read.
+    Raises ValueError, OSError if it cannot be read.
     """
     try:
         content = loadmat(str(path), simplify_cells=True)
@@ -128,10 +125,7 @@ def is_hdf5(path: Path) -> bool:
 def hdf5_columns(path: Path) -> Columns:
     """Numbers of an HDF5 file, groups by dots, matrices and the fields of tables into `name.0` and `name.field`.
 
-    Raises
-    ------
-    ValueError, OSError
-        If it cannot be read.
+    Raises ValueError, OSError if it cannot be read.
     """
     if not is_hdf5(path):
         raise ValueError("not an HDF5 file that can be read")

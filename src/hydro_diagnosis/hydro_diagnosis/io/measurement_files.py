@@ -23,12 +23,7 @@ NEEDED = "asammdf==8.8.28"
 def mdf_columns(path: Path) -> Columns:
     """Channels by name, each with the times of its channel group.
 
-    Raises
-    ------
-    InputError
-        If asammdf is not installed.
-    ValueError, OSError
-        If the file cannot be read.
+    Raises InputError if asammdf is not installed; ValueError, OSError if the file cannot be read.
     """
     try:
         from asammdf import MDF
@@ -80,10 +75,7 @@ def _master(
 def tdms_columns(path: Path) -> Columns:
     """Channels by name, with their group in front where there are several; times from the waveform's properties.
 
-    Raises
-    ------
-    ValueError, OSError
-        If it cannot be read.
+    Raises ValueError, OSError if it cannot be read.
     """
     try:
         file = TdmsFile.read(str(path))

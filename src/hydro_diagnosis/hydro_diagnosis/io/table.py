@@ -38,10 +38,7 @@ COINCIDENT = 1e-3
 def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str]]:
     """Times [s], fields in SI units by name, all of the same length, and what was done to get them there.
 
-    Raises
-    ------
-    InputError
-        If a column or a single number that the map names is not there, or no time belongs to the fields.
+    Raises InputError if a column or a single number that the map names is not there, or no time belongs to the fields.
     """
     notes = list(found.notes)
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
@@ -187,13 +184,7 @@ def _some(names: Mapping[str, object]) -> str:
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a file.
-
-    Raises
-    ------
-    InputError
-        In one sentence that names the path.
-    """
+    """Read a file. Raises InputError: in one sentence that names the path."""
     try:
         found = _READERS[path.suffix.lower()](path)
     except pd.errors.EmptyDataError:
@@ -255,18 +246,10 @@ class RawTable:
 def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     """Read one recording.
 
-    Parameters
-    ----------
-    path
-        A rosbag2 folder or .mcap, or a file of one of `recording.SUFFIXES`.
-    columns
-        Which of its columns is what. None: it holds a `time` column [s] and any of the BenchState field names as
-        columns. A bag with /hydro/state needs none; of other bags `topics` makes the columns.
-
-    Raises
-    ------
-    InputError
-        In one sentence that names the path, and where a column is not found, the columns that there are.
+    `path`: a rosbag2 folder or .mcap, or a file of one of `recording.SUFFIXES`. `columns`: which of its columns is
+    what. None: it holds a `time` column [s] and any of the BenchState field names as columns. A bag with /hydro/state
+    needs none; of other bags `topics` makes the columns. Raises InputError: in one sentence that names the path, and
+    where a column is not found, the columns that there are.
     """
     path = Path(path)
     if not path.exists():
@@ -285,10 +268,7 @@ def is_bag(path: Path) -> bool:
 def columns_of(path: Path) -> Columns:
     """Columns of a recording before any map: the fields of a bag with /hydro/state, all numbers of other files.
 
-    Raises
-    ------
-    InputError
-        In one sentence that names the path.
+    Raises InputError: in one sentence that names the path.
     """
     if not path.exists():
         raise InputError(f"{path}: there is no such recording")
@@ -303,26 +283,14 @@ def columns_of(path: Path) -> Columns:
 
 
 def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
-    """Apply a column map to a bag's fields.
-
-    Raises
-    ------
-    InputError
-        As `read_table`.
-    """
+    """Apply a column map to a bag's fields. Raises InputError: as `read_table`."""
     turned = _from_columns(path, Columns({"time": raw.time, **raw.columns}), columns)
     same = turned.time is not None and len(turned.time) == len(raw.time)
     return replace(turned, name=raw.name, sample=raw.sample if same else None)
 
 
 def from_bag(path: Path) -> RawTable:
-    """Read a bag's whole /hydro/state.
-
-    Raises
-    ------
-    InputError
-        As `read_table`.
-    """
+    """Read a bag's whole /hydro/state. Raises InputError: as `read_table`."""
     try:
         states = read_bag(path, topics=("/hydro/state",)).state
     except RecordingError as error:

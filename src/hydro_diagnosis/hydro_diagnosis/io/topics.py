@@ -19,13 +19,7 @@ _UNITS = {"sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa")}
 
 
 def has_states(path: Path) -> bool:
-    """Return whether a bag holds /hydro/state.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
+    """Return whether a bag holds /hydro/state. Raises InputError if it cannot be read."""
     try:
         next(stream_bag(path), None)
         return True
@@ -42,10 +36,7 @@ def has_states(path: Path) -> bool:
 def topic_columns(path: Path) -> Columns:
     """Numbers of all topics; times are the headers' stamps, or where a type has none, when the recorder got a message.
 
-    Raises
-    ------
-    InputError
-        If the bag cannot be read.
+    Raises InputError if the bag cannot be read.
     """
     try:
         bag = read_bag(path)

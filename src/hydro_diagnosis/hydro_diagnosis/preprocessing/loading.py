@@ -52,10 +52,7 @@ def load_dataset(
 
     Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
 
-    Raises
-    ------
-    InputError
-        If none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
+    Raises InputError if none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
     """
     inspection = Inspection() if inspection is None else inspection
     to_fit, notes = _read(recordings, bench, columns, inspection)

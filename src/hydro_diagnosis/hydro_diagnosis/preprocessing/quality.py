@@ -218,10 +218,7 @@ REMEDY = (
 def checked(table: RawTable, bench: Bench) -> Recording:
     """Check a recording, and cut it into segments that can be diagnosed.
 
-    Raises
-    ------
-    UnusableRecordingError
-        Too short, clock broken, nothing moves, or saturated throughout.
+    Raises UnusableRecordingError: too short, clock broken, nothing moves, or saturated throughout.
     """
     notes: list[str] = []
     columns, shaken = _alive(table, notes), False

@@ -123,10 +123,7 @@ def read_bag_within(
 
     `column_map` is applied to its fields (`table.mapped`); `inspected` sees its first stretches.
 
-    Raises
-    ------
-    InputError
-        In one sentence that names the path.
+    Raises InputError: in one sentence that names the path.
     """
     try:
         stretches = _stretches(path, columns)
@@ -144,10 +141,7 @@ def read_bag_within(
 def table_within(table: RawTable, bench: Bench) -> Recording:
     """As `read_bag_within`, for a table that is held in memory: what is checked and kept of it stays small.
 
-    Raises
-    ------
-    InputError
-        In one sentence that names the recording.
+    Raises InputError: in one sentence that names the recording.
     """
     steps = np.diff(table.time)
     step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else SAMPLE_PERIOD

@@ -73,10 +73,7 @@ def corrected_yaml(bench: Bench) -> str:
 def claims_of(bench: Bench) -> tuple[Claim, ...]:
     """The effects and closures of a corrected bench as claims.
 
-    Raises
-    ------
-    ValueError
-        An effect is unknown or lacks a parameter.
+    Raises ValueError: an effect is unknown or lacks a parameter.
     """
     closures = tuple(Claim(*from_mapping(entry, bench)) for entry in bench.closures)
     return (*(_claim(entry, bench) for entry in bench.effects), *closures)

@@ -177,14 +177,8 @@ def objections(
 ) -> list[str]:
     """Sentences on why claims do not explain everything, though they leave no more than the noise that they allow.
 
-    Parameters
-    ----------
-    found, bounds
-        The claims, and the intervals of their parameters.
-    proof
-        `fit` of report.json.
-    points
-        Force over steady speed (`steady_motion.curves`).
+    `found`, `bounds`: the claims, and the intervals of their parameters. `proof`: `fit` of report.json. `points`: force
+    over steady speed (`steady_motion.curves`).
     """
     owners = [(claim, one) for claim in found.claims for one in claim.effect.parameters]
     vague = [

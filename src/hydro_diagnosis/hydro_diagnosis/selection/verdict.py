@@ -28,12 +28,7 @@ MOST = 0.5
 def without_varying(problem: Problem, found: Fit, judged: npt.NDArray[np.bool_], spared: frozenset[str]) -> Fit:
     """The fit without claims that explain most of what remains if their numbers vary.
 
-    Parameters
-    ----------
-    judged
-        Residuals in which something remains, shape (n,).
-    spared
-        Ids that are not questioned.
+    `judged`: residuals in which something remains, shape (n,). `spared`: ids that are not questioned.
     """
     remains = float(np.sum(np.square(found.residual[judged]))) - float(np.count_nonzero(judged))
     if not found.claims or remains <= 0.0:

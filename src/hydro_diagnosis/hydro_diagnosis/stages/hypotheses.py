@@ -272,10 +272,7 @@ class SearchResult:
 def read_repaired(question: Question, progress: Progress) -> Case:
     """The recordings as they are, or repaired where that explains them better; `Case.wiring` tells which and why.
 
-    Raises
-    ------
-    InputError
-        If they cannot be diagnosed, neither as they are nor repaired.
+    Raises InputError if they cannot be diagnosed, neither as they are nor repaired.
     """
     inspection = Inspection()
     case: Case | None = None

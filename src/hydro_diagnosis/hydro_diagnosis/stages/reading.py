@@ -70,10 +70,7 @@ def baseline(
 
     Of a bench whose file lacks numbers it is a `PartialBench`; `estimated`: those that will be estimated.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or if both are given.
+    Raises InputError if a file cannot be read, or if both are given.
     """
     if model is not None:
         if bench is not None:
@@ -147,10 +144,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
 
     `inspection`: as of `load_dataset`.
 
-    Raises
-    ------
-    InputError
-        If a recording cannot be diagnosed, or numbers are missing that it needs, in one sentence.
+    Raises InputError if a recording cannot be diagnosed, or numbers are missing that it needs, in one sentence.
     """
     estimate = tuple(dict.fromkeys(question.estimate))
     refuse_inestimable(estimate)

@@ -56,15 +56,8 @@ class FilterChoice:
     def trouble(self, box: BoxIdentity | None = None) -> str:
         """Return why metric, model and bench do not belong together, in one sentence; empty if they do.
 
-        Parameters
-        ----------
-        box
-            Bench assumed by the box; None: this filter's own bench.
-
-        Raises
-        ------
-        WeightsError
-            A file is missing or unreadable.
+        `box`: bench assumed by the box; None: this filter's own bench. Raises WeightsError: a file is missing or
+        unreadable.
         """
         box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
         metric, digest = self.stamps
@@ -109,12 +102,8 @@ class FilterChoice:
     def make(self, settings: LoopFilterSettings) -> LoopFilter:
         """Create the filter.
 
-        Raises
-        ------
-        WeightsError
-            A file is missing, unreadable, or of a model that has no certificate.
-        ValueError
-            As `loop_parts`.
+        Raises WeightsError: a file is missing, unreadable, or of a model that has no certificate; ValueError: as
+        `loop_parts`.
         """
         files = self.files
         metric, model = self.stored_metric, learned_bench.load_model(files["model"])

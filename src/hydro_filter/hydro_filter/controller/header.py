@@ -38,10 +38,7 @@ MOST_STATES = 16
 def header(parts: LoopParts, truth: Bench, origin: str) -> str:
     """Return the header that defines `HYDRO_LOOP_FILTER`, of the filter on the bench file `truth`.
 
-    Raises
-    ------
-    ValueError
-        The box in C has no place for an effect of the bench file; the message is one sentence.
+    Raises ValueError: the box in C has no place for an effect of the bench file; the message is one sentence.
     """
     metric = parts.metric
     _refuse(parts)

@@ -79,10 +79,7 @@ def rest_loop(
 def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
     """Return the Lyapunov solution P of a closed loop for a share of its own decay rate.
 
-    Raises
-    ------
-    ValueError
-        If the loop does not decay.
+    Raises ValueError if the loop does not decay.
     """
     slowest = float(np.abs(np.linalg.eigvals(closed)).max())
     if slowest >= 1.0:
@@ -109,10 +106,7 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     Dry friction and overlap, which the linearized loop has none of, hold a real bench still at gains beyond that: its
     rollouts are stable where its loop is not. The share is the reserve that the range has below unstable rollouts.
 
-    Raises
-    ------
-    ValueError
-        If the loop does not decay at the range's lower end, or the reserve leaves no range.
+    Raises ValueError if the loop does not decay at the range's lower end, or the reserve leaves no range.
     """
     low, share = design.gain_low, design.gain_share
     for gain in np.arange(low, design.gain_high / share, 1.0):

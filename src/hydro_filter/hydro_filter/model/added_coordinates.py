@@ -58,14 +58,8 @@ class Added(NamedTuple):
 def added_coordinates(bench: Bench, whole: Mapping[Name, int], loop: Mapping[Name, int], drive: FloatArray) -> Added:
     """Return the added coordinates.
 
-    Parameters
-    ----------
-    bench
-        Bench file.
-    whole, loop
-        Numbers of hidden states of the whole and of the loop's model.
-    drive
-        `coordinates.loop_scale`.
+    `bench`: bench file. `whole`, `loop`: numbers of hidden states of the whole and of the loop's model. `drive`:
+    `coordinates.loop_scale`.
     """
     lagging, kept, scale, ages = [], [], [], []
     pressure = float(drive[Q_HYDRAULIC]) / bench.piston_area

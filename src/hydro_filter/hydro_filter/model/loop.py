@@ -84,10 +84,7 @@ ONE_LAG = {
 def loop_of(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> Loop:
     """Return the loop of the bench file `truth` under a box configured for `believed`.
 
-    Raises
-    ------
-    ValueError
-        The certificate's coordinates cannot represent this bench; the message is one sentence.
+    Raises ValueError: the certificate's coordinates cannot represent this bench; the message is one sentence.
     """
     refuse(truth)
     floor, scale = float((box or BoxConfig()).constants(believed)["gain_floor"][0]), loop_scale(believed)

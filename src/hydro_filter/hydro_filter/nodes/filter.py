@@ -86,14 +86,7 @@ MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
 class FilterNode(Node):
     """Passes states to the filter and publishes its corrections.
 
-    Parameters
-    ----------
-    choice
-        Filter to run.
-    settings
-        Defaults of the ROS parameters.
-    realtime
-        Request SCHED_FIFO.
+    `choice`: filter to run. `settings`: defaults of the ROS parameters. `realtime`: request SCHED_FIFO.
     """
 
     def __init__(self, choice: FilterChoice, settings: LoopFilterSettings, *, realtime: bool = False) -> None:

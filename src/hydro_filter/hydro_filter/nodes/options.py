@@ -42,10 +42,7 @@ def parser() -> argparse.ArgumentParser:
 def arguments(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:
     """Parse the command line into the filter choice, its settings, and the remaining options.
 
-    Raises
-    ------
-    PairingError
-        Metric, model and bench do not belong together.
+    Raises PairingError: metric, model and bench do not belong together.
     """
     asked = parser().parse_args(given)
     site.take_site(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)

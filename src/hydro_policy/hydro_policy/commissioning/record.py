@@ -72,10 +72,7 @@ class Record:
     def load(cls, folder: Path, names: Sequence[str]) -> Record:
         """Read the record of a site, with an entry for each of the gates `names`; a new one where there is none.
 
-        Raises
-        ------
-        UserError
-            The file is damaged, or of other gates.
+        Raises UserError: the file is damaged, or of other gates.
         """
         file = folder / RECORD
         if not file.is_file():

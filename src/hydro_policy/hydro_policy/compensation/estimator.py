@@ -115,14 +115,8 @@ class LoadCell:
     def load(cls, path: Path) -> LoadCell:
         """Read the cell of a bench file or of a diagnosis' corrected.yaml.
 
-        Raises
-        ------
-        SettingsError
-            The file has no load cell with an amplifier, or one that cannot be compensated.
-        ValueError
-            It is no bench file.
-        OSError
-            It cannot be read.
+        Raises SettingsError: the file has no load cell with an amplifier, or one that cannot be compensated;
+        ValueError: it is no bench file; OSError: it cannot be read.
         """
         bench = Bench.load(path)
         for effect in bench.effects:  # it takes the place of the one among the numbers

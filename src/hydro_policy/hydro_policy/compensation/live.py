@@ -46,14 +46,8 @@ class _Step:
 class LiveCompensation:
     """Adapts the compensated law of one box to its bench.
 
-    Parameters
-    ----------
-    law
-        The box's compensated law.
-    settings, cell
-        See `Compensator`.
-    network
-        Of the learned residual; None: there is none.
+    `law`: the box's compensated law. `settings`, `cell`: see `Compensator`. `network`: of the learned residual; None:
+    there is none.
     """
 
     def __init__(

@@ -113,10 +113,7 @@ class Network:
     def load(cls, path: Path | None = None) -> Network:
         """Read a weights file; None: the one that comes with this package.
 
-        Raises
-        ------
-        WeightsError
-            The file is missing, damaged, or of another structure.
+        Raises WeightsError: the file is missing, damaged, or of another structure.
         """
         if path is None:
             with resources.as_file(resources.files("hydro_policy") / "data" / "residual.safetensors") as shipped:
@@ -141,14 +138,8 @@ class Network:
 class Residual:
     """Residuals of n benches at once; arrays have one row per bench.
 
-    Parameters
-    ----------
-    count
-        Number of benches n.
-    network
-        None: it records its inputs and needed corrections (`inputs`, `needed`) and adds nothing.
-    scale
-        Usual amplitude of the force [N], `CompensatorSettings.force_scale`.
+    `count`: number of benches n. `network`: None: it records its inputs and needed corrections (`inputs`, `needed`) and
+    adds nothing. `scale`: usual amplitude of the force [N], `CompensatorSettings.force_scale`.
     """
 
     def __init__(self, count: int = 1, network: Network | None = None, scale: float = NOMINAL_SCALE) -> None:
@@ -193,14 +184,9 @@ class Residual:
     ) -> FloatArray:
         """Take the samples of a policy step; return a copy of `value` for the next one.
 
-        Parameters
-        ----------
-        reference, rate, measured
-            f_r [N], f_r' [N/s] and f [N], shape (n, 10).
-        coefficients
-            a_0 to a_3 of the law without a residual, shape (n, 4).
-        counted
-            Benches whose samples count (`Compensator.counted`), shape (n,); others begin anew.
+        `reference`, `rate`, `measured`: f_r [N], f_r' [N/s] and f [N], shape (n, 10). `coefficients`: a_0 to a_3 of the
+        law without a residual, shape (n, 4). `counted`: benches whose samples count (`Compensator.counted`), shape
+        (n,); others begin anew.
         """
         fine = counted & np.isfinite(reference).all(1) & np.isfinite(rate).all(1) & np.isfinite(measured).all(1)
         fine &= np.isfinite(coefficients).all(1)
@@ -315,14 +301,7 @@ class Residual:
 class AdaptedLaw:
     """Coefficients to command to n benches: the estimator's, with what the residual adds to a_3.
 
-    Parameters
-    ----------
-    estimator
-        Of the n benches.
-    residual
-        Of the same; None: the compensated law alone.
-    law
-        Limits of a_3.
+    `estimator`: of the n benches. `residual`: of the same; None: the compensated law alone. `law`: limits of a_3.
     """
 
     def __init__(self, estimator: Compensator, residual: Residual | None = None, law: BoxLaw | None = None) -> None:

@@ -48,12 +48,7 @@ class Transitions:
 class Environment:
     """A fleet of benches with observations and rewards.
 
-    Parameters
-    ----------
-    fleet
-        The benches.
-    task
-        Observation, reward, gains.
+    `fleet`: the benches. `task`: observation, reward, gains.
     """
 
     def __init__(self, fleet: VectorBench, task: TaskSettings) -> None:

@@ -80,14 +80,8 @@ class FixedGains:
 class Compensated:
     """Base gains of the compensated law, whose coefficients follow the bench.
 
-    Parameters
-    ----------
-    compensation
-        Estimator of the coefficients.
-    base
-        Base gains of the paper's law, to which `reach` is relative as any controller's.
-    learned
-        Whether the learned residual is added.
+    `compensation`: estimator of the coefficients. `base`: base gains of the paper's law, to which `reach` is relative
+    as any controller's. `learned`: whether the learned residual is added.
     """
 
     def __init__(
@@ -136,13 +130,7 @@ class PolicyController:
 
 
 def policy_controller(path: Path) -> PolicyController:
-    """Load the policy of a run's folder, or of a file.
-
-    Raises
-    ------
-    ValueError
-        Neither exists.
-    """
+    """Load the policy of a run's folder, or of a file. Raises ValueError: neither exists."""
     policy, gains, _ = load_policy(policy_file(path))
     return PolicyController(policy, gains, f"policy {path.name if path.is_dir() else path.stem}")
 

@@ -73,14 +73,9 @@ class Verdict:
 def significantly_better(score: float, best: float, errors: Sequence[float], best_error: float = 0.0) -> bool:
     """Return whether a score is below the best one by more than the noise of both.
 
-    Parameters
-    ----------
-    errors
-        Standard errors of all scores of the run, this one's last. Two runs of a sine alone give a poor estimate of
-        their scatter: the root of the mean square of all of them counts where a score's own is smaller. For a score of
-        single runs it is 0: unknown.
-    best_error
-        That of the best score.
+    `errors`: standard errors of all scores of the run, this one's last. Two runs of a sine alone give a poor estimate
+    of their scatter: the root of the mean square of all of them counts where a score's own is smaller. For a score of
+    single runs it is 0: unknown. `best_error`: that of the best score.
     """
     known = [error for error in errors if error > 0.0]
     pooled = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0

@@ -45,10 +45,7 @@ _SLOT_HEADER = 16
 class SharedBlob:
     """Latest-value exchange of at most `capacity` bytes over a shared buffer (one writer, any number of readers).
 
-    Parameters
-    ----------
-    memory
-        Writable buffer of `nbytes(capacity)` bytes, zero at first, mapped by all sides.
+    `memory`: writable buffer of `nbytes(capacity)` bytes, zero at first, mapped by all sides.
     """
 
     def __init__(self, memory: object) -> None:
@@ -63,13 +60,7 @@ class SharedBlob:
         return _HEADER + 2 * (_SLOT_HEADER + (capacity + 7) // 8 * 8)
 
     def publish(self, blob: bytes) -> None:
-        """Make `blob` the latest value.
-
-        Raises
-        ------
-        ValueError
-            `blob` is longer than the capacity.
-        """
+        """Make `blob` the latest value. Raises ValueError: `blob` is longer than the capacity."""
         if len(blob) > self.capacity:
             raise ValueError(f"{len(blob)} bytes do not fit the {self.capacity} shared ones")
         version = int(self._version[0]) + 1
@@ -209,10 +200,8 @@ class Learner:
     def publish(self, now: float) -> None:
         """Publish the actor's weights and, twice a second, the snapshot for a successor.
 
-        Raises
-        ------
-        FloatingPointError
-            The networks hold NaN or infinity: nothing is published, the supervisor restarts from the last snapshot.
+        Raises FloatingPointError: the networks hold NaN or infinity: nothing is published, the supervisor restarts from
+        the last snapshot.
         """
         if not torch.isfinite(self.sac.actor_network.parameters.sum() + self.sac.critics.parameters.sum()):
             raise FloatingPointError(f"the networks diverged at update {self.sac.updates}")
@@ -251,10 +240,7 @@ def write_run(
 
     A deleted run folder is created again; its best policy is lost until a better one is found.
 
-    Raises
-    ------
-    OSError
-        Writing fails; the previous checkpoint is unchanged.
+    Raises OSError: writing fails; the previous checkpoint is unchanged.
     """
     try:
         _write_run(request, learner, good, replay, settings)

@@ -134,10 +134,7 @@ class LearnerSupervisor:
     def restart_if_dead(self) -> str | None:
         """Restart a dead learner from its last snapshot; returns the message for the user.
 
-        Raises
-        ------
-        LearnerError
-            It keeps dying, cannot start, or cannot write a checkpoint.
+        Raises LearnerError: it keeps dying, cannot start, or cannot write a checkpoint.
         """
         self._hear()
         if self.alive:
@@ -198,10 +195,7 @@ class LearnerSupervisor:
     def stop(self, trainer: dict[str, Any]) -> None:
         """Write the last checkpoint and end the process; if it is dead or hangs, the checkpoint is written from here.
 
-        Raises
-        ------
-        LearnerError
-            The checkpoint cannot be written.
+        Raises LearnerError: the checkpoint cannot be written.
         """
         before = self.checkpoints
         last = SaveRequest(self._run.path, trainer, best=False)

@@ -58,12 +58,7 @@ from hydro_sim.model.bench import NOMINAL
 def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Controller]:
     """Create the controllers named on the command line, for this box.
 
-    Raises
-    ------
-    ValueError
-        A controller cannot be used.
-    PairingError
-        A policy was made for another box.
+    Raises ValueError: a controller cannot be used; PairingError: a policy was made for another box.
     """
     for path in options.policy:
         require_matching_policy(path, box)
@@ -100,12 +95,7 @@ def required_gain_range(
 def new_evaluation(parent: Path, name: str | None) -> Iterator[RunDirectory]:
     """Create runs/NAME, by default evaluate- with date and time; it is removed if it stays empty.
 
-    Raises
-    ------
-    FileExistsError
-        The name is taken.
-    OSError
-        The folder cannot be created.
+    Raises FileExistsError: the name is taken; OSError: the folder cannot be created.
     """
     run = RunDirectory(parent / (name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
     first = not parent.exists()

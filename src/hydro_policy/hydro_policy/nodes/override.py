@@ -38,13 +38,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def request(options: argparse.Namespace) -> OverrideGains.Request:
-    """Build the service request.
-
-    Raises
-    ------
-    UserError
-        Neither both gains nor --off.
-    """
+    """Build the service request. Raises UserError: neither both gains nor --off."""
     given = (options.kp is not None) + (options.ki is not None)
     if given != (0 if options.off else 2):
         raise UserError("override needs --kp and --ki, or --off")
@@ -75,13 +69,7 @@ def main() -> None:
 
 
 def ask(node: Node, wanted: OverrideGains.Request) -> str:
-    """Call /hydro/override; returns the answer.
-
-    Raises
-    ------
-    UserError
-        No node offers the service, or it refuses.
-    """
+    """Call /hydro/override; returns the answer. Raises UserError: no node offers the service, or it refuses."""
     client = node.create_client(OverrideGains, OVERRIDE_SERVICE)
     if not client.wait_for_service(timeout_sec=DISCOVERY):
         raise UserError(f"no trainer or evaluate found in {DISCOVERY:g} s: nobody to take the gains from")

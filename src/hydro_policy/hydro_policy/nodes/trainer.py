@@ -91,10 +91,7 @@ def parser() -> argparse.ArgumentParser:
 def asked(words: Sequence[str]) -> argparse.Namespace:
     """Parse the command line; --demo changes the defaults.
 
-    Raises
-    ------
-    UserError
-        The options of a resumed run contradict those it was started with.
+    Raises UserError: the options of a resumed run contradict those it was started with.
     """
     result = parser()
     if result.parse_args(words).demo:

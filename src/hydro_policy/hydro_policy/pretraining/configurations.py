@@ -28,10 +28,7 @@ def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE, si
 
     The total gain range is the same whatever the base gains of its box.
 
-    Raises
-    ------
-    ValueError
-        The configuration is unknown.
+    Raises ValueError: the configuration is unknown.
     """
     if name == "paper":
         task, sac = TaskSettings(), SacSettings(seed=seed)

@@ -136,13 +136,7 @@ def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
 
 
 def load_simulation_setup(folder: Path) -> SimulationSetup:
-    """Return the simulation set-up of a run on disk.
-
-    Raises
-    ------
-    UserError
-        The folder holds no pretraining.
-    """
+    """Return the simulation set-up of a run on disk. Raises UserError: the folder holds no pretraining."""
     try:
         return from_mapping(
             SimulationSetup, {"integral": "paper", **read_yaml(folder / SOURCE)}, SOURCE

@@ -173,14 +173,8 @@ class PretrainSettings:
 class Pretraining:
     """Complete state of a pretraining.
 
-    Parameters
-    ----------
-    settings
-        See `PretrainSettings`.
-    source
-        Simulated plant: a bench, or a factory of any other plant.
-    believed
-        Bench assumed by the box.
+    `settings`: see `PretrainSettings`. `source`: simulated plant: a bench, or a factory of any other plant. `believed`:
+    bench assumed by the box.
     """
 
     def __init__(self, settings: PretrainSettings, source: Simulated, believed: Bench) -> None:

@@ -72,10 +72,7 @@ def shipped_agent(authority: str) -> InitialAgent | None:
 def load_initial_agent(path: Path) -> InitialAgent:
     """Load the agent of a run's folder (its best, else its latest), or of any folder with agent and policy.
 
-    Raises
-    ------
-    ValueError
-        There is no agent, or only a policy without critics, which cannot continue learning.
+    Raises ValueError: there is no agent, or only a policy without critics, which cannot continue learning.
     """
     run = RunDirectory(path)
     folders = (path, run.best, run.latest)

@@ -101,13 +101,7 @@ class RunDirectory:
     log = property(lambda self: self.path / "log.txt")
 
     def create(self) -> RunDirectory:
-        """Create the folders.
-
-        Raises
-        ------
-        FileExistsError
-            The folder already holds a run.
-        """
+        """Create the folders. Raises FileExistsError: the folder already holds a run."""
         self.refuse_existing()
         for folder in (self.latest, self.best):
             folder.mkdir(parents=True, exist_ok=True)
@@ -135,13 +129,7 @@ class RunDirectory:
         return plant if isinstance(plant, dict) else {}
 
     def load_settings(self) -> TrainingSettings:
-        """Read config.yaml back.
-
-        Raises
-        ------
-        ValueError
-            The file is missing, or does not hold the settings of a run.
-        """
+        """Read config.yaml back. Raises ValueError: the file is missing, or does not hold the settings of a run."""
         try:
             values = read_yaml(self.config)
             values.pop("plant", None)
@@ -160,10 +148,7 @@ def new_run(parent: Path, name: str | None) -> RunDirectory:
 class Scalars:
     """Numbers of a run as TensorBoard event files; `tensorboard --logdir runs` shows runs beside each other.
 
-    Parameters
-    ----------
-    folder
-        Folder of the run; the files are in its `tensorboard`. A resumed run adds another file.
+    `folder`: folder of the run; the files are in its `tensorboard`. A resumed run adds another file.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -197,10 +182,7 @@ def _numbered(name: str, value: Any) -> list[tuple[str, float]]:
 class RunRecord:
     """Appends events; saves them to `path` if given.
 
-    Parameters
-    ----------
-    path
-        run.json; None: in memory only.
+    `path`: run.json; None: in memory only.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -236,10 +218,7 @@ class RunRecord:
     def flush(self) -> None:
         """Wait until everything is on disk; so does the end of the process.
 
-        Raises
-        ------
-        OSError
-            The file cannot be written.
+        Raises OSError: the file cannot be written.
         """
         self._written.result()
 
@@ -268,10 +247,7 @@ class Checkpoint:
 def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer: dict[str, Any]) -> None:
     """Write a checkpoint to `folder`, replacing the one there only once it is complete on disk.
 
-    Raises
-    ------
-    OSError
-        The checkpoint cannot be written; the previous one is unchanged.
+    Raises OSError: the checkpoint cannot be written; the previous one is unchanged.
     """
     partial, previous = folder.with_name(folder.name + ".partial"), folder.with_name(folder.name + ".previous")
     shutil.rmtree(partial, ignore_errors=True)
@@ -298,10 +274,7 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
 def load_checkpoint(folder: Path) -> Checkpoint:
     """Read a checkpoint, or the previous one if the writer died between the two renames.
 
-    Raises
-    ------
-    ValueError
-        There is no checkpoint, or it is damaged.
+    Raises ValueError: there is no checkpoint, or it is damaged.
     """
     previous = folder.with_name(folder.name + ".previous")
     source = previous if not (folder / "trainer.json").exists() and previous.exists() else folder

@@ -42,14 +42,8 @@ _WIDEST = 1024  # units, as in `SacSettings`
 class Policy:
     """A squashed Gaussian policy for acting.
 
-    Parameters
-    ----------
-    hidden_size
-        Units in each of the two hidden layers.
-    log_std_bounds
-        Bounds of log sigma, as in `SacSettings`.
-    size
-        Of the bench, with which its observations are scaled.
+    `hidden_size`: units in each of the two hidden layers. `log_std_bounds`: bounds of log sigma, as in `SacSettings`.
+    `size`: of the bench, with which its observations are scaled.
     """
 
     def __init__(
@@ -127,10 +121,7 @@ class Policy:
 def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
     """Read policy.safetensors: the policy, the range of its gains, its notes.
 
-    Raises
-    ------
-    ValueError
-        The file is not a policy, is for another observation, or holds unusable numbers.
+    Raises ValueError: the file is not a policy, is for another observation, or holds unusable numbers.
     """
     try:
         with safe_open(path, framework="numpy") as file:

@@ -22,14 +22,8 @@ class ReplayBuffer:
         row        [ observation | next observation | action | reward, terminated ]   float32
         example    13 + 13 + 2 + 2 = 30 numbers; 288 000 rows (the paper's 160 x 1800) are 35 MB
 
-    Parameters
-    ----------
-    observations, actions
-        Sizes of an observation and of an action.
-    capacity
-        Rows kept, more than 64; the oldest are overwritten.
-    memory
-        Writable buffer of `nbytes` bytes, initially zero. None: private memory.
+    `observations`, `actions`: sizes of an observation and of an action. `capacity`: rows kept, more than 64; the oldest
+    are overwritten. `memory`: writable buffer of `nbytes` bytes, initially zero. None: private memory.
     """
 
     def __init__(self, observations: int, actions: int, capacity: int, memory: object | None = None) -> None:
@@ -58,10 +52,7 @@ class ReplayBuffer:
     def extend(self, rows: NDArray[np.float32]) -> None:
         """Append rows [n, width] in order, overwriting the oldest. Only one process may do this.
 
-        Raises
-        ------
-        ValueError
-            A row holds NaN or infinity, which would corrupt every network at the first batch with it.
+        Raises ValueError: a row holds NaN or infinity, which would corrupt every network at the first batch with it.
         """
         if not np.isfinite(rows).all():
             raise ValueError("a transition holds a value that is not finite")

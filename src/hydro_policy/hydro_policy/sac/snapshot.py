@@ -40,10 +40,7 @@ def dump(sac: Sac) -> bytes:
 def restore(sac: Sac, blob: bytes) -> None:
     """Restore from `dump`: later updates are bit-identical.
 
-    Raises
-    ------
-    ValueError
-        The bytes are not a dump, are of networks of another shape, or hold invalid numbers.
+    Raises ValueError: the bytes are not a dump, are of networks of another shape, or hold invalid numbers.
     """
     tensors, header = _opened(blob)
     counters = header["counters"]

@@ -85,14 +85,7 @@ class EpisodeRecord:
 class Explorer:
     """Draws actions from the policy, publishes gains, and appends transitions to the replay buffer.
 
-    Parameters
-    ----------
-    settings
-        Settings of the run.
-    replay
-        Replay buffer of the transitions.
-    outputs
-        The graph.
+    `settings`: settings of the run. `replay`: replay buffer of the transitions. `outputs`: the graph.
     """
 
     def __init__(self, settings: TrainingSettings, replay: ReplayBuffer, outputs: Outputs) -> None:

@@ -24,14 +24,8 @@ class _Held:
 class GainOverride:
     """State of a manual override.
 
-    Parameters
-    ----------
-    reach
-        Gain changes that may be requested: those that the plant's guard passes.
-    say
-        Takes a sentence for each change.
-    base
-        K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's).
+    `reach`: gain changes that may be requested: those that the plant's guard passes. `say`: takes a sentence for each
+    change. `base`: K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's).
     """
 
     def __init__(
@@ -47,10 +41,7 @@ class GainOverride:
     def hold(self, proportional: float, integral: float, seconds: float, now: float) -> str:
         """Hold K_p [1/s] and K_i [1/s^2], base gains included, for `seconds` (0: until released); returns a report.
 
-        Raises
-        ------
-        ValueError
-            The gains are not finite or out of range; nothing has changed.
+        Raises ValueError: the gains are not finite or out of range; nothing has changed.
         """
         base, reach = self.base, self.reach
         change = (proportional - base[0], integral - base[1])

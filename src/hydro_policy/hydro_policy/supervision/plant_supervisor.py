@@ -65,12 +65,7 @@ HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge ar
 class Arming:
     """Arms the plant, and disarms it when it must not stay armed.
 
-    Parameters
-    ----------
-    outputs
-        Outputs of the requests.
-    rearm
-        Whether arming without a person is allowed.
+    `outputs`: outputs of the requests. `rearm`: whether arming without a person is allowed.
     """
 
     def __init__(self, outputs: Outputs, rearm: bool) -> None:
@@ -271,10 +266,7 @@ class PlantSupervisor:
     def on_tick(self, now: float) -> None:
         """Detect a loss and request arming; call some twenty times a second.
 
-        Raises
-        ------
-        NotReadyError
-            A requirement for arming was not met in time.
+        Raises NotReadyError: a requirement for arming was not met in time.
         """
         if not self.lost and now - self._seen > LOST_AFTER:
             self._seen, self._spoilt = -math.inf, UNSEEN

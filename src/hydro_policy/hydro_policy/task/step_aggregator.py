@@ -26,12 +26,8 @@ def held(flags: Any, k_p: Any, k_i: Any, base: tuple[float, float] | None) -> An
 
     A plant that requires no filter (`guard.require_filter`) passes other gains with FILTER_STALE, too: they act.
 
-    Parameters
-    ----------
-    flags, k_p, k_i
-        Of one sample, or arrays of one shape; 1/s and 1/s^2.
-    base
-        Base gains K_p, K_i; None: each flagged sample counts (MISMATCH, under which narrow gains act; another law).
+    `flags`, `k_p`, `k_i`: of one sample, or arrays of one shape; 1/s and 1/s^2. `base`: base gains K_p, K_i; None: each
+    flagged sample counts (MISMATCH, under which narrow gains act; another law).
     """
     bits = flags & HELD
     if base is None:

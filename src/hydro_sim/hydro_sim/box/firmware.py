@@ -38,13 +38,7 @@ _COUNTS = ("taken", "stale", "greetings", "refused", "refused_references", "last
 
 
 def library_path(precision: Precision) -> Path:
-    """Return the path of the library that set-up built.
-
-    Raises
-    ------
-    SettingsError
-        It is not there.
-    """
+    """Return the path of the library that set-up built. Raises SettingsError: it is not there."""
     name = f"libhydro_box_{precision}.so"
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     for prefix in filter(None, prefixes):

@@ -56,13 +56,7 @@ class ControlPipe:
 
 
 def execute(order: str, machine: Machine, link: BoxLink, now: float) -> None:
-    """Execute one command at time `now` [s].
-
-    Raises
-    ------
-    SettingsError
-        If it is not an order.
-    """
+    """Execute one command at time `now` [s]. Raises SettingsError if it is not an order."""
     word, *rest = order.split() or [""]
     if word not in ORDERS or len(rest) != (0 if word in ("clear", "reboot") else 1):
         raise SettingsError(f"order {order!r} is none of: {', '.join(ORDERS)}; all but clear and reboot take a number")

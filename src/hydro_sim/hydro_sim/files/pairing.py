@@ -143,10 +143,7 @@ _LENGTH = 8
 def header_of(blob: bytes) -> dict[str, Any]:
     """Return the header of this project's files, JSON under `hydro`.
 
-    Raises
-    ------
-    ValueError
-        If the bytes are not of such a file.
+    Raises ValueError if the bytes are not of such a file.
     """
     try:
         outer = json.loads(blob[_LENGTH : _LENGTH + int.from_bytes(blob[:_LENGTH], "little")])
@@ -165,13 +162,7 @@ def stamp_of(path: Path) -> MadeFor | None:
 
 
 def stamped(blob: bytes, made: MadeFor | None) -> bytes:
-    """Return the same file with this stamp instead of its own; None: without.
-
-    Raises
-    ------
-    ValueError
-        See `header_of`.
-    """
+    """Return the same file with this stamp instead of its own; None: without. Raises ValueError: see `header_of`."""
     header = {key: value for key, value in header_of(blob).items() if key != ENTRY}
     if made is not None:
         header[ENTRY] = made.to_header()

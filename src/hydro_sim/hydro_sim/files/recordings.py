@@ -96,10 +96,7 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
     `VALIDATION` samples, `gap` samples after where training ends; a run that is too short for that is trained on whole.
     What a model is judged by in the end is another recording: `validate`.
 
-    Raises
-    ------
-    DataError
-        If no run is long enough to be trained on, or none to hold a part back.
+    Raises DataError if no run is long enough to be trained on, or none to hold a part back.
     """
     digests = {name: digest(states) for name, states in recordings.items()}
     found = {name: runs(name, states) for name, states in recordings.items()}

@@ -41,10 +41,7 @@ def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeF
 def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
     """Load tensors and header of a weights file.
 
-    Raises
-    ------
-    WeightsError
-        If the file is missing, is no safetensors file, is not of this format, or holds unsound numbers.
+    Raises WeightsError if the file is missing, is no safetensors file, is not of this format, or holds unsound numbers.
     """
     try:
         with safe_open(str(path), framework="numpy") as file:

@@ -38,14 +38,8 @@ SETTLED = 1e-3
 class Coordinates:
     """Parameters in sizes that can be compared.
 
-    Parameters
-    ----------
-    parameters
-        All of a model.
-    values
-        Values in the bench file, shape (parameters,).
-    free
-        Those that are learned.
+    `parameters`: all of a model. `values`: values in the bench file, shape (parameters,). `free`: those that are
+    learned.
     """
 
     def __init__(self, parameters: Sequence[Named], values: FloatArray, free: Indices) -> None:
@@ -111,14 +105,7 @@ class Fit:
 class Problem:
     """Least-squares problem on a batch.
 
-    Parameters
-    ----------
-    exact
-        The model.
-    coordinates
-        Of its parameters.
-    batch
-        Windows.
+    `exact`: the model. `coordinates`: of its parameters. `batch`: windows.
     """
 
     def __init__(self, exact: Sensitivities, coordinates: Coordinates, batch: Batch) -> None:

@@ -103,10 +103,7 @@ def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: 
 
     A bench file without effects gets `USUAL` ones.
 
-    Raises
-    ------
-    ValueError
-        The recordings have no room for windows.
+    Raises ValueError: the recordings have no room for windows.
     """
     bench = with_usual_effects(bench)
     exact = Sensitivities(BenchModel(_roomy(bench), substeps=SUBSTEPS))

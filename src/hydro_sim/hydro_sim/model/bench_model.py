@@ -75,12 +75,7 @@ class State:
 class BenchModel:
     """See the module.
 
-    Parameters
-    ----------
-    bench
-        Numbers and effects.
-    substeps
-        Integration steps per sample, an even number.
+    `bench`: numbers and effects. `substeps`: integration steps per sample, an even number.
     """
 
     def __init__(self, bench: Bench, *, substeps: int = SUBSTEPS) -> None:

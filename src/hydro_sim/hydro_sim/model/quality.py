@@ -51,13 +51,7 @@ class Quality:
 
     @classmethod
     def from_mapping(cls, content: Any) -> Quality:
-        """Read what `learn` wrote into a bench file.
-
-        Raises
-        ------
-        ValueError
-            It is not what `learn` writes.
-        """
+        """Read what `learn` wrote into a bench file. Raises ValueError: it is not what `learn` writes."""
         if not isinstance(content, Mapping):
             raise ValueError("'learned' is a mapping, as `learn` writes it")
         for name, kind, what in (("over_noise", int | float, "number"), ("worst", int | float, "number"),

@@ -65,13 +65,9 @@ class Sensitivities:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Readings of a prediction, shape (n, 5), their derivatives, shape (n, 5, p), and the states after it.
 
-        Parameters
-        ----------
-        k, y, currents
-            Coefficients, states where it begins (not changed), and currents [A], shape (n,).
-        dy, dk
-            Directions: of the held states where it begins, shape (held, a), and of the coefficients, shape (m, b).
-            p = a + b, in this order.
+        `k`, `y`, `currents`: coefficients, states where it begins (not changed), and currents [A], shape (n,). `dy`,
+        `dk`: directions: of the held states where it begins, shape (held, a), and of the coefficients, shape (m, b). p
+        = a + b, in this order.
         """
         first, y = dy.shape[1], y.copy()
         directions = np.zeros((self.held + len(k), first + dk.shape[1]))
@@ -89,14 +85,9 @@ class Sensitivities:
     ) -> FloatArray:
         """States, shape (n, states), each from the readings up to it; `track` changes in place.
 
-        Parameters
-        ----------
-        currents, readings
-            Currents [A], shape (n,), and the readings after each, shape (n, 5).
-        q
-            Variance that a sample adds to each held state for what the model misses, shape (held,).
-        r
-            Variance of the readings' noise, shape (5,).
+        `currents`, `readings`: currents [A], shape (n,), and the readings after each, shape (n, 5). `q`: variance that
+        a sample adds to each held state for what the model misses, shape (held,). `r`: variance of the readings' noise,
+        shape (5,).
         """
         n, held = len(currents), self.held
         states, room = np.empty((n, len(self.model.states))), np.empty((2 * held + len(k), held))

@@ -51,10 +51,7 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
 def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: bool) -> str:
     """Return `rates`, and a sample or its Jacobian, for a box in C (firmware/hydro/loop.h), each behind `prefix_`.
 
-    Raises
-    ------
-    ValueError
-        The model needs a mathematical function that a box does not have.
+    Raises ValueError: the model needs a mathematical function that a box does not have.
     """
     k, y = ("k", model.k), ("y", model.y)
     at: Inputs = [k, y, ("u", model.current), ("share", model.share)]

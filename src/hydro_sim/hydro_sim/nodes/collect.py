@@ -89,10 +89,8 @@ TRIPPED = 3
 def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Namespace, ros: Sequence[str]) -> str:
     """Record while the schedule plays; return why the plant could not continue, or nothing.
 
-    Raises
-    ------
-    UserError
-        If it was interrupted, the recorder ended, another node drives the plant, or its box believes another bench.
+    Raises UserError if it was interrupted, the recorder ended, another node drives the plant, or its box believes
+    another bench.
     """
     start_ros(ros)
     try:
@@ -124,10 +122,7 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
 def _bench_of(node: CollectNode, asked: Bench | None) -> Bench:
     """Return the bench.yaml to store in the recording: the requested one, or else the one that the box believes.
 
-    Raises
-    ------
-    PairingError
-        If the box believes another one than requested.
+    Raises PairingError if the box believes another one than requested.
     """
     box = node.box
     if asked is None:

@@ -153,12 +153,8 @@ _PLANT_WITHIN = 600.0  # s without a sample
 class CollectNode(Node):
     """Call `meet`, then `drive`, and `leave` whatever happens.
 
-    Parameters
-    ----------
-    schedule
-        Schedule to play.
-    rearm
-        Whether the plant may be armed without a person; None: if it is the simulation or the emulator.
+    `schedule`: schedule to play. `rearm`: whether the plant may be armed without a person; None: if it is the
+    simulation or the emulator.
     """
 
     def __init__(self, schedule: Sequence[Segment], rearm: bool | None) -> None:
@@ -187,10 +183,7 @@ class CollectNode(Node):
     def meet(self) -> bool:
         """Wait for a plant and check it; return whether a signal ended the wait.
 
-        Raises
-        ------
-        UserError
-            If another node commands the plant, no plant appears, or the box is unknown.
+        Raises UserError if another node commands the plant, no plant appears, or the box is unknown.
         """
         broken = spin(self, self._met)
         if not broken and self.ended:

@@ -47,14 +47,8 @@ class LockStep:
     A node that has not been heard yet is not waited for, nor is a trainer while the plant is disarmed. A node that
     falls silent is named in the log, and the simulation continues without it until it returns.
 
-    Parameters
-    ----------
-    log
-        Called with a sentence when a peer comes or falls silent.
-    silence_max
-        Longest wait [s] for a peer.
-    correction_every
-        Samples per correction, as the filter is set.
+    `log`: called with a sentence when a peer comes or falls silent. `silence_max`: longest wait [s] for a peer.
+    `correction_every`: samples per correction, as the filter is set.
     """
 
     def __init__(self, log: Callable[[str], None], *, silence_max: float = 5.0, correction_every: int = 1) -> None:

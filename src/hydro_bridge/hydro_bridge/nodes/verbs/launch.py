@@ -273,10 +273,7 @@ def provide() -> None:
 def load(path: Path) -> LaunchDescription:
     """Load a launch file's description.
 
-    Raises
-    ------
-    UserError
-        The file is missing, is not a launch file in Python, or uses unsupported features.
+    Raises UserError: the file is missing, is not a launch file in Python, or uses unsupported features.
     """
     scope: dict[str, object] = {"__name__": "launch_file", "__file__": str(path)}
     try:

@@ -19,10 +19,7 @@ _LONG = (bytes, bytearray, str)
 def interface(name: str, kind: str) -> type[Any]:
     """Return the class of a type such as `std_srvs/srv/SetBool`; the name may omit `kind` (msg or srv).
 
-    Raises
-    ------
-    UserError
-        There is no type of that name.
+    Raises UserError: there is no type of that name.
     """
     package, _, rest = name.partition("/")
     last = rest.removeprefix(f"{kind}/")

@@ -54,10 +54,7 @@ class Site:
 
         Its output goes into the log, and to the terminal if it is `loud`.
 
-        Raises
-        ------
-        GateError
-            It did not end with status 0; the reason is its last line.
+        Raises GateError: it did not end with status 0; the reason is its last line.
         """
         self.log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
         output = cast("IO[str]", _Both(self.log, loud=loud))

@@ -20,12 +20,7 @@ from hydro_bridge.ros.companion import Companion
 class RepeatFilter:
     """Passes the first few occurrences of a sentence, numbers aside, and counts the rest.
 
-    Parameters
-    ----------
-    most
-        Maximum number of repeats of a sentence within `period`.
-    period
-        s.
+    `most`: maximum number of repeats of a sentence within `period`. `period`: s.
     """
 
     def __init__(self, most: int, period: float = 10.0) -> None:

@@ -78,14 +78,8 @@ UNANSWERED = "the plant does not say who may command it (/hydro/claim)"
 class AuthorityWait:
     """Reports why a node does not command the plant, each reason once, and gives up after a timeout.
 
-    Parameters
-    ----------
-    node
-        Waiting node.
-    commander
-        Requests the authority from the plant, and holds its answer.
-    warn
-        Called with each reason.
+    `node`: waiting node. `commander`: requests the authority from the plant, and holds its answer. `warn`: called with
+    each reason.
     """
 
     def __init__(self, node: Node, commander: Commander, warn: Callable[[str], None]) -> None:
@@ -100,10 +94,7 @@ class AuthorityWait:
     def look(self, now: float, sampled: bool) -> None:
         """Check who commands the plant, at every tick; `sampled`: whether any sample has arrived.
 
-        Raises
-        ------
-        NotReadyError
-            The wait exceeded its time-out.
+        Raises NotReadyError: the wait exceeded its time-out.
         """
         crowd = publisher_conflicts(self._node, STATE) if self._two_plants else ""
         if crowd and not self._crowd:
@@ -126,10 +117,7 @@ class AuthorityWait:
 class PolicySteps:
     """Publishes `PolicyStep` a hundred times a second, with one reused message object.
 
-    Parameters
-    ----------
-    node
-        Node that acts.
+    `node`: node that acts.
     """
 
     def __init__(self, node: Node) -> None:
@@ -158,12 +146,8 @@ class GraphNode(Node):
     It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
 
-    Parameters
-    ----------
-    name
-        Name of the node.
-    realtime
-        Request SCHED_FIFO while a session runs; processes started then (a restarted learner) stay ordinary.
+    `name`: name of the node. `realtime`: request SCHED_FIFO while a session runs; processes started then (a restarted
+    learner) stay ordinary.
     """
 
     def __init__(self, name: str, *, realtime: bool = True) -> None:
@@ -219,12 +203,8 @@ class GraphNode(Node):
 
         Nothing is published and nothing is armed meanwhile. `law`: wait for what it says about its force laws, too.
 
-        Raises
-        ------
-        CompanionError
-            The box is not the expected one, or a companion rejected its input or has ended.
-        NotReadyError
-            No plant appeared in time, or its box was not described.
+        Raises CompanionError: the box is not the expected one, or a companion rejected its input or has ended;
+        NotReadyError: no plant appeared in time, or its box was not described.
         """
         needed = (
             plant_supervisor.plant(lambda: self._sampled < math.inf),
@@ -244,12 +224,8 @@ class GraphNode(Node):
     def run_session(self, session: Session, each_tick: Callable[[], None]) -> bool:
         """Run `session` until it is finished (True) or a signal arrives (False); `each_tick` is called every 50 ms.
 
-        Raises
-        ------
-        CompanionError
-            A companion rejected its input, an essential companion has ended, or the box is another one.
-        NotReadyError
-            A requirement for arming was not met in time.
+        Raises CompanionError: a companion rejected its input, an essential companion has ended, or the box is another
+        one; NotReadyError: a requirement for arming was not met in time.
         """
         self._refuse()
         self._session, self._each_tick, self._done = session, each_tick, Future()

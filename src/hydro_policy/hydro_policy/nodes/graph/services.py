@@ -91,14 +91,8 @@ def _wanted(request: OverrideGains.Request) -> str:
 class FreezeService:
     """The service and the diagnostics of one estimator.
 
-    Parameters
-    ----------
-    node
-        Node that runs the estimator.
-    compensation
-        Estimator that a request freezes or releases.
-    say
-        Called with a sentence for each change.
+    `node`: node that runs the estimator. `compensation`: estimator that a request freezes or releases. `say`: called
+    with a sentence for each change.
     """
 
     def __init__(self, node: Node, compensation: LiveCompensation, say: Callable[[str], None]) -> None:

@@ -28,12 +28,8 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
 
     Of a plant that runs already nothing is expected but what --bench says.
 
-    Raises
-    ------
-    ValueError
-        The bench file cannot be used.
-    UserError
-        The box of a running plant is specified, or the model is not a file.
+    Raises ValueError: the bench file cannot be used; UserError: the box of a running plant is specified, or the model
+    is not a file.
     """
     plant_options(options)
     if options.model is not None and not options.model.is_file():

@@ -59,10 +59,7 @@ def of_filter(choice: FilterChoice) -> list[str]:
 def describe_policy(path: Path) -> str:
     """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings.
 
-    Raises
-    ------
-    ValueError
-        The file is not a policy.
+    Raises ValueError: the file is not a policy.
     """
     return f"policy {path}: weights {load_policy(path)[0].digest()}, SHA-256 {_digest(path)}"
 
@@ -74,10 +71,7 @@ def _digest(path: Path) -> str:
 def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, LoopFilterSettings]:
     """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program.
 
-    Raises
-    ------
-    PairingError
-        Its metric and model are not this bench's: nothing is started, and no guard is widened for it.
+    Raises PairingError: its metric and model are not this bench's: nothing is started, and no guard is widened for it.
     """
     from hydro_filter.nodes.options import arguments
 
@@ -178,10 +172,7 @@ def start_companions(
 
     `keep` takes each line of their output.
 
-    Raises
-    ------
-    CompanionError
-        A companion cannot be started: the packages are not built or sourced.
+    Raises CompanionError: a companion cannot be started: the packages are not built or sourced.
     """
     output = CompanionOutput(keep)
     return [

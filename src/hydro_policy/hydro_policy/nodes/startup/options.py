@@ -131,12 +131,7 @@ def take_site(options: argparse.Namespace) -> None:
 def load_cell(options: argparse.Namespace) -> LoadCell | None:
     """Return the load cell of --load-cell.
 
-    Raises
-    ------
-    UserError
-        The compensated law is not to run.
-    ValueError, OSError
-        As `LoadCell.load`.
+    Raises UserError: the compensated law is not to run; ValueError, OSError: as `LoadCell.load`.
     """
     if options.load_cell is None:
         return None
@@ -153,10 +148,7 @@ def may_rearm(options: argparse.Namespace) -> bool:
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
     """Return the plant options from the command line; `more` are further fields.
 
-    Raises
-    ------
-    UserError
-        An option that does not apply to this plant: refused rather than ignored.
+    Raises UserError: an option that does not apply to this plant: refused rather than ignored.
     """
     for name, plants in _NEEDS.items():
         if getattr(options, name) and options.plant not in plants:
@@ -204,17 +196,8 @@ NONE = "no plant runs: no node publishes /hydro/state"
 def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
     """Return `external` if a plant runs, or `sim` if a person wants the simulation.
 
-    Parameters
-    ----------
-    node
-        Looks for the publisher of /hydro/state.
-    ask
-        Takes the question and returns the answer; by default `input` on a terminal, and nothing without one.
-
-    Raises
-    ------
-    UserError
-        No plant runs, and the simulation is not wanted.
+    `node`: looks for the publisher of /hydro/state. `ask`: takes the question and returns the answer; by default
+    `input` on a terminal, and nothing without one. Raises UserError: no plant runs, and the simulation is not wanted.
     """
     if ask is None and sys.stdin is not None and sys.stdin.isatty():
         ask = input

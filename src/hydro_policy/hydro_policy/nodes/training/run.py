@@ -249,13 +249,7 @@ def drive(
 
 
 def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
-    """Wait for the learner to be ready, with a time-out.
-
-    Raises
-    ------
-    NotReadyError
-        It takes too long.
-    """
+    """Wait for the learner to be ready, with a time-out. Raises NotReadyError: it takes too long."""
     readiness = Readiness([plant_supervisor.learner(learner)], node.say)
     while not readiness.complete:
         if (sentence := learner.restart_if_dead()) is not None:

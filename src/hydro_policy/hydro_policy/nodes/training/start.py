@@ -194,12 +194,7 @@ def restore_plant_file(run: RunDirectory, settings: TrainingSettings, options: a
 def wait_for_box(node: GraphNode) -> BoxIdentity:
     """Wait for the box of a plant that already runs; returns its identity.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        A signal arrived before there was one.
-    CompanionError
-        The box was not described.
+    Raises KeyboardInterrupt: a signal arrived before there was one; CompanionError: the box was not described.
     """
     if not node.wait_for_plant() or node.box is None:
         raise KeyboardInterrupt

@@ -69,12 +69,7 @@ def load_faults(name: str) -> LinkFaults:
 class FaultyLine:
     """One direction of the line.
 
-    Parameters
-    ----------
-    faults
-        Probabilities; may be replaced at any time.
-    generator
-        Source of randomness.
+    `faults`: probabilities; may be replaced at any time. `generator`: source of randomness.
     """
 
     LIMIT = 1 << 16  # bytes that wait during a stall; what is more is lost

@@ -24,15 +24,8 @@ def default_link() -> Path:
 class Terminal:
     """The box's end of a pseudo-terminal pair; the other end appears as a link at `path`.
 
-    Parameters
-    ----------
-    path
-        Where the port appears. A link that stands there is replaced, anything else is left alone.
-
-    Raises
-    ------
-    SettingsError
-        If `path` is taken by something that is no link, or its folder cannot be written.
+    `path`: where the port appears. A link that stands there is replaced, anything else is left alone. Raises
+    SettingsError if `path` is taken by something that is no link, or its folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:

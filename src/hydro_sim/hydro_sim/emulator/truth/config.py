@@ -94,18 +94,9 @@ def profile(name: str) -> TruthConfig:
 def truth_from_mapping(data: Mapping[str, Any], where: str = "truth") -> TruthConfig:
     """`TruthConfig` from plain YAML data.
 
-    Parameters
-    ----------
-    data
-        Keys `profile` (nominal | default, the default), `bench`, `sensors`, `effects`, `outside`. The last four change
-        single entries of the profile: an effect given replaces the profile's, `null` turns it off.
-    where
-        Name of the source, for messages.
-
-    Raises
-    ------
-    SettingsError
-        On an unknown key, a wrong type, or a value outside its range.
+    `data`: keys `profile` (nominal | default, the default), `bench`, `sensors`, `effects`, `outside`. The last four
+    change single entries of the profile: an effect given replaces the profile's, `null` turns it off. `where`: name of
+    the source, for messages. Raises SettingsError: on an unknown key, a wrong type, or a value outside its range.
     """
     sections = ("bench", "sensors", "effects", "outside")
     for key in data:
@@ -129,10 +120,7 @@ def truth_to_mapping(config: TruthConfig) -> dict[str, Any]:
 def check(config: TruthConfig) -> TruthConfig:
     """Return `config`, if its parts are consistent.
 
-    Raises
-    ------
-    SettingsError
-        If values that are each in range contradict one another.
+    Raises SettingsError if values that are each in range contradict one another.
     """
     coulomb = config.effects.friction_coulomb
     if config.effects.friction_presliding is not None and (coulomb is None or coulomb.form != "lugre"):

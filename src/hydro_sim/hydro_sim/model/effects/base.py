@@ -40,13 +40,7 @@ class Parameter:
     """A typical size: the standard deviation of the prior."""
 
     def of(self, effect: str, parameters: Mapping[str, Any]) -> float:
-        """Its value among an entry's parameters.
-
-        Raises
-        ------
-        ValueError
-            If it is missing or not a number in range.
-        """
+        """Its value among an entry's parameters. Raises ValueError if it is missing or not a number in range."""
         if self.name not in parameters:
             raise ValueError(f"effect {effect} lacks its parameter {self.name} [{self.unit}]")
         try:

@@ -74,10 +74,8 @@ KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
 def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
     """Kind and parameters of an entry.
 
-    Raises
-    ------
-    ValueError
-        In one sentence, if the effect is unknown or a parameter is missing, too many, or not a number in range.
+    Raises ValueError: in one sentence, if the effect is unknown or a parameter is missing, too many, or not a number in
+    range.
     """
     name, parameters = label(effect), effect.get("parameters") or {}
     if name not in KINDS:
@@ -122,10 +120,8 @@ def corrected(
 def check(effects: Sequence[Mapping[str, Any]]) -> None:
     """Refuse what cannot be simulated.
 
-    Raises
-    ------
-    ValueError
-        In one sentence: an effect that is unknown, lacks a parameter, or is given more often than it can be.
+    Raises ValueError: in one sentence: an effect that is unknown, lacks a parameter, or is given more often than it can
+    be.
     """
     kinds = [(label(effect), kind_of(effect)[0]) for effect in effects]
     closures = sum(kind.effect.id == Closure.id for _, kind in kinds)

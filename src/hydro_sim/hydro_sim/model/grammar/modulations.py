@@ -235,12 +235,8 @@ def of_reading(channel: str, symbol: str, formula: str, unit: str, paths: tuple[
                *levels: float) -> tuple[Modulation, ...]:  # fmt: skip
     """By the path of its signal, beyond a threshold, and late; of the position by its path alone.
 
-    Parameters
-    ----------
-    channel, symbol, formula, unit
-        The reading, its signal in a text and in a formula, and its unit.
-    paths, levels
-        Start values [unit] of the path of its hysteresis, and of a threshold.
+    `channel`, `symbol`, `formula`, `unit`: the reading, its signal in a text and in a formula, and its unit. `paths`,
+    `levels`: start values [unit] of the path of its hysteresis, and of a threshold.
     """
     own = {"f": "force", "x": "position"}.get(formula, channel)
     moved = "(v - |v| w)" if formula == "x" else f"({symbol}' - |{symbol}'| w)"
