@@ -29,7 +29,7 @@ from hydro_bridge.serial.protocol import (
 )
 from hydro_bridge.signals import Command, Flag, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY, RECOVERY_MARGIN
+from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY
 from hydro_sim.model.bench import Bench
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -161,7 +161,7 @@ def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
     assert stated(r"valve_current_max \| (\S+) A, (\S+) A") == [box.delta_u_max, bench.valve_current_max]
     assert stated(r"force_range \| (\S+) N, (\S+) N") == [box.load_force_limit, box.force_range]
     assert stated(r"TRIPPED \| (\S+) ms, (\S+) ms") == [1000 * box.hold_timeout, 1000 * box.trip_timeout]
-    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * CORRECTION_HOLD, RECOVERY_MARGIN, RECOVERY]
+    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * CORRECTION_HOLD, box.recovery_margin, RECOVERY]
     narrow = GuardSettings()
     assert stated(r"by default 0 to (\S+) 1/s, 0 to (\S+) 1/s\^2, (\S+) A") == [
         narrow.delta_kp_max, narrow.delta_ki_max, narrow.delta_u_max,

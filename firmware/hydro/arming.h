@@ -12,7 +12,6 @@
 #include "protocol.h"
 
 #define HYDRO_RECOVERY 1.0         /* s within which a load force that began beyond its limit must come back */
-#define HYDRO_RECOVERY_MARGIN 20.0 /* N that it may rise at first */
 #define HYDRO_NEVER (-1e300)       /* s: longer ago than anything */
 
 typedef struct {
@@ -106,7 +105,7 @@ static inline bool hydro_follow_arm(
     arming->disarm_seen = false;
     beyond = hydro_abs(measurement[2]) - config->load_force_limit;
     arming->armed_at = time;
-    arming->excess = beyond > HYDRO_R(0) ? beyond + HYDRO_R(HYDRO_RECOVERY_MARGIN) : HYDRO_R(0);
+    arming->excess = beyond > HYDRO_R(0) ? beyond + config->recovery_margin : HYDRO_R(0);
     return true;
 }
 

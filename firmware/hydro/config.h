@@ -40,6 +40,7 @@ typedef struct {
     hydro_real load_force_limit;                                            /* N */
     hydro_real gain_floor;                                                  /* N/s/A, smallest g believed */
     hydro_real force_range;                                                 /* N, of the force that is followed */
+    hydro_real recovery_margin; /* N that a load force which began beyond its limit may rise at first */
     hydro_real low[HYDRO_MEASURED], high[HYDRO_MEASURED];                   /* what each measured value can be */
     hydro_real force_rate_age, velocity_age;                                /* s, lag of the rates */
     hydro_time hold_timeout, trip_timeout;                                  /* s */

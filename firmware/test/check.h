@@ -23,6 +23,7 @@ static const hydro_config CONFIG = {
              {400, 16, -385, 1, -10, 20, 700, {1, 0, 0, 0, 0.25f, 1}, {0.75f, -0.0625f, -0.0009765625f, -60, 0, 0.75f},
               {1.25f, 0.125f, 0.00390625f, 60, 0.5f, 3}, {0.5f, 0.125f, 0.0078125f, 100, 1, 2}}},
     .delta_u_max = HYDRO_R(0.1), .load_force_limit = 700, .gain_floor = 100000, .force_range = 5000,
+    .recovery_margin = 20,
     .low = {-5000, HYDRO_R(-1e8), -5000, HYDRO_R(-1e8), HYDRO_R(-0.5e6), HYDRO_R(-0.5e6), HYDRO_R(-5e-3), -10},
     .high = {5000, HYDRO_R(1e8), 5000, HYDRO_R(1e8), HYDRO_R(25e6), HYDRO_R(25e6), HYDRO_R(0.085), 10},
     .force_rate_age = HYDRO_R(2e-3), .velocity_age = HYDRO_R(1e-3), .hold_timeout = 0.05, .trip_timeout = 0.2,

@@ -148,7 +148,7 @@ static void test_force_limit(void)
     CHECK(step(x, 0.999) == 0);
     hydro_note_command(&arming, true, true, 1.0);
     CHECK(step(x, 1.0) == HYDRO_ARMED);
-    CHECK(arming.excess == HYDRO_R(800 - 700 + HYDRO_RECOVERY_MARGIN));
+    CHECK(arming.excess == HYDRO_R(800 - 700) + CONFIG.recovery_margin);
     x[2] = 819;
     arming.received_at = 1.001;
     CHECK(step(x, 1.001) == HYDRO_ARMED); /* may rise by 20 N at first */

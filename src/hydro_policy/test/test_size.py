@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.signals import STATE_FIELDS, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_bridge.size import resized
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.scheduled import ScheduledMetric
@@ -25,7 +25,7 @@ from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.step_aggregator import Step
-from hydro_sim.box.box import BoxConfig
+from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -182,3 +182,22 @@ def test_rollouts_of_a_similar_bench_have_the_same_labels() -> None:
         length = min(len(one.states), len(other.states))
         wanted = [each.states["reference_force"][:length] for each in (one, other)]
         assert other.gains == one.gains and np.abs(wanted[1] / FORCE - wanted[0]).max() < 3e-4
+
+
+def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
+    """Load forces about the limit: beyond it at the second arming, within what the box grants, then beyond that."""
+
+    def flags(bench: Bench) -> list[int]:
+        size, told = bench.size, []
+        box = Box(bench, BoxConfig().of_size(size))
+        still = AnalyticPlant(bench, noise=0.0).reset(0)
+        for number, force in enumerate((0.0, 2.0, 2.34, 2.4, 2.4, 2.45, 2.46, 2.47)):
+            measurement = still.copy()
+            measurement[2] = force * size.force
+            box.receive(Command(arm=number not in (0, 3)), 1e-3 * number)
+            told.append(int(box.tick(measurement, 1e-3 * number)["flags"]))
+        return told
+
+    here, there = map(flags, similar(effects=False))
+    assert here == there
+    assert [bool(each & Flag.TRIPPED) for each in here] == [False, False, True, False, False, False, False, True]

@@ -35,11 +35,11 @@ from hydro_sim.model.sensors import Sensors
 _LAW_TOLD = np.dtype([(name, np.float32, kernel.LAW_DTYPE[name].shape) for name in kernel.LAW_DTYPE.names or ()])
 """The compensated law as LAW tells it: a host that keeps to the limits that it was told never exceeds them."""
 
-RATE_RANGE = 1e8
-"""Largest magnitude [N/s] of a differentiated force: a load cell's full range within a tenth of a sample."""
+RATE_RANGE = 1e6 / 3.0
+"""1/s, largest differentiated force over the bench's force: a load cell's full range within a tenth of a sample."""
 
-VELOCITY_RANGE = 10.0
-"""Largest magnitude [m/s] of a differentiated position."""
+VELOCITY_RANGE = 125.0
+"""1/s, largest differentiated position over the stroke."""
 
 Integral = Literal["bumpless", "paper"]
 """Forms of the force law's integral (`hydro_sim.box.force_law`)."""
@@ -71,6 +71,8 @@ class BoxConfig:
     """Magnitude of the correction."""
     load_force_limit: Annotated[float, quantity("N", 1e-3, 1e8)] = NOMINAL.force * 7.0 / 3.0
     """Magnitude beyond which the box trips; the nominal spring reaches the stroke's end at 800 N."""
+    recovery_margin: Annotated[float, quantity("N", 0.0, 1e8)] = NOMINAL.force / 15.0
+    """Initial rise allowed to a force that is beyond its limit at arming: the cell's noise, the oil's last swing."""
     hold_timeout: Annotated[float, quantity("s", 0.002, 1.0)] = 0.05
     """Without a command, after which base gains and no correction hold."""
     trip_timeout: Annotated[float, quantity("s", 0.002, 5.0)] = 0.2
@@ -115,10 +117,11 @@ class BoxConfig:
         still = hydraulics.input_gain(bench.constants()[0], rest[2], rest[0], rest[1], 1.0)
         record["gain_floor"] = self.gain_floor_share * still
         record["feedback_channel"] = 2 if self.feedback == "load" else 0
-        force, rate = (-self.force_range, self.force_range), (-RATE_RANGE, RATE_RANGE)
+        force, rate, velocity = self.force_range, RATE_RANGE * bench.size.force, VELOCITY_RANGE * bench.stroke
         pressure = (self.pressure_min, self.pressure_max)
         position = (-self.position_margin, bench.stroke + self.position_margin)
-        ranges = (force, rate, force, rate, pressure, pressure, position, (-VELOCITY_RANGE, VELOCITY_RANGE))
+        loads = ((-force, force), (-rate, rate))
+        ranges = (*loads, *loads, pressure, pressure, position, (-velocity, velocity))
         record["low"], record["high"] = np.transpose(ranges)
         return record
 

@@ -38,7 +38,7 @@ LAW_FIELDS = (
 """Numbers of a law in the order of `hydro_law`."""
 SHAPING_FIELDS = ("safe", "low", "high", "rate")
 """Shaping of a law, behind them: of a_0 to a_3, C_1, C_2 each."""
-REAL_FIELDS = ("delta_u_max", "load_force_limit", "gain_floor", "force_range")
+REAL_FIELDS = ("delta_u_max", "load_force_limit", "gain_floor", "force_range", "recovery_margin")
 """Numbers of the box in the order of `hydro_config`, behind those of the bench and its laws."""
 
 

@@ -27,7 +27,7 @@ LAW_DTYPE = np.dtype(
 )
 """`BoxLaw` for compiled code."""
 
-_LIMITS = ("delta_u_max", "load_force_limit", "hold_timeout", "trip_timeout", "gain_floor")
+_LIMITS = ("delta_u_max", "load_force_limit", "hold_timeout", "trip_timeout", "gain_floor", "recovery_margin")
 SETTINGS_DTYPE = np.dtype(
     [(name, np.float64) for name in _LIMITS]
     + [("feedback_channel", np.int64), ("integral_form", np.int64)]
@@ -68,8 +68,6 @@ KINK = 4e-3
 
 RECOVERY = 1.0
 """Time [s] after arming within which a load force that began beyond its limit must return."""
-RECOVERY_MARGIN = 20.0
-"""Initial rise [N] allowed to such a force: the load cell's noise and the oil's last swing."""
 
 
 @njit
@@ -230,7 +228,7 @@ def _follow_arm(state, limits, measurement, time):
         state.integral, state.second, state.law = 0.0, 0.0, state.law_wanted
         _begin_shaping(state.acting, law_of(limits, state.law))
         beyond = abs(measurement[2]) - limits.load_force_limit
-        state.armed_at, state.excess = time, beyond + RECOVERY_MARGIN if beyond > 0.0 else 0.0
+        state.armed_at, state.excess = time, beyond + limits.recovery_margin if beyond > 0.0 else 0.0
         reference.begin(state.reference, measurement[limits.feedback_channel], time)
 
 
