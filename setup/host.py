@@ -31,10 +31,7 @@ def sourced_ros(environment: Mapping[str, str], venv: Path) -> Path | None:
 
     A sourced one sets `ROS_DISTRO` and `AMENT_PREFIX_PATH`, and has a `ros2` on PATH that is not our stand-in.
 
-    Raises
-    ------
-    SetupError
-        If another distribution is sourced: its libraries would mix with ours.
+    Raises SetupError if another distribution is sourced: its libraries would mix with ours.
     """
     distribution = environment.get("ROS_DISTRO")
     if not distribution or not environment.get("AMENT_PREFIX_PATH"):
@@ -62,10 +59,8 @@ def build_environment(environment: Mapping[str, str], venv: Path, ros: Path | No
 def require_tools(ros: Path | None) -> None:
     """Check for what no wheel brings.
 
-    Raises
-    ------
-    SetupError
-        If the venv module, a C++ compiler or make is missing, or there are no ROS wheels for this machine.
+    Raises SetupError if the venv module, a C++ compiler or make is missing, or there are no ROS wheels for this
+    machine.
     """
     if ros is None and (platform.system(), platform.machine()) != ("Linux", "x86_64"):
         raise SetupError("the ROS wheels are for Linux on x86_64: install and source ROS 2 Jazzy, then run this again.")

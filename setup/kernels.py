@@ -43,10 +43,7 @@ def are_current(layout: Layout, machine: str) -> bool:
 def compile_all(layout: Layout, machine: str, environment: Mapping[str, str]) -> None:
     """Compile what is not compiled yet, in processes of the environment, and write the stamp.
 
-    Raises
-    ------
-    SetupError
-        A kernel cannot be compiled.
+    Raises SetupError: a kernel cannot be compiled.
     """
     layout.kernels_stamp.unlink(missing_ok=True)
     sourced = ["bash", "-c", 'source "$0" && exec "$@"', str(layout.install / "setup.bash")]

@@ -42,10 +42,7 @@ def run_logged(
 ) -> None:
     """Run `command`, in `folder`, with its output in `log`; whoever watches sees the time and the last line of it.
 
-    Raises
-    ------
-    SetupError
-        If it exits other than 0; the sentence quotes what went wrong and names the log.
+    Raises SetupError if it exits other than 0; the sentence quotes what went wrong and names the log.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as out:

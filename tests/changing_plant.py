@@ -20,12 +20,7 @@ def modified_truth(change: Mapping[str, Any]) -> TruthConfig:
 class ChangingPlant:
     """An emulated bench whose parameters change during the run; the piston stays where it is.
 
-    Parameters
-    ----------
-    truths
-        One after the other.
-    samples
-        At which each but the first takes over.
+    `truths`: one after the other. `samples`: at which each but the first takes over.
     """
 
     def __init__(self, truths: Sequence[TruthConfig], samples: Sequence[int]) -> None:

@@ -97,10 +97,7 @@ def compiled(folder: Path, precision: str, *words: str) -> Path:
 def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
     """delta_u, before, after, status of samples in a row: `STATE_FIELDS`, then whether it is armed.
 
-    Raises
-    ------
-    subprocess.CalledProcessError
-        A floating-point exception, or a word of a sanitizer.
+    Raises subprocess.CalledProcessError: a floating-point exception, or a word of a sanitizer.
     """
     given = np.ascontiguousarray(rows, KINDS[precision]).tobytes()
     done = subprocess.run([str(program)], input=given, capture_output=True, check=True, timeout=300)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import importlib
-import re
 import shlex
 import sys
 from collections.abc import Callable
@@ -16,9 +15,8 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from docs.generate_reference import PACKAGES, ROOT, executables
+from docs.generate_reference import executables
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.process.start import renamed_to
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_sim.model.bench import Bench
 
@@ -87,7 +85,6 @@ REFUSED = {
     ),
     "hydro_filter filter": (
         ("--metric /nowhere.safetensors", "cannot be read as weights"),
-        ("--metric constant", "there is no constant metric any more"),
         ("--site @", "bench.yaml is not there: `ros2 run hydro_policy commission` has not come so far"),
     ),
     "hydro_filter export_c": (("--out @new --contraction-rate -1", "contraction_rate"),),
@@ -164,14 +161,3 @@ def test_it_is_refused_in_one_sentence(
         assert "Traceback" not in said and set(files.rglob("*")) == before, "nothing is left behind"
 
     each(REFUSED[command], check)
-
-
-def test_a_former_name_is_refused_with_the_present_one(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    for package in PACKAGES:
-        text = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
-        for former, present in re.findall(r'"(\w+) = hydro_bridge\.process\.start:renamed_to\.(\w+)"', text):
-            monkeypatch.setattr(sys, "argv", [f"/lib/{package}/{former}"])
-            assert any(present in executables(one) for one in PACKAGES) and getattr(renamed_to, present)() == 2
-            assert capfd.readouterr().err == f"error: `{former}` is now `{present}`\n"

@@ -55,7 +55,6 @@ setup(
             "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
             "runs = hydro_bridge.process.start:main_of.hydro_bridge.viewer.runs",
             "create_keystore = hydro_bridge.process.start:main_of.hydro_bridge.nodes.create_keystore",
-            "secure = hydro_bridge.process.start:renamed_to.create_keystore",
             "view = hydro_bridge.process.start:main_of.hydro_bridge.viewer.view",
         ],
     },

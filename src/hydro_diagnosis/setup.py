@@ -37,7 +37,6 @@ setup(
     entry_points={
         "console_scripts": [
             "diagnose = hydro_bridge.process.start:main_of.hydro_diagnosis.cli",
-            "calibrate = hydro_bridge.process.start:main_of.hydro_diagnosis.calibrate",
             "prove = hydro_bridge.process.start:main_of.hydro_diagnosis.blind_benchmark.prove",
             "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.listing",
         ],

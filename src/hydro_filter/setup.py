@@ -27,9 +27,7 @@ setup(
         "console_scripts": [
             "filter = hydro_bridge.process.start:main_of.hydro_filter.nodes.filter",
             "export_c = hydro_bridge.process.start:main_of.hydro_filter.controller.header",
-            "filter_header = hydro_bridge.process.start:renamed_to.export_c",
             "learn_metric = hydro_bridge.process.start:main_of.hydro_filter.training.learn_metric",
-            "relearn = hydro_bridge.process.start:renamed_to.commission",
             "validate = hydro_bridge.process.start:main_of.hydro_filter.validation.validate",
         ],
     },

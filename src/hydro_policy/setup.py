@@ -30,7 +30,6 @@ setup(
             "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer",
             "evaluate = hydro_bridge.process.start:main_of.hydro_policy.nodes.evaluate",
             "export_c = hydro_bridge.process.start:main_of.hydro_policy.sac.header",
-            "policy_header = hydro_bridge.process.start:renamed_to.export_c",
             "override = hydro_bridge.process.start:main_of.hydro_policy.nodes.override",
         ],
     },

@@ -27,7 +27,6 @@ setup(
         "console_scripts": [
             "sim = hydro_bridge.process.start:main_of.hydro_sim.nodes.sim",
             "export_c = hydro_bridge.process.start:main_of.hydro_sim.box.header",
-            "box_header = hydro_bridge.process.start:renamed_to.export_c",
             "emulator = hydro_bridge.process.start:main_of.hydro_sim.emulator.command",
             "collect = hydro_bridge.process.start:main_of.hydro_sim.nodes.collect",
             "learn = hydro_bridge.process.start:main_of.hydro_sim.identification.learn",

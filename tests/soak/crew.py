@@ -47,12 +47,7 @@ class Post:
 class Crew:
     """Emulator, bridge, filter, trainer and recorder.
 
-    Parameters
-    ----------
-    folder
-        Of all their files.
-    seed
-        Of emulator and trainer.
+    `folder`: of all their files. `seed`: of emulator and trainer.
     """
 
     folder: Path

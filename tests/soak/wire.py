@@ -38,14 +38,8 @@ _TICK = 5e-4  # s
 class Line:
     """Both ways, and what must hold on them.
 
-    Parameters
-    ----------
-    box, bridge
-        The box's port, and where the bridge finds its own.
-    seed
-        Of all that is random.
-    trace
-        File that gets a `trace.RECORD` of each state; None: none.
+    `box`, `bridge`: the box's port, and where the bridge finds its own. `seed`: of all that is random. `trace`: file
+    that gets a `trace.RECORD` of each state; None: none.
     """
 
     def __init__(self, box: Path, bridge: Path, seed: int, trace: Path | None = None) -> None:

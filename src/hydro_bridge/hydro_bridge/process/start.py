@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start-up of all executables, before slow imports.
 
-In a package's setup.py:  "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
-After a change of name:   "secure = hydro_bridge.process.start:renamed_to.create_keystore"
+In a package's setup.py: "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
 """
 
 from __future__ import annotations
 
 import os
 import signal
-import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -73,22 +71,4 @@ def _without_ros(error: ModuleNotFoundError) -> int:
     return 2
 
 
-class RenamedTo:
-    """Entry point under an executable's former name, which refuses and names the present one."""
-
-    def __init__(self, name: str = "") -> None:
-        self._name = name
-
-    def __getattr__(self, name: str) -> RenamedTo:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return RenamedTo(name)
-
-    def __call__(self) -> int:
-        """Refuse."""
-        endings.complain(f"`{Path(sys.argv[0]).name}` is now `{self._name}`")
-        return 2
-
-
 main_of = MainOf()
-renamed_to = RenamedTo()

@@ -42,7 +42,7 @@ ARRAYS = ("gains", "table")
 ANOTHER = "another"
 """Header entry, and prefix of the tensors, of a file's second metric."""
 NETWORK = ("w3", "b3")
-"""Last layer of the network that files of earlier versions have on top of the table; the shipped ones' was zero."""
+"""Last layer of the network that some files have on top of the table; the shipped ones' was zero."""
 UNFIT = 10.0
 """%, held-out samples that do not decay, beyond which the filter refuses a metric: sound ones have up to 3.2."""
 
@@ -157,10 +157,7 @@ class ScheduledMetric:
                 f"{path} has structure {header['structure']!r}, not a metric's: `learn_metric` makes one"
             )
         if any(np.any(tensors.get(prefix + name, 0.0)) for name in NETWORK for prefix in ("", f"{ANOTHER}.")):
-            raise WeightsError(
-                f"{path} has a network on top of its table, of an earlier `learn_metric --epochs`: make it anew with "
-                "`learn_metric`"
-            )
+            raise WeightsError(f"{path} has a network on top of its table: make it anew with `learn_metric`")
         try:
             made, other = made_for(header), header.get(ANOTHER)
             another = None if other is None else cls._of(tensors, other, made, f"{ANOTHER}.")

@@ -46,10 +46,6 @@ def arguments(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argpa
     """
     asked = parser().parse_args(given)
     site.take_site(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
-    if asked.metric == "constant":
-        parser().error(
-            "there is no constant metric any more: `learn_metric --model bench.yaml` makes one of a bench file"
-        )
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
     choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=str(asked.metric or LEARNED), model=asked.model)
     numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}

@@ -12,11 +12,6 @@ import argparse
 from hydro_bridge.cli.console import add_json_argument, command, writable
 from hydro_sim.files.weights import WeightsError
 
-NO_NETWORK = (
-    "--epochs {}: there is no network to train on top of the solved metric any more, it lowered no violation; leave "
-    "--epochs away (the paper's own metric network: python -m benchmarks.paper)"
-)
-
 
 @command(WeightsError, ValueError)
 def main() -> None:
@@ -41,13 +36,10 @@ def arguments() -> argparse.Namespace:
     )  # fmt: skip
     result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
     result.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
-    result.add_argument("--epochs", type=int, default=0, help="0, the default: the metric is solved, not trained")
     result.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
     result.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
     add_json_argument(result)
     asked = result.parse_args()
     if asked.seed < 0 or asked.threads < 0:
         result.error("--seed and --threads need 0 or more")
-    if asked.epochs:
-        result.error(NO_NETWORK.format(asked.epochs))
     return asked
