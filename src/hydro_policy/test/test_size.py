@@ -15,6 +15,9 @@ from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
 from hydro_filter.training.data import STABLE, UNSTABLE, DataSettings, roll_out
 from hydro_filter.validation.trial import Trial, run
+from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
+from hydro_policy.compensation.residual import Network, Residual
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
 from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.envs.vector_env import VectorBench
@@ -201,3 +204,21 @@ def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
     here, there = map(flags, similar(effects=False))
     assert here == there
     assert [bool(each & Flag.TRIPPED) for each in here] == [False, False, True, False, False, False, False, True]
+
+
+def tracked(bench: Bench) -> FloatArray:
+    """Load forces over the bench's, under the compensated law with its learned residual, shape (8000,)."""
+    size = bench.size
+    box, settings = BoxConfig().of_size(size), EvaluationSettings(frequencies=(1.0,), measure=6.0, amplitude=size.force)
+    fleet = VectorBench([bench], [AnalyticPlant(bench, settings=Sensors.of_size(size))], box)
+    estimator = Compensator(settings=resized(CompensatorSettings(), NOMINAL, size), law=box.compensated)
+    residual = Residual(1, Network.load(), estimator.settings.force_scale)
+    steps = vector_runs.run(fleet, settings.cases, lambda _: np.zeros((1, 2)), settings, 7, estimator, residual)
+    return np.concatenate([step.samples["load_force"][0].copy() for step in steps]) / size.force
+
+
+def test_the_compensated_law_and_its_residual_track_alike() -> None:
+    here, there = map(tracked, similar(effects=True))
+    print(f"{np.abs(here - there).max():g}")
+    assert np.abs(here).max() > 0.9
+    np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-9)

@@ -29,13 +29,14 @@ from hydro_bridge.files.tensors import LARGEST, UnsoundError, check_shapes
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.design import MetricDesign, design_table
-from hydro_filter.model.coordinates import LOOP, LOOP_FIELDS
+from hydro_filter.model.coordinates import LOOP, LOOP_FIELDS, Q_HYDRAULIC
 from hydro_filter.model.loop import coordinates_of
 from hydro_filter.model.parts import Loop
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor, made_for
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.jit import njit
+from hydro_sim.model.bench import NOMINAL
 
 STRUCTURE = "metric"
 ARRAYS = ("gains", "table")
@@ -55,7 +56,7 @@ class Thresholds:
     """v'Mv of the noise for gains of the certified range."""
     foreign_noise_size: Annotated[float, quantity("-", 0.0, 1e6)] = 0.0
     """The same in the metric for all other gains."""
-    integral_allowance: Annotated[float, quantity("N/s", 0.0, 1e6)] = 200.0
+    integral_allowance: Annotated[float, quantity("N/s", 0.0, 1e9)] = NOMINAL.force * 2.0 / 3.0
     """Contribution of the law's integral on stable runs."""
 
 
@@ -104,6 +105,7 @@ class ScheduledMetric:
         return cls(
             gains=gains, table=table, floor=floor, coordinates=coordinates_of(loop),
             velocity_compensation=design.velocity_compensation,
+            thresholds=Thresholds(integral_allowance=float(loop.scale[Q_HYDRAULIC]) * 2.0 / 3.0),
         )  # fmt: skip
 
     def unfit(self, name: str) -> str:

@@ -24,10 +24,10 @@ from hydro_bridge.cli.console import Table, UserError, add_json_argument, comman
 from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
 from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_bridge.signals import Flag, StateArray
-from hydro_sim.excitation.drawn import draw
+from hydro_sim.excitation.drawn import Range, draw
 from hydro_sim.excitation.schedules import Segment, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
-from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode
 from hydro_sim.plotting import UNITS
 
@@ -169,7 +169,11 @@ def main() -> int:
     own, ros = ros_arguments()
     options = _arguments(own)
     bench = Bench.load(options.bench) if options.bench else None
-    schedule = _playable(load_schedule(options.schedule)) if options.schedule else draw(options.seconds, options.seed)
+    if options.schedule:
+        schedule = _playable(load_schedule(options.schedule))
+    else:
+        force = (bench.size if bench else NOMINAL).force
+        schedule = draw(options.seconds, options.seed, Range.of_force(force))
     if options.write_schedule:
         save_schedule(schedule, options.write_schedule)
         print(f"{options.write_schedule}: {len(schedule)} segments, {sum(s.seconds for s in schedule):g} s")
