@@ -16,41 +16,15 @@ LOADED = {"hydro_sim": {"hydro_firmware"}}
 """Packages of ours that are loaded as a shared library, which no import shows."""
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/hydro_*/setup.py"))
 
-KEYS = {
-    "casadi": "python3-casadi-pip",
-    "cobs": "python-cobs-pip",
-    "cycler": "python3-cycler",
-    "fastjsonschema": "python3-fastjsonschema",
-    "h5py": "python3-h5py",
-    "hypothesis": "python3-hypothesis",
-    "jinja2": "python3-jinja2",
-    "joblib": "python3-joblib",
-    "matplotlib": "python3-matplotlib",
-    "numba": "python3-numba",
-    "numpy": "python3-numpy",
-    "pandas": "python3-pandas",
-    "pytest": "python3-pytest",
-    "rosbags": "python3-rosbags-pip",
-    "scipy": "python3-scipy",
-    "serial": "python3-serial",
-    "torch": "python3-torch",
-    "tqdm": "python3-tqdm",
-    "websockets": "python3-websockets",
-    "yaml": "python3-yaml",
-}
+KEYS = {name: f"python3-{name}" for name in (
+    "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "joblib", "matplotlib", "numba", "numpy", "pandas",
+    "pytest", "scipy", "serial", "torch", "tqdm", "websockets", "yaml",
+)} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
 
 WITHOUT_KEY = {
-    "asammdf",
-    "llvmlite",
-    "mcap",
-    "msgspec",
-    "nptdms",
-    "osqp",
-    "safetensors",
-    "tensorboardX",
-    "threadpoolctl",
-}
+    "asammdf", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "safetensors", "tensorboardX", "threadpoolctl",
+}  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 
 DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}

@@ -125,6 +125,10 @@ def _hung_up(name: str, within: float | None) -> Fault:
     return Fault(cause=f"SIGHUP {name}", strike=partial(_signal, name, signal.SIGHUP), lasts=3.0, safe_within=within)
 
 
+_SAFE_WITHIN = {
+    "emulator": None, "bridge": _WATCHDOG, "filter": _FRESH, "trainer": _FRESH, "recorder": None, LEARNER: None,
+}  # fmt: skip
+"""s, by the process that is killed or stopped."""
 FAULTS = (
     Fault(cause="unplug", strike=partial(_order, "unplug 1.5"), safe_within=_WATCHDOG),
     Fault(cause="stall of commands", strike=partial(_order, "mute 1"), safe_within=_WATCHDOG),
@@ -134,18 +138,7 @@ FAULTS = (
         Fault(cause=f"stranger: {name}", strike=partial(_stranger, name), lasts=4.0, safe_within=_FOUND)
         for name in STRIKES
     ),
-    _killed("emulator", None),
-    _killed("bridge", _WATCHDOG),
-    _killed("filter", _FRESH),
-    _killed("trainer", _FRESH),
-    _killed("recorder", None),
-    _killed(LEARNER, None),
-    _stopped("emulator", None),
-    _stopped("bridge", _WATCHDOG),
-    _stopped("filter", _FRESH),
-    _stopped("trainer", _FRESH),
-    _stopped("recorder", None),
-    _stopped(LEARNER, None),
+    *(strike(name, within) for strike in (_killed, _stopped) for name, within in _SAFE_WITHIN.items()),
     _hung_up("bridge", _ENDED),
     _hung_up("filter", _ENDED),
     _hung_up("trainer", _ENDED),

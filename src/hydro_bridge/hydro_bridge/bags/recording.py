@@ -52,19 +52,9 @@ def continuity(states: StateArray) -> Continuity:
 
 
 __all__ = [
-    "STATE_TOPIC",
-    "BagWriter",
-    "Continuity",
-    "Recording",
-    "RecordingError",
-    "TopicQos",
-    "continuity",
-    "messages",
-    "objects",
-    "read_bag",
-    "repair",
-    "stream_bag",
-]
+    "STATE_TOPIC", "BagWriter", "Continuity", "Recording", "RecordingError", "TopicQos", "continuity", "messages",
+    "objects", "read_bag", "repair", "stream_bag",
+]  # fmt: skip
 
 
 def repair(folder: Path | str) -> int:

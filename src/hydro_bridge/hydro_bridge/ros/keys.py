@@ -21,7 +21,7 @@ import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -102,71 +102,42 @@ _PLANT = Rights(
     publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING
 )
 
-RIGHTS: Mapping[str, Mapping[str, Rights]] = {
-    "bridge": {"bridge": node("bridge", _PLANT)},
-    "sim": {
-        "sim": node(
-            "sim",
-            Rights(publishes=(*_PLANT.publishes, CLOCK), subscribes=_PLANT.subscribes, answers=_PLANT.answers),
-        ),
-    },
-    "replayer": {
-        "replayer": node("replayer", Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING))
-    },
-    "filter": {
-        "filter": node(
-            "filter", Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY, CLOCK))
-        ),
-    },
-    "trainer": {
-        "trainer": node(
-            "trainer",
-            Rights(
-                publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS),
-                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, CORRECTION, DIAGNOSTICS),
-                answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
-                calls=(CLAIM_SERVICE,),
-            ),
-        ),
-    },
-    "evaluate": {
-        "evaluate": node(
-            "evaluate",
-            Rights(
-                publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
-                subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, CORRECTION, DIAGNOSTICS),
-                answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
-                calls=(CLAIM_SERVICE,),
-            ),
-        ),
-    },
-    "collect": {
-        "collect": node(
-            "collect",
-            Rights(
-                publishes=(GAINS, REFERENCE),
-                subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
-                answers=(END_SERVICE,),
-                calls=(CLAIM_SERVICE,),
-            ),
-        ),
-    },
-    "recorder": {"recorder": node("recorder", Rights(publishes=(DIAGNOSTICS,), subscribes=tuple(GRAPH)))},
-    "dashboard": {
-        "dashboard": node(
-            "dashboard",
-            Rights(
-                publishes=(DIAGNOSTICS,),
-                subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
-                calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
-            ),
-        ),
-        "dashboard_samples": Rights(publishes=(PARAMETER_EVENTS,), subscribes=(STATE, LAW_STATE, CORRECTION)),
-    },
-    "arm": {"arm": node("arm", Rights(calls=(CLAIM_SERVICE,)))},
-    "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
-    "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK)))},
+_CONTROLLER = Rights(
+    publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
+    subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, CORRECTION, DIAGNOSTICS),
+    answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
+    calls=(CLAIM_SERVICE,),
+)
+_OWN = {
+    "bridge": _PLANT,
+    "sim": replace(_PLANT, publishes=(*_PLANT.publishes, CLOCK)),
+    "replayer": Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING),
+    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY, CLOCK)),
+    "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS)),
+    "evaluate": _CONTROLLER,
+    "collect": Rights(
+        publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
+        calls=(CLAIM_SERVICE,),
+    ),
+    "recorder": Rights(publishes=(DIAGNOSTICS,), subscribes=tuple(GRAPH)),
+    "dashboard": Rights(
+        publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
+        calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
+    ),
+    "arm": Rights(calls=(CLAIM_SERVICE,)),
+    "override": Rights(calls=(OVERRIDE_SERVICE,)),
+    "watch": Rights(subscribes=(*GRAPH, CLOCK)),
+}  # fmt: skip
+_NODES = {"watch": "_ros2cli_*"}
+"""Name of a node where it is not that of its executable."""
+
+RIGHTS: Mapping[str, dict[str, Rights]] = {
+    executable: {(name := _NODES.get(executable, executable)): node(name, rights)}
+    for executable, rights in _OWN.items()
 }
+RIGHTS["dashboard"]["dashboard_samples"] = Rights(
+    publishes=(PARAMETER_EVENTS,), subscribes=(STATE, LAW_STATE, CORRECTION)
+)
 """Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""
 
 

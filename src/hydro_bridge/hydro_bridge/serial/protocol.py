@@ -42,33 +42,11 @@ from hydro_bridge.serial.frames import (
 from hydro_bridge.signals import STATE_FIELDS, Command, Law, ReferenceSignal, Waveform
 
 __all__ = [
-    "HANDSHAKE",
-    "MAX_ENCODED",
-    "VERSION",
-    "VERSION_MIN",
-    "BoxDetails",
-    "BoxInfo",
-    "BoxLaw",
-    "CheckSumError",
-    "CommandFrame",
-    "Details",
-    "Frame",
-    "FrameType",
-    "Hello",
-    "LawFrame",
-    "LawState",
-    "MalformedError",
-    "State",
-    "UnknownFrameError",
-    "WrongVersionError",
-    "decode",
-    "encode_command",
-    "encode_details",
-    "encode_hello",
-    "encode_law",
-    "encode_state",
-    "negotiate",
-]
+    "HANDSHAKE", "MAX_ENCODED", "VERSION", "VERSION_MIN", "BoxDetails", "BoxInfo", "BoxLaw", "CheckSumError",
+    "CommandFrame", "Details", "Frame", "FrameType", "Hello", "LawFrame", "LawState", "MalformedError", "State",
+    "UnknownFrameError", "WrongVersionError", "decode", "encode_command", "encode_details", "encode_hello",
+    "encode_law", "encode_state", "negotiate",
+]  # fmt: skip
 
 HANDSHAKE = 0
 """Version byte of HELLO frames: their layout is the same in all versions, so that any two ends can negotiate."""
