@@ -22,7 +22,7 @@ from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, Record, best, digests
 from hydro_policy.nodes import evaluate
-from hydro_policy.nodes.commissioning.gates import NAMES
+from hydro_policy.nodes.commissioning import NAMES
 from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box
 from hydro_policy.nodes.startup.options import take_site
 from hydro_sim.box.box import BoxConfig, box_info

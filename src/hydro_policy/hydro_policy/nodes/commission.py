@@ -19,8 +19,7 @@ from hydro_bridge.cli.console import UserError, command, writable_folder
 from hydro_bridge.files import bench_file, site
 from hydro_bridge.ros.companion import CompanionError
 from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
-from hydro_policy.nodes.commissioning.gates import GATES, NAMES, Gate
-from hydro_policy.nodes.commissioning.site import Site, start_emulator
+from hydro_policy.nodes.commissioning import GATES, NAMES, Gate, Site, start_emulator
 
 AGAIN = "gains"
 """Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
