@@ -8,9 +8,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.signals import STATE_FIELDS, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_bridge.size import resized
 from hydro_filter.controller.loop_filter import loop_filter
+from hydro_filter.metric.design import MetricDesign, design_table
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
 from hydro_filter.training.data import STABLE, UNSTABLE, DataSettings, roll_out
@@ -29,6 +31,7 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.step_aggregator import Step
 from hydro_sim.box.box import Box, BoxConfig
+from hydro_sim.excitation.drawn import Range
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -81,7 +84,22 @@ def test_the_size_of_the_similar_bench() -> None:
     assert one == NOMINAL
     ratios = (other.force / one.force, other.pressure / one.pressure, other.length / one.length)
     assert (*ratios, other.current / one.current) == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
-    assert resized(TrainingSettings(), one, one) == TrainingSettings()
+    for each in (TrainingSettings(), Randomisation(), CompensatorSettings(), Sensors()):
+        assert resized(each, one, one) == each
+    assert BoxConfig().of_size(one) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
+    assert Range.of_force(one.force) == Range()
+
+
+def test_the_numbers_of_the_nominal_bench_are_those_of_its_figures() -> None:
+    task, monitor, box = TaskSettings(), TrainingSettings().monitor, BoxConfig()
+    assert (task.force_scale, task.amplitude_min, task.amplitude_max) == (300.0, 200.0, 300.0)
+    assert (monitor.peak_error, monitor.chatter) == (300.0, 0.7)
+    assert (CompensatorSettings().force_scale, CompensatorSettings().reversal) == (300.0, 60.0)
+    assert (box.load_force_limit, box.force_range, box.recovery_margin) == (700.0, 5000.0, 20.0)
+    assert (Sensors().force_noise, Sensors().pressure_noise, Sensors().position_step) == (0.6, 6e3, 1e-6)
+    assert (Range().force_max, Range().offset_max, Range().force_rate_max) == (440.0, 220.0, 4000.0)
+    assert EvaluationSettings(steps=True).cases[-1].signal.amplitude == 200.0
+    assert loop_of(Bench.nominal(), Bench.nominal()).model.allowed.tolist() == [7.5, 15.0, 12.0, 3e3, 3e3]
 
 
 @pytest.mark.parametrize("effects", [False, True])
@@ -222,3 +240,8 @@ def test_the_compensated_law_and_its_residual_track_alike() -> None:
     print(f"{np.abs(here - there).max():g}")
     assert np.abs(here).max() > 0.9
     np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-9)
+
+
+def test_the_metric_of_a_similar_bench_is_the_same_table() -> None:
+    here, there = (design_table(loop_of(bench, bench), MetricDesign()) for bench in similar(effects=True))
+    np.testing.assert_allclose(there.table, here.table, rtol=1e-6, atol=1e-6 * float(np.abs(here.table).max()))

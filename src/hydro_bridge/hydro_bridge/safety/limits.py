@@ -51,7 +51,7 @@ class GuardSettings:
     @classmethod
     def of_size(cls, size: Size) -> GuardSettings:
         """Return the usual limits for a bench of this size; those above are the nominal bench's."""
-        return cls(delta_u_max=0.4 * size.current, reference_force_max=size.force * 10.0 / 3.0)
+        return cls(delta_u_max=size.current / 2.5, reference_force_max=size.force * 10.0 / 3.0)
 
 
 NARROW = GuardSettings()
