@@ -19,7 +19,7 @@ import numpy as np
 
 from demo import page, stages, trial
 from demo.stages import Plan
-from demo.story import Entry, Story
+from demo.trial import Entry, Story
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress, writable_folder
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_sim.model.bench import Bench
@@ -60,13 +60,9 @@ def main() -> int:
     """Tell the story."""
     chosen = parser().parse_args()
     plan = Plan(
-        folder=chosen.out,
-        truth=chosen.truth,
-        seeds=chosen.seeds,
-        episodes=chosen.episodes,
-        configuration=chosen.configuration,
-        jobs=chosen.jobs,
-    )
+        folder=chosen.out, truth=chosen.truth, seeds=chosen.seeds, episodes=chosen.episodes,
+        configuration=chosen.configuration, jobs=chosen.jobs,
+    )  # fmt: skip
     story = Story(plan)
     stages.believe(plan)
     _say(f"1  {plan.seeds} policies are pretrained in a simulation of {plan.believed}")
@@ -109,12 +105,8 @@ def _fixed(story: Story) -> None:
 def _entry(story: Story, name: str, chosen: str, file: Path, controller: Controller, seed: int) -> Entry:
     believed = Bench.load(story.plan.believed)
     simulated = trial.in_simulation(controller, Bench.load(file), believed, seed)
-    return Entry(
-        name=name,
-        chosen=chosen,
-        simulated=simulated,
-        bench=trial.on_bench(controller, story.plan.truth, believed, seed),
-    )
+    met = trial.on_bench(controller, story.plan.truth, believed, seed)
+    return Entry(name=name, chosen=chosen, simulated=simulated, bench=met)
 
 
 def _mismatch(story: Story) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from demo.story import Entry, Story
+from demo.trial import Entry, Story
 from hydro_bridge.signals import Flag
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure
 

@@ -106,19 +106,8 @@ def diagnose(plan: Plan, bags: Sequence[Path]) -> dict[str, Any]:
     out = plan.folder / "diagnosis"
     if not plan.corrected.exists():
         fitted, held = [str(bag) for bag in bags[:-1]], str(bags[-1])
-        _run(
-            [
-                "hydro_diagnosis",
-                "diagnose",
-                *fitted,
-                "--holdout",
-                held,
-                "--bench",
-                str(plan.believed),
-                "--out",
-                str(out),
-            ]
-        )
+        words = [*fitted, "--holdout", held, "--bench", str(plan.believed), "--out", str(out)]
+        _run(["hydro_diagnosis", "diagnose", *words])
     report: dict[str, Any] = json.loads((out / "report.json").read_text(encoding="utf-8"))
     return report
 

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from demo.stages import Plan
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
 from hydro_policy.envs import vector_runs
@@ -16,11 +18,11 @@ from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.pretraining.configurations import WIDE
-from hydro_policy.sessions.offline import OfflineGraph
 from hydro_sim.emulator.truth.config import load_truth
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
+from tests.offline_graph import OfflineGraph
 
 SETTINGS = EvaluationSettings()
 GRID = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0, 150.0, 200.0, 250.0, 300.0)
@@ -49,6 +51,30 @@ class Outcome:
     def trips(self) -> int:
         """Sines at which the box tripped."""
         return int(np.isnan(list(self.rmse.values())).sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A controller, where it was chosen, and how it does."""
+
+    name: str
+    chosen: str
+    """believed, corrected, or - for gains from elsewhere."""
+    simulated: Outcome
+    bench: Outcome
+
+
+@dataclass
+class Story:
+    """What has happened so far."""
+
+    plan: Plan
+    report: dict[str, Any] = field(default_factory=dict)
+    entries: list[Entry] = field(default_factory=list)
+
+    def tried(self, name: str) -> list[Entry]:
+        """Entries of the trainings called `name`."""
+        return [entry for entry in self.entries if entry.name.startswith(name)]
 
 
 def on_bench(controller: Controller, truth: Path, believed: Bench, seed: int = 0) -> Outcome:

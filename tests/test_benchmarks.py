@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every benchmark can be imported: what they use of the packages is still there."""
+"""Every benchmark and the demo can be imported: what they use of the packages is still there."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ PEERS = {"gymnasium"}
 """Of an environment of its own, imported at the top."""
 
 
-def test_every_benchmark_imports(each: Callable[..., None]) -> None:
-    modules = [path.relative_to(ROOT).with_suffix("") for path in ROOT.glob("benchmarks/**/*.py")]
+def test_every_benchmark_and_the_demo_import(each: Callable[..., None]) -> None:
+    found = [*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("demo/*.py")]
+    modules = [path.relative_to(ROOT).with_suffix("") for path in found]
 
     def check(module: Path) -> None:
         try:
