@@ -8,10 +8,7 @@ box; the shipped one is for the shipped box.
 
 from __future__ import annotations
 
-import importlib
-import shlex
 import shutil
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -29,18 +26,6 @@ from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, stamped
 from hydro_sim.model.bench import Bench
-
-MODULES = {
-    "hydro_filter filter": "hydro_filter.nodes.filter",
-    "hydro_filter validate": "hydro_filter.validation.validate",
-    "hydro_filter learn_metric": "hydro_filter.training.learn_metric",
-    "hydro_sim sim": "hydro_sim.nodes.sim",
-    "hydro_sim validate": "hydro_sim.identification.validate",
-    "hydro_policy pretrain": "hydro_policy.pretraining.pretrain",
-    "hydro_policy trainer": "hydro_policy.nodes.trainer",
-    "hydro_policy evaluate": "hydro_policy.nodes.evaluate",
-}
-
 
 FOREIGN = "was made for bench"
 UNMARKED = "does not say which bench it was made for"
@@ -132,22 +117,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_wrong_pairing_is_one_sentence_and_status_2_and_leaves_nothing(
-    files: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], each: Callable[..., None]
+    files: Path, refused: Callable[..., None], each: Callable[..., None]
 ) -> None:
-    before = set(files.rglob("*"))
-
-    def check(wrong: tuple[str, str, str]) -> None:
-        command, words, sentence = wrong
-        arguments = [word.replace("@", f"{files}/") for word in shlex.split(words)]
-        monkeypatch.setattr(sys, "argv", [command.split()[1], *arguments])
-        with pytest.raises(SystemExit) as ended:
-            importlib.import_module(MODULES[command]).main()
-        said = capfd.readouterr().err.splitlines()[-1]
-        assert ended.value.code == 2
-        assert said.startswith("error: ") and sentence in said
-        assert set(files.rglob("*")) == before, "nothing is left behind"
-
-    each([(command, *row) for command, rows in WRONG.items() for row in rows], check)
+    each([(command, *row) for command, rows in WRONG.items() for row in rows], lambda wrong: refused(*wrong, files))
 
 
 def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path) -> None:
