@@ -104,7 +104,7 @@ def test_a_site_stands_for_the_options_of_each_executable(tmp_path: Path) -> Non
     settings, _ = sim.arguments(words)
     assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH), str(tmp_path / site.MODEL))
     (tmp_path / site.METRIC).unlink()
-    with pytest.raises(UserError, match="has not come so far"):
+    with pytest.raises(UserError, match="has not got that far"):
         take_site(evaluate.parser().parse_args(["--plant", "sim", *words]))
 
 

@@ -81,7 +81,7 @@ REFUSED = {
     ),
     "hydro_filter filter": (
         ("--metric /nowhere.safetensors", "cannot be read as weights"),
-        ("--site @", "bench.yaml is not there: `ros2 run hydro_policy commission` has not come so far"),
+        ("--site @", "bench.yaml is not there: `ros2 run hydro_policy commission` has not got that far"),
     ),
     "hydro_filter export_c": (("--out @new --contraction-rate -1", "contraction_rate"),),
     "hydro_filter learn_metric": (("--out /dev/null/x", "/dev/null"),),

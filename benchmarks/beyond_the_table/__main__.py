@@ -40,7 +40,7 @@ def main() -> None:
     options.add_argument("--again", action="store_true", help="diagnose cases again that are done")
     asked = options.parse_args()
     if asked.cases < 1 or asked.seed < 0:
-        raise UserError("--cases of at least 1 and a --seed of at least 0 are meant")
+        raise UserError("--cases must be at least 1, --seed at least 0")
     cases = drawn(asked.half, asked.cases, asked.seed, asked.kinds)
     if not cases:
         raise UserError(f"none of {', '.join(asked.kinds)} is of the half {asked.half}")

@@ -102,9 +102,9 @@ def main() -> int:
     asked = parser.parse_args()
     known = [fault.cause for fault in FAULTS]
     if unknown := [cause for cause in asked.causes if cause not in known]:
-        raise UserError(f"{unknown[0]!r} is no fault of the soak: {', '.join(known)}")
+        raise UserError(f"{unknown[0]!r} is not a fault of the soak: {', '.join(known)}")
     if not asked.hours > 0.0:
-        raise UserError(f"--hours {asked.hours:g}: more than 0 is meant")
+        raise UserError(f"--hours {asked.hours:g}: must be more than 0")
     stay_on_this_machine()
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # by nohup: all that is started would ignore it, too
         signal.signal(signal.SIGHUP, lambda *_: None)

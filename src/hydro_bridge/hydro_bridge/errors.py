@@ -64,6 +64,6 @@ def _refuse_unwritable(path: str | Path, done: str) -> None:
     place = Path(path).absolute()
     there = next(place for place in (place, *place.parents) if os.path.exists(place))
     if there != place and not there.is_dir():
-        raise UnwritableError(f"{path} cannot be {done}: {there} is no folder: choose another place")
+        raise UnwritableError(f"{path} cannot be {done}: {there} is not a folder: choose another place")
     if not os.access(there, os.W_OK):
         raise UnwritableError(f"{path} cannot be {done}: you may not write to {there}: choose another place")

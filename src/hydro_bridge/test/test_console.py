@@ -47,7 +47,9 @@ def test_a_reader_that_has_seen_enough_is_no_error(monkeypatch, capsys):
 @pytest.mark.parametrize(("check", "done"), [(writable, "written"), (writable_folder, "made")])
 def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(check, done, tmp_path, monkeypatch):
     (tmp_path / "file").touch()
-    with pytest.raises(UserError, match=f"x cannot be {done}: {tmp_path / 'file'} is no folder: choose another place"):
+    with pytest.raises(
+        UserError, match=f"x cannot be {done}: {tmp_path / 'file'} is not a folder: choose another place"
+    ):
         check(str(tmp_path / "file" / "deep" / "x"))
     assert str(check(str(tmp_path / "new" / "x"))) == str(tmp_path / "new" / "x")
     monkeypatch.setattr("os.access", lambda path, mode: False)  # root may write anywhere

@@ -203,7 +203,7 @@ def test_errors_are_one_clear_sentence(tmp_path, bag):
         tmp_path / "nowhere": "does not exist",
         tmp_path / "empty": "there is no .mcap in it",
         tmp_path / "empty.mcap": "is empty",
-        tmp_path / "text.mcap": "is no MCAP file",
+        tmp_path / "text.mcap": "is not an MCAP file",
     }
     for path, sentence in sentences.items():
         with pytest.raises(RecordingError, match=sentence):

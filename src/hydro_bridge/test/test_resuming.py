@@ -35,4 +35,6 @@ BEGUN = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidde
 def test_words_that_say_otherwise_are_refused_in_one_sentence(words, told):
     with pytest.raises(UserError) as refused:
         refuse_changes(parser(), words, "runs/a", BEGUN)
-    assert str(refused.value) == f"runs/a goes on as it was begun, without {told}: leave that out, or begin anew"
+    assert (
+        str(refused.value) == f"runs/a resumes with the options of its start, without {told}: drop that, or start anew"
+    )

@@ -103,7 +103,7 @@ def run(arguments: Sequence[str]) -> int:
     if chosen.id or chosen.law or chosen.json:
         options.error("--id, --law and --json go with --grow")
     if chosen.seconds is not None and not chosen.seconds > 0.0:
-        options.error("--seconds of more than 0 is meant")
+        options.error("--seconds must be more than 0")
     if chosen.columns and not (chosen.bench or chosen.model):
         print(FOREIGN, file=sys.stderr)
     from hydro_diagnosis.pipeline import diagnose

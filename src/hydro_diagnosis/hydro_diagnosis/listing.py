@@ -353,7 +353,7 @@ def main() -> int:
     if columns is None:
         for path, proposal in zip(chosen.recordings, maps, strict=True):
             print(_advice(path, proposal))
-            for sentence in missing(proposal):
+            for sentence in (*missing(proposal), *_spare_pressures(path, proposal)):
                 print(f"{path.name}: {sentence}")
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
@@ -368,6 +368,19 @@ def _advice(path: Path, proposal: ColumnMap) -> str:
     if not proposal.corrections().sources:
         return f"{path.name}: its columns carry the fields' own names: no map is needed"
     return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
+
+
+def _spare_pressures(path: Path, proposal: ColumnMap) -> list[str]:
+    """A clause for each pressure that no field takes: it may be the supply's."""
+    found = columns_of(path)
+    used = {source.column for source in proposal.sources.values()}
+    units = {name: found.units.get(name) or in_name(name) for name in found.series if name not in used}
+    return [
+        f"{name} is a pressure that no field takes; if it is the supply's, the bench file's supply_pressure is "
+        f"{UNITS[unit] * float(np.nanmedian(found.series[name])):.4g} Pa"
+        for name, unit in units.items()
+        if QUANTITY.get(unit) == "pressure" and np.isfinite(found.series[name]).any()
+    ]
 
 
 def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:

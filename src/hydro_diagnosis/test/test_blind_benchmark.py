@@ -274,7 +274,7 @@ def test_place_that_cannot_be_written_is_found_before_anything_is_sealed(
     (tmp_path / "runs").touch()
     monkeypatch.chdir(tmp_path)
     for words in (["--out", "runs/x"], []):  # by default it is below runs/, too
-        with pytest.raises(UserError, match="runs is no folder: choose another place"):
+        with pytest.raises(UserError, match="runs is not a folder: choose another place"):
             run(["--cases", "1", "--seed", "1", *words])
     assert [path.name for path in tmp_path.iterdir()] == ["runs"]
 

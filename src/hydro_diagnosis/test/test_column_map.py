@@ -91,7 +91,7 @@ def test_matrices_and_structs_become_columns(tmp_path: Path) -> None:
         ("time=clock,load_force=vir*gtua", "no single number named 'gtua' .did you mean 'gtau'"),
         (
             "time=clock,piston_positon=pos",
-            "'piston_positon' is no field of a recording, did you mean 'piston_position'",
+            "'piston_positon' is not a field of a recording, did you mean 'piston_position'",
         ),
         ("time=clock,foo=pos", "there are time, hydraulic_force"),
         ("time=clock,load_force=vir[furlong]", "unit 'furlong' is unknown; there are s, ms"),
@@ -123,13 +123,16 @@ def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Pat
 
 def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    pd.DataFrame({"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}).to_csv(path)
+    columns = {"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}
+    pressures = {"pressure_a": [1e6, 2e6], "pressure_b": [2e6, 1e6], "p_S [bar]": [138, 142]}
+    pd.DataFrame({**columns, **pressures}).to_csv(path)
     command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = {line.split()[1]: line.split() for line in ended.stdout.splitlines() if line.startswith("run.csv")}
     assert rows["Time"][-1] == "time?" and rows["load_force"][-1] == "load_force"
     assert rows["Piston_Position"][-1] == "piston_position?"
     assert "foo" in rows
+    assert "the bench file's supply_pressure is 1.4e+07 Pa" in ended.stdout
 
 
 def test_inspect_says_which_numbers_the_bench_cannot_have(tmp_path: Path) -> None:

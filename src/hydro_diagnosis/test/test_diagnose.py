@@ -113,7 +113,7 @@ def test_equation_errors_do_not_contradict_the_verdict(tmp_path: Path, record: R
 
 
 def test_cause_that_there_is_none_of_is_refused_before_anything_is_read(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'bcklash' is no effect, did you mean 'backlash'"):
+    with pytest.raises(InputError, match="'bcklash' is not an effect, did you mean 'backlash'"):
         diagnose([tmp_path / "nowhere"], without=["bcklash"])
 
 

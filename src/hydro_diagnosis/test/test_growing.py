@@ -99,7 +99,7 @@ def test_one_value_fits_benches_whose_intervals_overlap_and_not_others(tmp_path:
         (["a", "other"], "the reports hold different laws: .*quadratic drag.*cubic drag"),
         (["both", "two"], "several laws in common: choose by --law one of 'quadratic drag', 'cubic drag'"),
         (["both", "two", "--law", "root drag"], "do not share a law 'root drag'"),
-        (["a", "no_report"], "is no report.json of a diagnosis"),
+        (["a", "no_report"], "is not a report.json of a diagnosis"),
         (["a", "two", "--id", "moving_mass"], "an effect of this id exists"),
         (["a", "two", "--id", "closure"], "an effect of this id exists"),
         (["a", "two", "--id", "Port Drag"], "lower-case words joined by _"),
@@ -222,7 +222,7 @@ sys.exit(main_of.hydro_diagnosis.cli())
         ("law: {", "ParserError"),
         ("law: {equation: motion, form: nowhere}\nparameters: {}\n", "nowhere"),
         ("law: {equation: motion, form: quadratic drag}\n", "parameters"),
-        ("law: {equation: motion, form: table over velocity}\nparameters: {}\n", "a table of numbers is no effect"),
+        ("law: {equation: motion, form: table over velocity}\nparameters: {}\n", "a table of numbers is not an effect"),
     ],
 )
 def test_a_grown_effect_that_cannot_be_read_ends_in_one_sentence(tmp_path: Path, source: str, why: str) -> None:
@@ -235,7 +235,7 @@ def test_a_grown_effect_that_cannot_be_read_ends_in_one_sentence(tmp_path: Path,
     (sentence,) = done.stderr.strip().splitlines()
     assert str(broken) in sentence
     assert why in sentence
-    assert sentence.endswith("mend the file or remove it")
+    assert sentence.endswith("fix the file or remove it")
 
 
 @pytest.mark.parametrize(
@@ -251,4 +251,4 @@ def test_every_command_says_which_grown_effect_cannot_be_read(tmp_path: Path, mo
     assert done.returncode == 2
     (sentence,) = done.stderr.strip().splitlines()
     assert str(tmp_path / "broken.yaml") in sentence
-    assert sentence.endswith("mend the file or remove it")
+    assert sentence.endswith("fix the file or remove it")

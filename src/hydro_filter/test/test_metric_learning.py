@@ -91,7 +91,7 @@ def test_a_solved_metric_decays_with_its_loop(loop: Loop, bench: Bench) -> None:
 def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: Loop, bench: Bench) -> None:
     metric = ScheduledMetric.designed(loop, MetricDesign())
     assert metric.unfit("own") == replace(metric, training={"violated": 3.0}).unfit("own") == ""
-    assert "own is no certificate: 93 % of the held-out" in replace(metric, training={"violated": 93.0}).unfit("own")
+    assert "own is not a certificate: 93 % of the held-out" in replace(metric, training={"violated": 93.0}).unfit("own")
     where = {"violated": 36.1, "where": "K_p 87 to 92 1/s, where the loop itself decays at 0.4 1/s"}
     assert "36 % of the held-out samples of its range (K_p 87 to 92 1/s, where" in replace(
         metric, training=where

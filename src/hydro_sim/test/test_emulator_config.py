@@ -52,7 +52,7 @@ def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: st
 def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
     file = tmp_path / "bin.yaml"
     file.write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(SettingsError, match=f"^{file} cannot be read: it is no text in UTF-8$"):
+    with pytest.raises(SettingsError, match=f"^{file} cannot be read: it is not UTF-8 text$"):
         load_truth(file)
 
 

@@ -114,7 +114,7 @@ def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link
 
 def test_a_place_taken_by_a_file_is_refused_and_the_file_kept(tmp_path: Path) -> None:
     (tmp_path / "port").write_text("precious")
-    with pytest.raises(SettingsError, match="exists and is no link"):
+    with pytest.raises(SettingsError, match="exists and is not a link"):
         Terminal(tmp_path / "port")
     assert (tmp_path / "port").read_text() == "precious"
 

@@ -48,7 +48,7 @@ def _listed(folder: Path) -> list[Path]:
         information: dict[str, Any] = yaml.safe_load(text)["rosbag2_bagfile_information"]
         names = [Path(name).name for name in information["relative_file_paths"]]
     except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
-        raise RecordingError(f"{folder / 'metadata.yaml'} is no metadata of rosbag2") from None
+        raise RecordingError(f"{folder / 'metadata.yaml'} is not rosbag2 metadata") from None
     storage, mode = (information.get("storage_identifier"), str(information.get("compression_mode") or "none").lower())
     if storage != "mcap":
         raise RecordingError(f"{folder} is stored as {storage}, not as mcap: convert it with rosbags-convert")
@@ -97,7 +97,7 @@ class McapScan:
             raise RecordingError(f"{self.path} cannot be read: {error.strerror}") from None
         with stream:
             if stream.read(len(_MAGIC)) != _MAGIC:
-                empty = "is empty" if self.path.stat().st_size == 0 else "is no MCAP file"
+                empty = "is empty" if self.path.stat().st_size == 0 else "is not an MCAP file"
                 raise RecordingError(f"{self.path} {empty}")
             for block in self._raw_blocks(stream):
                 yield block, self._split(block)

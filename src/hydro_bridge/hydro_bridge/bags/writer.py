@@ -235,7 +235,7 @@ def parse_pairs(pairs: list[str]) -> dict[str, str]:
     """Parse ``key=value`` words into a mapping; raises RecordingError for a word without ``=``."""
     for pair in pairs:
         if "=" not in pair:
-            raise RecordingError(f"--metadata {pair}: key=value is meant")
+            raise RecordingError(f"--metadata {pair}: must be key=value")
     return {key: value for key, _, value in (pair.partition("=") for pair in pairs)}
 
 

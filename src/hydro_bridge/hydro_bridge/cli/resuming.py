@@ -41,7 +41,9 @@ def refuse_changes(parser: argparse.ArgumentParser, words: Sequence[str], what: 
         if name in begun and value != begun[name] and os.path.abspath(str(value)) != begun[name]
     ]
     if wrong:
-        raise UserError(f"{what} goes on as it was begun, without {' and '.join(wrong)}: leave that out, or begin anew")
+        raise UserError(
+            f"{what} resumes with the options of its start, without {' and '.join(wrong)}: drop that, or start anew"
+        )
 
 
 def _shown(value: Any) -> str:

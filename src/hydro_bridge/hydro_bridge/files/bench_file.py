@@ -45,7 +45,7 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     except (AttributeError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise UserError(f"{path} is no bench.yaml: {' '.join(str(error).split())}") from error
+        raise UserError(f"{path} is not a bench.yaml: {' '.join(str(error).split())}") from error
 
 
 def read_believed(path: str | Path) -> dict[str, Any]:

@@ -22,7 +22,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     try:
         data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except UnicodeDecodeError as error:
-        raise SettingsError(f"{path} cannot be read: it is no text in UTF-8") from error
+        raise SettingsError(f"{path} cannot be read: it is not UTF-8 text") from error
     except (OSError, yaml.YAMLError) as error:
         raise SettingsError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
     if data is None:

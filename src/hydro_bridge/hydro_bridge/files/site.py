@@ -46,5 +46,5 @@ def take_site(options: argparse.Namespace, **files: str) -> None:
         found = [str(folder / name) if name in (BENCH, MODEL, METRIC) else name for name in words.split()]
         for path in map(Path, found):
             if path.is_absolute() and not path.is_file():
-                raise UserError(f"{path} is not there: `ros2 run hydro_policy commission` has not come so far")
+                raise UserError(f"{path} is not there: `ros2 run hydro_policy commission` has not got that far")
         setattr(options, option, shlex.join(found) if len(found) > 1 else Path(found[0]))

@@ -38,4 +38,4 @@ def check_shapes(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...
         if name not in tensors:
             raise UnsoundError(f"{name} is missing")
         if tuple(tensors[name].shape) != shape:
-            raise UnsoundError(f"{name} has the shape {tuple(tensors[name].shape)}, {shape} is meant")
+            raise UnsoundError(f"{name} has the shape {tuple(tensors[name].shape)}, not {shape}")

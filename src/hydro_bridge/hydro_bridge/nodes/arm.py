@@ -36,7 +36,7 @@ def _seconds(text: str) -> float:
     with suppress(ValueError):
         if 0.0 < (seconds := float(text)) < inf:
             return seconds
-    raise argparse.ArgumentTypeError(f"{text}: a number of seconds above 0 is meant")
+    raise argparse.ArgumentTypeError(f"{text}: must be a number of seconds above 0")
 
 
 @command()
@@ -45,7 +45,7 @@ def main() -> None:
     own, ros = ros_arguments()
     asked = parser().parse_args(own)
     if asked.off and asked.whom:
-        raise UserError("--off is for everybody: leave --for out")
+        raise UserError("--off disarms for everybody: leave --for out")
     start_ros(ros)
     node = Node("arm")
     try:
@@ -68,7 +68,7 @@ def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
     answer = client.call_async(request)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout)
     if not answer.done():
-        raise UserError(f"the plant did not answer within {timeout:g} s: it may have done it or not; look at its flags")
+        raise UserError(f"the plant did not answer within {timeout:g} s: it may have acted or not; check its flags")
     if not answer.result().success:
         raise UserError(f"the plant refuses: {answer.result().message}")
     return str(answer.result().message)

@@ -90,7 +90,7 @@ class BridgeNode(PlantNode):
         if not guard.settings.require_filter:
             self.get_logger().warning(
                 "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
-                "leave it out unless that is meant"
+                "leave it out unless you want that"
             )
         logger, self._bench = self.get_logger(), bench
         self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box)
@@ -154,7 +154,7 @@ def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
             port.open()
         except PortTakenError as error:
             if time.monotonic() > end:
-                raise UserError(f"{error}; end that first, two bridges cannot share a box") from None
+                raise UserError(f"{error}; end that first, a box can have one bridge only") from None
             time.sleep(0.1)
         except PortLostError:
             return

@@ -31,7 +31,7 @@ from hydro_msgs.srv import Claim, OverrideGains
 
 _WHO = "a person, by the live page"
 _NO_PLANT = "no plant runs here that could be told"
-_NO_RUN = "nobody commands the plant: there is no run here"
+_NO_RUN = "nobody commands the plant: no run is active here"
 _NO_ESTIMATOR = "no run here fits the coefficients of the compensated law"
 
 

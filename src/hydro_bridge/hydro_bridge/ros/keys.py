@@ -269,7 +269,7 @@ def domain() -> int:
     """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (text.isascii() and text.isdecimal() and int(text) <= 232):
-        raise UserError(f"ROS_DOMAIN_ID={text}: a number from 0 to 232 is meant")
+        raise UserError(f"ROS_DOMAIN_ID={text}: must be a number from 0 to 232")
     return int(text)
 
 

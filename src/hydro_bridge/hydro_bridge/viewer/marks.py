@@ -255,4 +255,4 @@ def read_report_marks(report: Path) -> ReportMarks:
     except OSError as error:
         raise RecordingError(f"{report}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise RecordingError(f"{report} is no report of a diagnosis") from None
+        raise RecordingError(f"{report} is not a report of a diagnosis") from None

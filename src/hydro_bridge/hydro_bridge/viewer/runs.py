@@ -190,7 +190,7 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     if not options.folder.is_dir():
-        raise UserError(f"{options.folder} is no folder: name one that holds runs")
+        raise UserError(f"{options.folder} is not a folder: name one that holds runs")
     index = write_index(options.folder)
     table = Table(COLUMNS, title=str(index))
     for run in sorted(list_runs(options.folder), key=ORDERS[options.sort]):

@@ -122,6 +122,11 @@ def main() -> None:
     if options.end <= options.begin:
         raise UserError(f"--from {options.begin:g} --to {options.end:g}: the end must come behind the begin")
     bag = options.bag.absolute()
+    if bag.is_file() and bag.suffix != ".mcap":
+        raise UserError(
+            f"{options.bag} is not a bag: `ros2 run hydro_diagnosis inspect` lists its columns, "
+            "the report of `diagnose` shows its signals"
+        )
     page = Path(options.html or writable(str(bag.with_name(f"{bag.stem if bag.is_file() else bag.name}.html"))))
     report = options.report or report_beside(bag)
     recorded = read_recorded(options.bag, (options.begin, options.end), report)

@@ -43,7 +43,7 @@ def seal(cases: Sequence[Case], folder: Path) -> str:
     kept = folder / DIGEST
     if kept.exists():
         if kept.read_text().split()[0] != digest:
-            raise UserError(f"{folder.parent} holds other cases: choose another --out, or say the same words again")
+            raise UserError(f"{folder.parent} holds other cases: choose another --out, or repeat the same options")
         return digest
     (folder / ANSWERS).write_bytes(content)
     (folder / ANSWERS).chmod(0o400)
@@ -133,23 +133,23 @@ def main() -> int:
 
 def _drawn(chosen: argparse.Namespace) -> list[Case]:
     if not 1 <= chosen.cases <= 100_000:
-        raise UserError(f"--cases {chosen.cases}: 1 to 100000 is meant")
+        raise UserError(f"--cases {chosen.cases}: must be 1 to 100000")
     if chosen.seed < 0:
-        raise UserError(f"--seed {chosen.seed}: 0 or more is meant")
+        raise UserError(f"--seed {chosen.seed}: must be 0 or more")
     if not chosen.parts:
         return draw(chosen.cases, chosen.seed)
     parts = dict(word.partition("=")[::2] for word in chosen.parts)
     for kind, count in parts.items():
         if kind not in PARTS or not count.isdigit():
-            raise UserError(f"--parts {kind}={count}: a kind ({', '.join(PARTS)}) and a number are meant")
+            raise UserError(f"--parts {kind}={count}: must be a kind ({', '.join(PARTS)}) and a number")
     return draw_parts({kind: int(count) for kind, count in parts.items()}, chosen.seed)
 
 
 def _check(chosen: argparse.Namespace, count: int) -> None:
     if not 0 <= chosen.graph <= count:
-        raise UserError(f"--graph {chosen.graph}: 0 to the number of cases is meant")
+        raise UserError(f"--graph {chosen.graph}: must be 0 to the number of cases")
     if chosen.workers < 1:
-        raise UserError(f"--workers {chosen.workers}: 1 or more is meant")
+        raise UserError(f"--workers {chosen.workers}: must be 1 or more")
 
 
 def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
@@ -171,7 +171,7 @@ def _diagnose(folder: Path, workers: int, seconds: float) -> bool:
     if status == 130:
         raise KeyboardInterrupt
     if status not in (0, 3):
-        raise UserError(f"the diagnosis ended with status {status}: what it said stands above")
+        raise UserError(f"the diagnosis ended with status {status}: its output is above")
     return status == 0
 
 

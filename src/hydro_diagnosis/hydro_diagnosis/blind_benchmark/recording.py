@@ -237,7 +237,7 @@ def _collect(words: Sequence[str], seconds: float) -> None:
             command, check=False, capture_output=True, text=True, env=_environment(), timeout=seconds + PATIENCE
         )
     except subprocess.TimeoutExpired:
-        raise UserError("the graph did not come to the end of a recording: the same command tries it again") from None
+        raise UserError("the graph did not reach the end of a recording: run the same command again") from None
     if done.returncode not in (0, TRIPPED):
         raise UserError(f"collect failed: {(done.stderr.strip() or 'it was ended').splitlines()[-1]}")
 

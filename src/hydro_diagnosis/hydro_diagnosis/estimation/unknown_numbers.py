@@ -57,7 +57,7 @@ def refuse_inestimable(names: Collection[str]) -> None:
     for name in names:
         if name not in estimable():
             why = (
-                "is no number of a bench file"
+                "is not a number of a bench file"
                 if name not in numbers()
                 else "cannot be estimated: nothing stands for it"
             )

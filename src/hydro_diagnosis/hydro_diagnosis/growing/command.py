@@ -87,7 +87,7 @@ def _refuse_id(name: str, path: Path) -> None:
     from hydro_sim.model.effects.catalogue import KINDS
 
     if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name):
-        raise UserError(f"--id {name!r}: lower-case words joined by _ are meant, for instance port_drag")
+        raise UserError(f"--id {name!r}: use lower-case words joined by _, for instance port_drag")
     taken = {one.split()[0] for one in KINDS} | {one.id for one in CANDIDATES}
     if name in taken:
         raise UserError(f"--id {name}: an effect of this id exists: choose another name")

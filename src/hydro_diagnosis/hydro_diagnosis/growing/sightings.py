@@ -153,7 +153,7 @@ def _read(path: Path) -> Mapping[str, Any]:
     except (UnicodeDecodeError, json.JSONDecodeError):
         content = None
     if not isinstance(content, dict) or not {"verdict", "closures", "recordings"} <= set(content):
-        raise UserError(f"{path} is no report.json of a diagnosis")
+        raise UserError(f"{path} is not a report.json of a diagnosis")
     return content
 
 
@@ -162,7 +162,7 @@ def _refuse_twins(contents: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
     for report, content in contents:
         key = json.dumps([content["recordings"], content["closures"]], sort_keys=True)
         if key in seen:
-            raise UserError(f"{seen[key]} and {report} are one diagnosis: reports of different benches are meant")
+            raise UserError(f"{seen[key]} and {report} are one diagnosis: give reports of different benches")
         seen[key] = report
 
 
@@ -173,7 +173,7 @@ def _laws(report: str, content: Mapping[str, Any]) -> _Laws:
     laws = [one for one in content["closures"] if one["form"] == "law"]
     if not laws:
         places = ", ".join(one["equation"] for one in content["closures"])
-        raise UserError(f"{report} has a smooth function in {places}, not a law: a table of numbers is no effect")
+        raise UserError(f"{report} has a smooth function in {places}, not a law: a table of numbers is not an effect")
     found = [_sighting(report, one) for one in laws]
     return {(one.law.equation, one.law.form): one for one in found}
 

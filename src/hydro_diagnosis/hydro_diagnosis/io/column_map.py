@@ -245,7 +245,7 @@ def _target(name: str) -> str:
     if name not in TARGETS:
         close = difflib.get_close_matches(name, TARGETS, 1)
         hint = f", did you mean {close[0]!r}?" if close else f": there are {', '.join(TARGETS)}"
-        raise InputError(f"columns: {name!r} is no field of a recording{hint}")
+        raise InputError(f"columns: {name!r} is not a field of a recording{hint}")
     return name
 
 

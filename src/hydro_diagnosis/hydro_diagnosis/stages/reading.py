@@ -207,7 +207,7 @@ def _candidates(without: Sequence[str]) -> list[Effect]:
     for name in without:
         if name not in names:
             close = get_close_matches(name, names, 1)
-            raise InputError(f"without: {name!r} is no effect" + (f", did you mean {close[0]!r}?" if close else ""))
+            raise InputError(f"without: {name!r} is not an effect" + (f", did you mean {close[0]!r}?" if close else ""))
     return [effect for effect in CANDIDATES if not {effect.id, effect.label} & set(without)]
 
 

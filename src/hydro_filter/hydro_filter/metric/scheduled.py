@@ -119,7 +119,7 @@ class ScheduledMetric:
         elif where := self.training.get("where", ""):
             of = f"{of} ({where})"
         return (
-            f"the metric {name} is no certificate: {of} do not decay; "
+            f"the metric {name} is not a certificate: {of} do not decay; "
             "make it anew on a model that predicts this bench (`ros2 run hydro_sim validate` says how well)"
         )
 

@@ -81,7 +81,7 @@ class Record:
             content = json.loads(file.read_text(encoding="utf-8"))
             found = cls(**{**content, "gates": [GateResult(**entry) for entry in content["gates"]]})
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UserError(f"{file} is no record of a commissioning ({error}): name another folder") from None
+            raise UserError(f"{file} is not a record of a commissioning ({error}): name another folder") from None
         if [gate.name for gate in found.gates] != list(names):
             raise UserError(f"{file} has other gates than this version: name another folder")
         return found

@@ -72,7 +72,7 @@ def ask(node: Node, wanted: OverrideGains.Request) -> str:
     """Call /hydro/override; returns the answer. Raises UserError: no node offers the service, or it refuses."""
     client = node.create_client(OverrideGains, OVERRIDE_SERVICE)
     if not client.wait_for_service(timeout_sec=DISCOVERY):
-        raise UserError(f"no trainer or evaluate found in {DISCOVERY:g} s: nobody to take the gains from")
+        raise UserError(f"no trainer or evaluate found in {DISCOVERY:g} s: there are no gains to take over")
     answer = client.call_async(wanted)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=TIMEOUT)
     if not answer.done():

@@ -196,7 +196,7 @@ class RunRecord:
             try:
                 self.events = list(json.loads(path.read_text(encoding="utf-8"))["events"])
             except (ValueError, KeyError, TypeError) as error:
-                raise ValueError(f"{path} is no record of a run ({error}): move it away to begin another") from error
+                raise ValueError(f"{path} is not a record of a run ({error}): move it away to begin another") from error
 
     def add(self, kind: str, sentence: str = "", **numbers: Any) -> None:
         """Add an event at the present time; non-finite values become null."""

@@ -113,9 +113,9 @@ def _serve(options: argparse.Namespace) -> None:
     if options.out or options.schedule or options.noise_free:
         raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
     if options.seconds is not None and not 0.001 <= options.seconds < float("inf"):
-        raise SettingsError(f"--seconds {options.seconds:g}: 0.001 s or more is meant")
+        raise SettingsError(f"--seconds {options.seconds:g}: must be 0.001 s or more")
     if options.seed < 0:
-        raise SettingsError(f"--seed {options.seed}: 0 or more is meant")
+        raise SettingsError(f"--seed {options.seed}: must be 0 or more")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     box, truth = BoxConfig(integral=options.integral).of_size(bench.size), offline.truth(options.truth)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)

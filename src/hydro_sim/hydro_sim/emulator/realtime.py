@@ -34,7 +34,7 @@ class ControlPipe:
             if not path.exists():
                 os.mkfifo(path, 0o600)
             if not stat.S_ISFIFO(path.stat().st_mode):
-                raise SettingsError(f"{path} exists and is no named pipe: give another place with --control")
+                raise SettingsError(f"{path} exists and is not a named pipe: give another place with --control")
             self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)  # for writing too: no end of file between writers
         except OSError as error:
             raise SettingsError(f"{path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error

@@ -140,7 +140,7 @@ def _aligned(path: str, states: StateArray) -> FloatArray:
         order = {int(sequence): index for index, sequence in enumerate(log["sequence"])}
         return matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
     except (OSError, KeyError, ValueError) as error:
-        raise UserError(f"{path} is no noise-free log of this recording: {error}") from error
+        raise UserError(f"{path} is not the noise-free log of this recording: {error}") from error
 
 
 def _arguments() -> argparse.Namespace:

@@ -98,7 +98,7 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
         try:
             refuse_unknown_parameters(node)
             if node.meet():
-                raise UserError("broken off before anything was recorded")
+                raise UserError("interrupted before anything was recorded")
             lost, broken = _record(node, schedule, _bench_of(node, bench), options)
         finally:
             node.leave()
@@ -106,16 +106,16 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
     finally:
         rclpy.try_shutdown()
     if lost:
-        raise UserError(f"nothing records any more, so the plant was disarmed: {lost}")
+        raise UserError(f"the recorder has ended, so the plant was disarmed: {lost}")
     if broken:
-        raise UserError(f"broken off: {options.out} holds what was played so far")
+        raise UserError(f"interrupted: {options.out} holds what was played so far")
     tripped_out = node.playback.trips_in_a_row >= TRIPS_IN_A_ROW
     if node.ended and not tripped_out:
         if not node.playback.elapsed:  # what is refused leaves no folder
             rmtree(options.out)
         raise UserError(node.ended)
     if node.playback.trips and not tripped_out:
-        print(f"the plant tripped {node.playback.trips} times; the schedule went on after it was armed anew")
+        print(f"the plant tripped {node.playback.trips} times; the schedule went on after it was armed again")
     return node.ended
 
 
@@ -227,9 +227,9 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
     add_json_argument(parser)
     options = parser.parse_args(own)
     if not 1.0 <= options.seconds <= 36000.0:
-        parser.error(f"--seconds {options.seconds:g}: 1 to 36000 is meant")
+        parser.error(f"--seconds {options.seconds:g}: must be 1 to 36000")
     if options.seed < 0:
-        parser.error(f"--seed {options.seed}: 0 or more is meant")
+        parser.error(f"--seed {options.seed}: must be 0 or more")
     if not (options.out or options.write_schedule):
         parser.error("say where to: --out, --write-schedule, or both")
     return options

@@ -87,7 +87,7 @@ class SimNode(PlantNode):
         if not guard.settings.require_filter:
             self.get_logger().warning(
                 "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
-                "leave it out unless that is meant"
+                "leave it out unless you want that"
             )
         config = declare_parameters(self, BoxConfig().of_size(believed.size), "box.")
         box, plant = Box(believed, config), _plant(settings, bench)

@@ -226,13 +226,13 @@ class ExecuteProcess(LaunchDescriptionEntity):
         with suppress(ValueError):
             if 0.0 <= (seconds := float(words)) < inf:
                 return seconds
-        raise UserError(f"sigterm_timeout {words}: a number of seconds, 0 or more, is meant")
+        raise UserError(f"sigterm_timeout {words}: must be a number of seconds, 0 or more")
 
     def command(self, context: LaunchContext) -> tuple[str, str, list[str]]:
         """Return package, executable and arguments; raises UserError."""
         program, *words = self.cmd
         if not isinstance(program, ExecutableInPackage):
-            raise UserError(f"{performed(program, context)}: a process that is no executable of a package")
+            raise UserError(f"{performed(program, context)}: a process that is not an executable of a package")
         return program.package, program.executable, [performed(word, context) for word in words]
 
 
@@ -284,7 +284,7 @@ def load(path: Path) -> LaunchDescription:
     except (ImportError, AttributeError, NameError, TypeError) as error:
         raise UserError(f"{path.name} needs a full ROS 2 Jazzy: {error}") from None
     except (KeyError, SyntaxError, UnicodeDecodeError):
-        raise UserError(f"{path.name} is no launch file in Python") from None
+        raise UserError(f"{path.name} is not a launch file in Python") from None
     if not isinstance(made, LaunchDescription):
         raise UserError(f"{path.name} describes nothing to launch")
     return made
@@ -388,5 +388,5 @@ def _files(package: str) -> list[str]:
 def _values(words: list[str]) -> dict[str, str]:
     for word in words:
         if ":=" not in word:
-            raise UserError(f"{word}: name:=value is meant")
+            raise UserError(f"{word}: must be name:=value")
     return {name: value for name, _, value in (word.partition(":=") for word in words)}

@@ -30,7 +30,7 @@ class Terminal:
 
     def __init__(self, path: Path) -> None:
         if os.path.lexists(path) and not path.is_symlink():
-            raise SettingsError(f"{path} exists and is no link: give another place with --link")
+            raise SettingsError(f"{path} exists and is not a link: give another place with --link")
         self.path = path
         self._master: int | None = None
         self._port = ""

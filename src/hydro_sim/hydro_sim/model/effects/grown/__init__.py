@@ -59,7 +59,7 @@ def _effect(path: Path) -> NamedLaw:
         row, seen = content["law"], content["parameters"]
         law = grammar.ALL[row["equation"], row["form"]]
         if not isinstance(law, Law):
-            raise ValueError("a table of numbers is no effect")
+            raise ValueError("a table of numbers is not an effect")
         numbers = tuple(Number(one.name, one.unit, (float(seen[one.name]["seen"]),)) for one in law.numbers)
         typical = abs(float(seen["coefficient"]["seen"]))
         return NamedLaw(
@@ -69,7 +69,7 @@ def _effect(path: Path) -> NamedLaw:
         )
     except Exception as error:
         why = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise UserError(f"{path}: this grown effect cannot be read ({why}): mend the file or remove it") from error
+        raise UserError(f"{path}: this grown effect cannot be read ({why}): fix the file or remove it") from error
 
 
 EFFECTS: tuple[NamedLaw, ...] = tuple(map(_effect, sources()))
