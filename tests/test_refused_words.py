@@ -35,13 +35,13 @@ REFUSED = {
         ("--bench @corrected.yaml", "has effects, which no force law believes"),
     ),
     "hydro_bridge recorder": (
-        ("--out /dev/null/bag", "/dev/null is no folder: choose another place"),
+        ("--out /dev/null/bag", "/dev/null is not a folder: choose another place"),
         ("--out @bag", "exists already; a recording is never overwritten"),
     ),
     "hydro_bridge replayer": (("@bag --keep-stamps", "unrecognized arguments: --keep-stamps"),),
     "hydro_bridge arm": (
-        ("--timeout=nan", "argument --timeout: nan: a number of seconds above 0 is meant"),
-        ("--timeout=-1", "argument --timeout: -1: a number of seconds above 0 is meant"),
+        ("--timeout=nan", "argument --timeout: nan: must be a number of seconds above 0"),
+        ("--timeout=-1", "argument --timeout: -1: must be a number of seconds above 0"),
     ),
     "hydro_bridge view": (
         ("@bag --no-open --from 3 --to 2", "the end must come behind the begin"),
@@ -50,8 +50,8 @@ REFUSED = {
     ),
     "hydro_bridge dashboard": (("--port 65536", "65536"), ("--port http", "http")),
     "hydro_sim collect": (
-        ("--out @new --seconds nan", "--seconds nan: 1 to 36000 is meant"),
-        ("--out @new --seed -1", "--seed -1: 0 or more is meant"),
+        ("--out @new --seconds nan", "--seconds nan: must be 1 to 36000"),
+        ("--out @new --seed -1", "--seed -1: must be 0 or more"),
         ("--out /dev/null/bag --seconds 5", "/dev/null/bag cannot be made"),
         ("--out @new --bench nowhere.yaml", "nowhere.yaml: No such file or directory"),
         ("--out @new --schedule @seconds", "segments[1].seconds must be a number in s, not 'abc'"),
@@ -65,7 +65,7 @@ REFUSED = {
         ("--out @new", "add --offline"),
         ("--offline --out @new --truth none.yaml", "none.yaml cannot be read"),
         ("--batch none.yaml", "none.yaml cannot be read"),
-        ("--offline --out /dev/null/x", "/dev/null is no folder: choose another place"),
+        ("--offline --out /dev/null/x", "/dev/null is not a folder: choose another place"),
         ("--seconds nan", "--seconds nan"),
     ),
     "hydro_sim learn": (
@@ -95,7 +95,7 @@ REFUSED = {
         ("--out @new --bench b.yaml --model shipped", "a bench of its own"),
         ("--out @new --bench b.yaml --model c.yaml", "which of them is simulated?"),
         ("--out @new --episodes 0", "episodes must be within"),
-        ("--out /dev/null/run", "/dev/null is no folder: choose another place"),
+        ("--out /dev/null/run", "/dev/null is not a folder: choose another place"),
     ),
     "hydro_policy trainer": (
         ("--runs @new --resume /nowhere", "holds no run to resume"),
@@ -109,7 +109,7 @@ REFUSED = {
     "hydro_policy evaluate": (
         ("--runs @new --fixed nan 5", "fixed gains are two finite numbers, not nan and 5"),
         ("--runs @new --repeats 0", "repeats must be within [1, 1000], not 0"),
-        ("--runs @new --json /dev/null/figures.json", "/dev/null is no folder: choose another place"),
+        ("--runs @new --json /dev/null/figures.json", "/dev/null is not a folder: choose another place"),
         ("--runs @new --record @new", "--record is of no use where the plant runs already"),
         ("--runs @new --plant sim --site @ --bench b.yaml", "--bench is told by --site"),
         ("--runs @new --plant sim --filter none", "--filter none leaves the compensated law"),

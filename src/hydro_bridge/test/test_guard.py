@@ -70,7 +70,7 @@ def test_stale_correction_gives_base_gains_no_correction_and_is_told_once():
         assert (command.delta_kp, command.delta_ki, command.delta_u) == (0.0, 0.0, 0.0) and not command.filter_fresh
     assert guard.counts.stale_correction == 3
     assert list(guard.take_events()) == [
-        "no correction for 20 ms: base gains, no correction; see whether the filter runs, and the machine is busy"
+        "no correction for 20 ms: base gains, no correction; does the filter run, is the machine overloaded?"
     ]
     guard.set_correction(0.0, CorrectionStatus.PASS, 78, 0.05)
     assert guard.command(0.05).delta_kp == 30.0
@@ -162,7 +162,7 @@ def test_gains_that_never_come_back_disarm_and_stop_the_reference_once_and_say_s
     guard.take_events()
     for now in (1010.1, 1010.2):
         assert guard.command(now) == Command(corrects=77)
-    sentence = "no gains for 10 s, whoever chose them is gone; reference 0 N, disarmed until it is armed anew"
+    sentence = "no gains for 10 s, whoever chose them is gone; reference 0 N, disarmed until it is armed again"
     assert list(guard.take_events()) == [sentence] and guard.given_up == sentence and guard.counts.given_up == 1
     guard.set_gains(30.0, 4.0, 1010.3)
     assert not guard.command(1010.3).arm, "gains alone arm nothing"

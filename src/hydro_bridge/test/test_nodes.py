@@ -113,7 +113,7 @@ def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_s
     steered.told.clear()
     probe.wait(lambda: steered.told and "no gains for 2 s, whoever chose them is gone" in steered.told[-1].message)
     assert steered.told[-1].level == DiagnosticStatus.WARN
-    assert "disarmed until it is armed anew" in steered.output.getvalue()
+    assert "disarmed until it is armed again" in steered.output.getvalue()
     probe.spin(0.5)
     assert not steered.armed()
     assert probe.ask(True).success
@@ -141,7 +141,7 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
 
     probe.wait(lambda: min(counted()) >= 5)  # these topics keep the last message alone: one may replace another
     assert max(counted()) <= sent
-    sentence = "of /hydro/gains without the authority over this plant (from probe)"
+    sentence = "of /hydro/gains from nodes without authority (probe)"
     probe.wait(lambda: sentence in steered.output.getvalue())
     said = steered.output.getvalue().count("refused: ")
     assert said <= 2.0 * (time.monotonic() - began + 1.0), "each topic once a second at most"

@@ -324,7 +324,7 @@ class Link:
         """Report once per connection that the box refuses references; its counts are on /diagnostics."""
         before, self.refused = self.refused, (frame.refused, frame.refused_references)
         if before[1] == 0 and (frame.refused_references or 0) > 0:
-            self._warn("the box refused a reference: the one before stays in force")
+            self._warn("the box refused a reference and keeps the one before")
 
     def _stamp(self, frame: State) -> int:
         """Return the ROS time [ns] at which the sample was taken."""
@@ -387,7 +387,7 @@ class Link:
 
     def _restarted(self) -> None:
         """Disarm and restart the conversation: the box may have lost the version, or be another one."""
-        self._warn("the box was restarted, by itself or by its power: it is disarmed until armed anew")
+        self._warn("the box was restarted, by itself or by its power: it stays disarmed until it is armed again")
         with self.lock:
             self.guard.set_arm(False)
             self.state, self._greeted, self._told = LinkState.OPEN, None, None

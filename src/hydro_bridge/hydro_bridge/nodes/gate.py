@@ -72,7 +72,7 @@ class GateWords:
         for topic, count in news.items():
             names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
             self._node.get_logger().warning(
-                f"refused: {count} of {topic} without the authority over this plant (from {', '.join(names) or 'gone'})"
+                f"refused: {count} of {topic} from nodes without authority ({', '.join(names) or 'gone'})"
                 ": the valve does not follow them; end what sends them, or wait until it has the authority"
             )
 
@@ -241,7 +241,7 @@ class Gate:
                 self._give_up(STATE)
         elif self.authority.lapse(self._now()):
             self._begin_anew(succeeds=False)
-            self._words.say("nobody commands this plant: who did has fallen silent")
+            self._words.say("nobody commands this plant: its commander has stopped sending")
             self._words.tell()
 
     def _follow(self) -> None:

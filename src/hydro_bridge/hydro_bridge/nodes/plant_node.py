@@ -138,7 +138,7 @@ class PlantNode(Node):
             return
         signal = reference_from_message(message)
         if signal is None:
-            self.get_logger().warning(f"reference refused, the last one stays: unknown waveform {message.waveform}")
+            self.get_logger().warning(f"reference refused, the last one is kept: unknown waveform {message.waveform}")
             return
         with self.side.lock:
             self.side.guard.set_reference(signal)
@@ -150,7 +150,7 @@ class PlantNode(Node):
             status = replace(status, level=max(status.level, Level.WARN), message=message)
         status = replace(status, values={**status.values, **self.gate.values()})
         if self.count_publishers(STATE) > 1 and not self._beside_another:
-            self.get_logger().error("another plant publishes /hydro/state: end one of them; nothing can be armed")
+            self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")
         self._beside_another = self.count_publishers(STATE) > 1
         return with_publisher_conflicts(status, self.gate.crowd())
 
@@ -166,5 +166,5 @@ class PlantNode(Node):
         self._tripped = bool(flags & Flag.TRIPPED)
         if self._tripped and not before:
             self.get_logger().warning(
-                f"the box tripped ({flag_names(flags)}) and closed the valve: see why, disarm it, then arm it"
+                f"the box tripped ({flag_names(flags)}) and closed the valve: find the cause, disarm it, then arm it"
             )

@@ -85,7 +85,7 @@ class RecorderNode(Node):
         except OSError as error:
             self.failed = True
             self.get_logger().error(
-                f"{self._run.writer.folder}: recording stopped: {error.strerror}. What was recorded until now is "
+                f"{self._run.writer.folder}: recording stopped: {error.strerror}. What was recorded so far is "
                 "readable; the bench runs on without a recorder. Free some disk space and start another one"
             )
             self.done.set_result(None)

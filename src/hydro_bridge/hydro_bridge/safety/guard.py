@@ -154,7 +154,7 @@ class CommandGuard:
     def give_up(self, reason: str) -> None:
         """Disarm, with base gains and a reference of 0 N, until armed on purpose; `reason` is reported."""
         self._arm, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
-        self._given_up = f"{reason}; reference 0 N, disarmed until it is armed anew"
+        self._given_up = f"{reason}; reference 0 N, disarmed until it is armed again"
         self.counts.given_up += 1
         self._events[self._given_up] = True
 
@@ -393,7 +393,7 @@ class CommandGuard:
             "base gains, no correction" if self.settings.require_filter else "UNFILTERED gains pass, no correction"
         )
         age = 1e3 * self.settings.correction_age_max
-        return f"no correction for {age:g} ms: {outcome}; see whether the filter runs, and the machine is busy"
+        return f"no correction for {age:g} ms: {outcome}; does the filter run, is the machine overloaded?"
 
     def _tell(self, trouble: str, present: bool, began: str, ended: str) -> None:
         if present != (trouble in self._troubles):

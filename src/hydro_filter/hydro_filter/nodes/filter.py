@@ -130,7 +130,7 @@ class FilterNode(Node):
         others = self.get_publishers_info_by_topic(CORRECTION)
         if others:
             self.get_logger().warning(
-                f"{others[0].node_name} answers already: this filter waits until it is alone",
+                f"{others[0].node_name} answers already: this filter waits until that one ends",
                 throttle_duration_sec=10.0,
             )
         else:
@@ -212,7 +212,7 @@ class FilterNode(Node):
             return self._law
         self._law = None
         self.filter.reset()
-        self.get_logger().info("the box runs the paper's law again: the filter begins anew")
+        self.get_logger().info("the box runs the paper's law again: the filter starts over")
         return None
 
     def _on_box(self, box: KnownBox) -> None:
@@ -222,7 +222,7 @@ class FilterNode(Node):
             return
         identity = box.info, box.bench_digest
         if self._identity not in (None, identity):  # findings are of the previous bench; a bench at rest gives none
-            self.get_logger().warning("another box: what was found out about the model is forgotten, and watched anew")
+            self.get_logger().warning("another box is connected: what was known about its model is dropped")
             self.filter.reset()
             self._mismatch = ""
         self._identity = identity
@@ -241,9 +241,9 @@ class FilterNode(Node):
 
     def _tell_mismatch(self, reason: str) -> None:
         if reason and not self._mismatch:
-            self.get_logger().error(f"MISMATCH, nothing is corrected and the gains are narrow: {reason}")
+            self.get_logger().error(f"MISMATCH, no corrections are made and the gains are limited: {reason}")
         elif not reason and self._mismatch:
-            self.get_logger().warning(f"the model is this bench's again; it was not: {self._mismatch}")
+            self.get_logger().warning(f"the model fits this bench again; before: {self._mismatch}")
         self._mismatch = reason
 
     def _publish(self, state: BenchState, result: Result) -> None:
@@ -267,9 +267,7 @@ class FilterNode(Node):
         if abs(self._age) > FOREIGN and simulated != self.get_parameter(name).value:
             self.set_parameters([Parameter(name, value=simulated)])
             clock = "/clock" if simulated else "the machine's clock"
-            self.get_logger().warning(
-                f"the plant's samples are stamped by {clock} now: how old they are is told by it, too"
-            )
+            self.get_logger().warning(f"the plant's samples are now stamped by {clock}, which also measures their age")
 
     def _status(self) -> Status:
         self._follow_the_plants_clock()

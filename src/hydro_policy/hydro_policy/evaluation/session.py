@@ -228,7 +228,7 @@ class EvaluationSession:
         self.watch.on_tick(now)
         if self.watch.lost and self._run is not None:
             self._run = None
-            self._outputs.say("no samples: this run is begun anew", warning=True)
+            self._outputs.say("no samples arrived: this run is started again", warning=True)
 
     def on_correction(self, after: float, status: int) -> None:
         """Take the filter's result of a sample: M_c [1/s] under its correction, and the status."""
@@ -321,7 +321,7 @@ class EvaluationSession:
         if share > HELD_MAX and own != self._base(controller):
             sentence = f"{trace.controller} at {trace.case}: base gains in {100 * share:.0f} % of the samples"
             late = "corrections" if self._controller.law.law is Law.PAPER else "commands of the law"
-            self._warn(f"{sentence}, {late} came late: if the machine is busy, end what else runs on it")
+            self._warn(f"{sentence}, {late} came late: if the machine is busy, close other programs")
 
     def _replaced(self, controller: Controller, trace: Trace, share: float) -> str:
         """Return why a run tells nothing of its controller: other gains acted; empty if its own did."""

@@ -301,7 +301,7 @@ def search_on(
     node.run_session(session, tick)
     tick()
     if session.finished and not session.search.found:
-        node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
+        node.say("the grid found no gains: even the lowest were stopped (see above)", warning=True)
     if session.search.tried:
         print(f"\n{report.grid_table(session.search, short).text()}")
     return session

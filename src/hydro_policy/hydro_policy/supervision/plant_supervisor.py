@@ -285,7 +285,7 @@ class PlantSupervisor:
     def arm_now(self, now: float) -> None:
         """Arm at a person's request if all is ready; otherwise report what is missing."""
         if self.armed and not self.unready(now):
-            self._outputs.say("the plant is armed already: nothing was done", warning=True)
+            self._outputs.say("the plant is already armed: nothing was done", warning=True)
         elif self.readiness.complete:
             self._arming.arm(now)
         else:

@@ -231,5 +231,5 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
     if options.seed < 0:
         parser.error(f"--seed {options.seed}: must be 0 or more")
     if not (options.out or options.write_schedule):
-        parser.error("say where to: --out, --write-schedule, or both")
+        parser.error("give --out, --write-schedule, or both")
     return options

@@ -396,7 +396,7 @@ class GraphNode(Node):
 
     def _on_authority(self, lost: str) -> None:
         if lost:
-            self.warn(f"the authority over the plant is lost, and nothing is sent until it is back: {lost}")
+            self.warn(f"authority over the plant was lost; nothing is sent until it is regained: {lost}")
             self._override_service.close()
         else:
             self._override_service.open()

@@ -134,7 +134,7 @@ def say_policy(node: GraphNode, path: Path, *, resumed: bool) -> None:
     try:
         node.say(("the best so far: " if resumed else "") + describe_policy(path))
     except ValueError as error:
-        node.warn(f"{error}; the run goes on from its checkpoint, and the file is written anew with the next best")
+        node.warn(f"{error}; the run goes on from its checkpoint, and the file is rewritten with the next best policy")
 
 
 def train(options: argparse.Namespace) -> int:
@@ -219,7 +219,7 @@ def drive(
     finally:
         bar.close()
     inference = session.explorer.inference.sentence()
-    node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; of which inference {inference}")
+    node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; inference took {inference}")
     if session.progress.exams and not trained_a_better_one(session):
         node.say(training.NONE_BETTER)
     if not finished or session.run.gave_up or not options.evaluate:
