@@ -43,7 +43,7 @@ def interface(name: str, kind: str) -> type[Any]:
     try:
         found: type[Any] = getattr(import_module(f"{package}.{kind}"), last)
     except (ImportError, AttributeError, TypeError, ValueError):
-        raise UserError(f"{name} is no {kind} type known here: package/{kind}/Name is meant") from None
+        raise UserError(f"{name} is not a {kind} type known here: give package/{kind}/Name") from None
     return found
 
 
@@ -73,7 +73,7 @@ def parsed(text: str) -> dict[str, Any]:
     except yaml.YAMLError as error:
         raise UserError(f"{text!r} is no YAML: {' '.join(str(error).split())}") from None
     if not isinstance(values, dict):
-        raise UserError(f"{text!r}: fields are meant as YAML, such as '{{data: true}}'")
+        raise UserError(f"{text!r}: give fields as YAML, such as '{{data: true}}'")
     return values
 
 
