@@ -30,7 +30,7 @@ from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.step_aggregator import Step
-from hydro_sim.box.box import Box, BoxConfig
+from hydro_sim.box.box import Box, BoxConfig, box_details
 from hydro_sim.excitation.drawn import Range
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -203,6 +203,15 @@ def test_rollouts_of_a_similar_bench_have_the_same_labels() -> None:
         length = min(len(one.states), len(other.states))
         wanted = [each.states["reference_force"][:length] for each in (one, other)]
         assert other.gains == one.gains and np.abs(wanted[1] / FORCE - wanted[0]).max() < 3e-4
+
+
+def test_a_box_takes_references_as_far_as_its_line_tells() -> None:
+    """DETAILS tells the range in single precision, whatever the size."""
+    for bench in similar(effects=False):
+        for share in (0.997, 1.0, 1.0 / 3.0):
+            config = BoxConfig().of_size(replace(bench.size, force=share * bench.size.force))
+            told = float(np.float32(box_details(bench, config, Sensors(), 1).force_range))
+            assert config.constants(bench)[0]["high"][0] == told
 
 
 def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:

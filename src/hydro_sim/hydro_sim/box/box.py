@@ -117,7 +117,8 @@ class BoxConfig:
         still = hydraulics.input_gain(bench.constants()[0], rest[2], rest[0], rest[1], 1.0)
         record["gain_floor"] = self.gain_floor_share * still
         record["feedback_channel"] = 2 if self.feedback == "load" else 0
-        force, rate, velocity = self.force_range, RATE_RANGE * bench.size.force, VELOCITY_RANGE * bench.stroke
+        force = float(np.float32(self.force_range))  # as DETAILS tells it: no reference within that is refused
+        rate, velocity = RATE_RANGE * bench.size.force, VELOCITY_RANGE * bench.stroke
         pressure = (self.pressure_min, self.pressure_max)
         position = (-self.position_margin, bench.stroke + self.position_margin)
         loads = ((-force, force), (-rate, rate))
