@@ -16,12 +16,9 @@ No filter; the emulator's plant without a clock. Interquartile mean (worst) of t
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -32,7 +29,8 @@ from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
 from benchmarks.controllers import SETTINGS, compensated, held, interquartile_mean, load_cell
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.cli.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli import jobs
+from hydro_bridge.cli.console import Table, add_json_argument, command
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import Flag, Law, Waveform
 from hydro_diagnosis.pipeline import diagnose
@@ -123,15 +121,9 @@ def run_job(job: Job) -> list[dict[str, Any]]:
     return [{"law": job.label, "condition": job.condition.name, **row} for row in rows]
 
 
-def tabulated(jobs: Sequence[Job]) -> Table:
-    """Run on all cores; a row for each law and condition."""
-    bar = progress(total=len(jobs), label="truths", unit="truth")
-    rows = []
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("forkserver")) as pool:
-        for found in pool.map(run_job, jobs):
-            rows += found
-            bar.update()
-    bar.close()
+def tabulated(asked: argparse.Namespace, wanted: Sequence[Job]) -> Table:
+    """A row for each law and condition."""
+    rows = [row for found in on_truths(asked, run_job, wanted) for row in found]
     names = [case.name for case in SETTINGS.cases]
     table = Table({"law": "", "condition": "", **dict.fromkeys(names, "N"), "mean": "N", "u' RMS": "A/s", "trips": ""})
     for key in dict.fromkeys((row["law"], row["condition"]) for row in rows):
@@ -145,10 +137,16 @@ def tabulated(jobs: Sequence[Job]) -> Table:
     return table
 
 
+def on_truths(asked: argparse.Namespace, function: Callable[[Any], Any], wanted: Sequence[Any]) -> list[Any]:
+    """What the function gives of each, in their order."""
+    numbered = {str(number): (each,) for number, each in enumerate(wanted)}
+    return [*jobs.complete(function, numbered, **jobs.where(asked), label="truths", unit="truth").values()]
+
+
 def gains(asked: argparse.Namespace) -> Table:
     """Search over drawn truths."""
     truths = drawn(asked)
-    return tabulated([
+    return tabulated(asked, [
         Job(f"{chosen[0]:g}, {chosen[1]:g}, {chosen[2]:g}", config, condition, law_with(chosen))
         for chosen in CANDIDATES for condition in GAIN_CONDITIONS for config in truths
     ])  # fmt: skip
@@ -157,7 +155,7 @@ def gains(asked: argparse.Namespace) -> Table:
 def margins(asked: argparse.Namespace) -> Table:
     """The law's margins."""
     truths = {"default": [profile("default")], f"{asked.draw} drawn": drawn(asked)}
-    return tabulated([
+    return tabulated(asked, [
         Job(name, config, condition, BoxLaw())
         for name, configs in truths.items() for condition in MARGIN_CONDITIONS for config in configs
     ])  # fmt: skip
@@ -165,7 +163,7 @@ def margins(asked: argparse.Namespace) -> Table:
 
 def effects(asked: argparse.Namespace) -> Table:
     """Each effect doubled."""
-    return tabulated([Job(name, truth(changed), AS_IT_IS, BoxLaw()) for name, changed in DOUBLED.items()])
+    return tabulated(asked, [Job(name, truth(changed), AS_IT_IS, BoxLaw()) for name, changed in DOUBLED.items()])
 
 
 def specimen(asked: argparse.Namespace) -> Table:
@@ -173,20 +171,16 @@ def specimen(asked: argparse.Namespace) -> Table:
     beliefs = dict.fromkeys(("not known", "diagnosed", "known", "x 0.8", "x 1.2"), "N, true_rmse")
     table = Table({"truth": "", "cell": "Hz, -", "found": "Hz, -", **beliefs, "rmse": "N", "ratio": "", "share": ""})
     configs = [profile("default"), *drawn(asked)]
-    bar = progress(total=len(configs), label="truths", unit="truth")
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("forkserver")) as pool:
-        for number, (cells, rows) in enumerate(pool.map(specimen_of, configs)):
-            felt = {name: np.array([row["true_rmse"] for row in own]) for name, own in rows.items()}
-            rmse = np.array([row["rmse"] for row in rows["not known"]])
-            wrong = np.maximum(felt["x 0.8"], felt["x 1.2"])
-            said = {key: "none" if (cell := cells[belief]) is None else f"{cell.bandwidth:.1f}, {cell.damping:.2f}"
-                    for key, belief in (("cell", "known"), ("found", "diagnosed"))}  # fmt: skip
-            said |= {name: f"{each.mean():.2f}" for name, each in felt.items()} | {"rmse": f"{rmse.mean():.2f}"}
-            said["ratio"] = f"{(felt['diagnosed'] / rmse).max():.2f}"
-            said["share"] = f"{(wrong / felt['not known']).max():.2f}"
-            table.add(truth=str(number - 1) if number else "default", **said)
-            bar.update()
-    bar.close()
+    for number, (cells, rows) in enumerate(on_truths(asked, specimen_of, configs)):
+        felt = {name: np.array([row["true_rmse"] for row in own]) for name, own in rows.items()}
+        rmse = np.array([row["rmse"] for row in rows["not known"]])
+        wrong = np.maximum(felt["x 0.8"], felt["x 1.2"])
+        said = {key: "none" if (cell := cells[belief]) is None else f"{cell.bandwidth:.1f}, {cell.damping:.2f}"
+                for key, belief in (("cell", "known"), ("found", "diagnosed"))}  # fmt: skip
+        said |= {name: f"{each.mean():.2f}" for name, each in felt.items()} | {"rmse": f"{rmse.mean():.2f}"}
+        said["ratio"] = f"{(felt['diagnosed'] / rmse).max():.2f}"
+        said["share"] = f"{(wrong / felt['not known']).max():.2f}"
+        table.add(truth=str(number - 1) if number else "default", **said)
     return table
 
 
@@ -308,6 +302,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
     parser.add_argument("--benches", type=int, default=1, help="of endurance, side by side; default: %(default)s")
     parser.add_argument("--hours", type=float, default=24.0, help="of endurance; default: %(default)s")
+    jobs.add_arguments(parser)
     add_json_argument(parser)
     asked = parser.parse_args()
     STUDIES[asked.study](asked).show(asked.json)

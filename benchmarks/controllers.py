@@ -20,13 +20,10 @@ import argparse
 import hashlib
 import json
 import math
-import os
 import sys
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from importlib import resources
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,7 +33,8 @@ import yaml
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.cli.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli import jobs
+from hydro_bridge.cli.console import Table, add_json_argument, command
 from hydro_bridge.files.settings_file import from_mapping
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError, quantity
@@ -212,19 +210,26 @@ def mean_action(parameters: FloatArray, agent: InitialAgent) -> Chooser:
     return PolicyChooser(policy_of(parameters, agent), agent.gains)
 
 
-def robust_gains(truths: Iterable[TruthConfig]) -> tuple[float, float]:
+def robust_gains(truths: Iterable[TruthConfig], **where: Any) -> tuple[float, float]:
     """Pair that trips on the fewest of these truths, then with the least interquartile mean; prints all.
 
     A trip counts as the reference's RMS.
     """
-    configs, cases = list(truths), SHORT.cases
-    scores: dict[tuple[float, float], tuple[int, float]] = {}
-    for pair in ((kp, ki) for kp in (15.0, 22.0, 30.0, 40.0, 50.0, 60.0) for ki in (5.0, 10.0, 15.0)):
-        rmse = np.array([vector_runs.rmse(truth_fleet(len(cases), each), cases, held(pair), SHORT) for each in configs])
-        mean = interquartile_mean(np.nan_to_num(rmse, nan=SHORT.amplitude / math.sqrt(2.0)).mean(axis=1))
-        scores[pair] = int(np.isnan(rmse).any(axis=1).sum()), mean
-        print(f"{pair}: {scores[pair][0]} truths with a trip, {mean:.1f} N", flush=True)
-    return min(scores, key=scores.__getitem__)
+    configs = list(truths)
+    pairs = {f"{kp:g}, {ki:g}": (kp, ki) for kp in (15.0, 22.0, 30.0, 40.0, 50.0, 60.0) for ki in (5.0, 10.0, 15.0)}
+    scores = {}
+    for name, (trips, mean) in jobs.run(pair_score, {name: (pairs[name], configs) for name in pairs}, **where):
+        scores[name] = trips, mean
+        print(f"{name}: {trips} truths with a trip, {mean:.1f} N", flush=True)
+    return pairs[min(pairs, key=scores.__getitem__)]
+
+
+def pair_score(pair: tuple[float, float], configs: Sequence[TruthConfig]) -> tuple[int, float]:
+    """Truths on which it trips, and its interquartile mean [N]."""
+    cases = SHORT.cases
+    rmse = np.array([vector_runs.rmse(truth_fleet(len(cases), each), cases, held(pair), SHORT) for each in configs])
+    mean = interquartile_mean(np.nan_to_num(rmse, nan=SHORT.amplitude / math.sqrt(2.0)).mean(axis=1))
+    return int(np.isnan(rmse).any(axis=1).sum()), mean
 
 
 def interquartile_mean(values: FloatArray) -> float:
@@ -269,32 +274,17 @@ def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -
         legend(axes)
 
 
-def complete(truths: Sequence[Path], names: Sequence[str], cases: Sequence[Case], kept: Path) -> list[dict[str, Any]]:
-    """All rows, those in `kept` (a row a line) first, the missing ones run on all cores and added there."""
+def complete(
+    truths: Sequence[Path], names: Sequence[str], cases: Sequence[Case], kept: Path, **where: Any
+) -> list[dict[str, Any]]:
+    """All rows, those of the jobs in `kept` first; the missing ones are run and added there."""
     digest = hashlib.sha256(repr((cases, SETTINGS, code_version())).encode()).hexdigest()[:12]
     keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] + digest for path in truths}
-    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    if kept.exists():
-        for line in kept.read_text().splitlines():
-            entry = json.loads(line)
-            found[entry["key"], entry["controller"]] = entry["rows"]
-    missing = [(path, name) for path in truths for name in names if (keys[path], name) not in found]
-    bar = progress(total=len(missing), label="runs", unit="run")
-    with (
-        ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("forkserver")) as pool,
-        kept.open("a") as file,
-    ):
-        jobs = {pool.submit(run_one, load_truth(path), name, cases): (path, name) for path, name in missing}
-        for job in as_completed(jobs):
-            path, name = jobs[job]
-            found[keys[path], name] = job.result()
-            file.write(json.dumps({"key": keys[path], "controller": name, "rows": found[keys[path], name]}) + "\n")
-            file.flush()
-            bar.update()
-    bar.close()
+    wanted = {f"{keys[path]} {name}": (load_truth(path), name, cases) for path in truths for name in names}
+    found = jobs.complete(run_one, wanted, kept=kept, **where, label="runs", unit="run")
     return [
         {"truth": path.stem, "controller": name, **row}
-        for path in truths for name in names for row in found[keys[path], name]
+        for path in truths for name in names for row in found[f"{keys[path]} {name}"]
     ]  # fmt: skip
 
 
@@ -308,7 +298,7 @@ def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]
     if not truths:
         raise SettingsError(f"{asked.truths} holds no truth files, *.yaml; --draw 40 writes some")
     kept = Path(asked.json or asked.truths / "controllers.json").with_suffix(".rows")
-    return complete(truths, asked.controllers, cases, kept)
+    return complete(truths, asked.controllers, cases, kept, **jobs.where(asked))
 
 
 @command(ValueError, OSError)
@@ -327,10 +317,12 @@ def main() -> None:
     parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
     parser.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="bars of the controllers of README")
+    jobs.add_arguments(parser)
     add_json_argument(parser)
     asked = parser.parse_args()
     if asked.robust:
-        print(f"best: {robust_gains(map(truth_from_mapping, drawn_truths(40, seed=7).values()))}")
+        drawn = map(truth_from_mapping, drawn_truths(40, seed=7).values())
+        print(f"best: {robust_gains(drawn, **jobs.where(asked))}")
         return
     cases = load_cases(asked.references)
     if asked.rows:

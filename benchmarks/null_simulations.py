@@ -22,7 +22,8 @@ from scipy.signal import lfilter
 from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
-from benchmarks._report import parser, resumable
+from benchmarks._report import parser
+from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_diagnosis.bench_numbers import completed
@@ -173,19 +174,20 @@ def main() -> None:
     options.add_argument("--runs", type=int, default=200, help="pairs of recordings (default: 200)")
     options.add_argument("--seed", type=int, default=0, help="of references, gains and noise")
     options.add_argument("--rate", type=float, default=1e-3, help="of false claims to allow (default: 0.001)")
-    options.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
+    jobs.add_arguments(options)
     options.add_argument("--write", type=Path, metavar="FILE", help="keep the trials there and go on from them")
     options.add_argument("--coverage", action="store_true", help="of intervals, on --runs recordings of each kind")
     chosen = options.parse_args()
-    if min(chosen.runs, chosen.jobs) < 1:
-        raise UserError(f"--runs {chosen.runs} --jobs {chosen.jobs}: there must be one of each at least")
+    if chosen.runs < 1:
+        raise UserError(f"--runs {chosen.runs}: there must be one at least")
     if chosen.coverage:
         print_coverage(chosen.runs)
         return
     bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
     version = hashlib.sha256(repr((bench.to_mapping(), engine())).encode()).hexdigest()[:12]
-    jobs = {f"{version}-{seed}": (bench, seed) for seed in range(chosen.seed, chosen.seed + chosen.runs)}
-    trials = list(resumable(trial, jobs, chosen.write, "searching", chosen.jobs).values())
+    pairs = {f"{version}-{seed}": (bench, seed) for seed in range(chosen.seed, chosen.seed + chosen.runs)}
+    found = jobs.complete(trial, pairs, **jobs.where(chosen), kept=chosen.write, label="searching", unit="pair")
+    trials = list(found.values())
     table = Table({"noise": "scale of the sensors' noise", "evidence": "of the best claim, BIC", "claim": ""})
     for noise, found, claim in trials:
         if found is not None:

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks import _report
-from benchmarks._report import resumable
+from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, command
 from hydro_bridge.signals import STATE_FIELDS
 from hydro_diagnosis.blind_benchmark.cases import FORMS, SINGLES, VALUES, Pick, Shape, Size
@@ -165,14 +165,14 @@ def main() -> None:
     options.add_argument("--wrong", type=int, default=10, help="benches for each mistake (default: 10)")
     options.add_argument("--seed", type=int, default=1, help="of order, signs and noise (default: 1)")
     options.add_argument("--write", type=Path, metavar="FILE", help="keep what is done, and go on with it")
-    options.add_argument("--jobs", type=int, default=0, help="processes (default: one for each core)")
+    jobs.add_arguments(options)
     chosen = options.parse_args()
-    jobs: dict[str, tuple[Any, ...]] = {}
+    benches: dict[str, tuple[Any, ...]] = {}
     every = [*cases(chosen.seed)]
     for role, count, mistakes in (("right", chosen.cases, {"": ""}), ("wrong", chosen.wrong, MISTAKES)):
         for number, case in enumerate(every[:count]):
-            jobs[f"{role} {number} of seed {chosen.seed}"] = (*case, chosen.seed + 2 * number, mistakes)
-    done = resumable(bench, jobs, chosen.write, "wiring", chosen.jobs)
+            benches[f"{role} {number} of seed {chosen.seed}"] = (*case, chosen.seed + 2 * number, mistakes)
+    done = jobs.complete(bench, benches, **jobs.where(chosen), kept=chosen.write, label="wiring", unit="bench")
     found = [Outcome(**one) for outcomes in done.values() for one in outcomes]
     _report.finish({"outcomes": [asdict(one) for one in found]}, chosen.json)
     print(_table(found).text())

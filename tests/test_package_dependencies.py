@@ -17,13 +17,14 @@ LOADED = {"hydro_sim": {"hydro_firmware"}}
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/hydro_*/setup.py"))
 
 KEYS = {name: f"python3-{name}" for name in (
-    "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "joblib", "matplotlib", "numba", "numpy", "pandas",
+    "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas",
     "pytest", "scipy", "serial", "torch", "tqdm", "websockets", "yaml",
 )} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
 
 WITHOUT_KEY = {
-    "asammdf", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "safetensors", "tensorboardX", "threadpoolctl",
+    "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "safetensors", "tensorboardX",
+    "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 

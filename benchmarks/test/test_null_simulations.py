@@ -2,22 +2,13 @@
 from __future__ import annotations
 
 from math import exp
-from pathlib import Path
 
 import pytest
 
-from benchmarks._report import resumable
 from benchmarks.null_simulations import false_claims, needed, trial
 from hydro_sim.model.bench import Bench
 
 pytestmark = pytest.mark.study
-
-
-def test_finished_runs_are_not_run_again(tmp_path: Path) -> None:
-    kept = tmp_path / "rows"
-    assert resumable(pow, {"a": (2, 3), "b": (2, 4)}, kept, "runs", 1) == {"a": 8, "b": 16}
-    assert resumable(divmod, {"b": (1, 0), "a": (1, 0)}, kept, "runs", 1) == {"b": 16, "a": 8}
-    assert resumable(pow, {"a": (2, 3), "c": (3, 3)}, kept, "runs", 1) == {"a": 8, "c": 27}
 
 
 def test_threshold_is_worth_what_the_trials_reach() -> None:

@@ -34,6 +34,8 @@ setup(
     license="Apache-2.0",
     install_requires=[
         "cobs",
+        "dask",
+        "distributed",
         "jinja2",
         "mcap",
         "msgspec",

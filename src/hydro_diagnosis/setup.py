@@ -21,7 +21,6 @@ setup(
         "hydro_sim",
         "h5py",
         "jinja2",
-        "joblib",
         "msgspec",
         "npTDMS",
         "numpy",

@@ -45,8 +45,7 @@ def diagnose(
     recordings
         rosbag2 folders, .mcap, or files of other loggers (see `table.read_table`).
     holdout
-        Recordings on which nothing is fitted (all are read by joblib: `joblib.parallel_config` chooses backend and
-        number of jobs); without, the last recording, or the last third of the only one.
+        Recordings on which nothing is fitted; without, the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
         A file or content needs only the numbers that the recorded channels connect (`bench_numbers.needed`).

@@ -88,7 +88,7 @@ def test_attempts_ask_for_less_from_one_to_the_next_and_tell_the_box_alone() -> 
 def test_bench_that_trips_is_recorded_again_until_it_runs(effects: dict[str, Any], tmp_path: Path) -> None:
     (case,) = draw(1, SEED)
     schedules = {name: {**one, "seconds": 5.0} for name, one in case.schedules.items()}
-    assert record([replace(case, effects=effects, schedules=schedules)], tmp_path, 1, float("inf"))
+    assert record([replace(case, effects=effects, schedules=schedules)], tmp_path, float("inf"))
     for name in (*FITTED, HELD):
         bag = tmp_path / case.name / name
         assert usable(bag)
@@ -283,7 +283,7 @@ def test_place_that_cannot_be_written_is_found_before_anything_is_sealed(
 def test_proof_goes_on_after_time_was_up_and_opens_its_own_seal(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["--cases", "2", "--seed", str(SEED), "--workers", "2", "--out", str(tmp_path / "proof")]
+    words = ["--cases", "2", "--seed", str(SEED), "--jobs", "2", "--out", str(tmp_path / "proof")]
     assert run([*words, "--minutes", "0"]) == 3
     assert run(words) == 0
     folder = tmp_path / "proof"

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import joblib
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,17 +12,6 @@ from hydro_diagnosis.preprocessing.loading import ENOUGH, load_dataset
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
-
-
-@pytest.mark.parametrize("backend", ["loky", "threading"])
-def test_recordings_read_side_by_side_are_the_same(backend: str, worn: list[Path]) -> None:
-    fitted, held, notes = load_dataset(worn[:2], worn[2:], BENCH)
-    with joblib.parallel_config(backend=backend, n_jobs=2):
-        fitted_too, held_too, notes_too = load_dataset(worn[:2], worn[2:], BENCH)
-    assert [one.recording for one in fitted_too] == ["run0", "run1"] == [one.recording for one in fitted]
-    assert notes_too == notes
-    for one, other in zip([*fitted, *held], [*fitted_too, *held_too], strict=True):
-        np.testing.assert_array_equal(one.channels["load_force"], other.channels["load_force"])
 
 
 def tripped(recording: Path, folder: Path, moving: float) -> Path:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m hydro_diagnosis.blind_benchmark.blind FOLDER`: diagnoses every case, from recordings and bench.yaml alone.
+"""`python -m hydro_diagnosis.blind_benchmark.blind CASE...`: diagnoses cases from recordings and bench.yaml alone.
 
-FOLDER holds bench.yaml and a folder per case with its recordings; each gets answer.json and corrected.yaml. Finished
-cases are left alone, so that it goes on where it was stopped; several can run side by side.
+Each CASE is a folder of recordings beside bench.yaml, and gets answer.json and corrected.yaml. Finished cases are left
+alone; several can run side by side.
 
 An audit hook (PEP 578) refuses the other files of the proof, listings of folders, other processes, and the code of the
 truth plant. It guards against a mistake, not against native code written to get around it.
@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import signal
 import sys
 import time
@@ -23,11 +22,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from joblib import Parallel, delayed
-from tqdm import tqdm
-
 import hydro_sim.model
-from hydro_bridge.cli.console import command, progress
+from hydro_bridge.cli import jobs
+from hydro_bridge.cli.console import command
 from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
 from hydro_diagnosis.report.corrected_bench import write_corrected
@@ -134,24 +131,12 @@ def waiting(folder: Path) -> list[Path]:
 
 
 @command(OSError)
-def main() -> int:
-    """Entry point; 3 when time was up before all cases were finished."""
+def main() -> None:
+    """Entry point: one after the other."""
     options = argparse.ArgumentParser(prog="blind", description=__doc__)
-    options.add_argument("folder", type=Path)
-    options.add_argument("--workers", type=int, default=1)
-    options.add_argument("--seconds", type=float, default=float("inf"), help="after which no new case begins")
-    chosen = options.parse_args(sys.argv[1:])
-    until = time.monotonic() + chosen.seconds
-    left = waiting(chosen.folder)
-    random.shuffle(left)  # those who run side by side seldom meet
-    bar: tqdm[Any] = progress(total=len(left), label="diagnosing", unit="case")
-    with bar:
-        while left and time.monotonic() < until:
-            batch, left = left[: 4 * chosen.workers], left[4 * chosen.workers :]
-            tasks = (delayed(diagnosed)(case) for case in batch)
-            for _ in Parallel(chosen.workers, return_as="generator_unordered")(tasks):
-                bar.update()
-    return 3 if left else 0
+    options.add_argument("cases", nargs="+", type=Path, metavar="CASE")
+    chosen = options.parse_args(sys.argv[1:]).cases
+    jobs.complete(diagnosed, {case.name: (case,) for case in chosen}, at_once=1)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from typing import Any
 
 import yaml
 
+from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.viewer.runs import refresh_index
@@ -74,7 +75,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
     options.add_argument("--graph", type=int, default=0, metavar="K",
                          help="record the first K in real time, by serial line and graph (2 minutes each)")  # fmt: skip
-    options.add_argument("--workers", type=int, default=2, help="cases side by side (default: 2)")
+    jobs.add_arguments(options)
     options.add_argument("--minutes", type=float, default=float("inf"),
                          help="begin no new case after so long; the same command goes on later")  # fmt: skip
     options.add_argument("--only-record", action="store_true", help="seal and record; the same words without it go on")
@@ -103,7 +104,7 @@ def run(arguments: Sequence[str]) -> int:
         return 0
     if chosen.again:
         _forget_other_versions(folder)
-    finished = recorded and _diagnose(folder / BLIND, chosen.workers, until - time.monotonic())
+    finished = recorded and _diagnose(folder / BLIND, until, **jobs.where(chosen))
     done = [case.name for case in cases if (folder / BLIND / case.name / ANSWER).exists()]
     if not finished:
         print(f"time is up: {len(done)} of {len(cases)} cases are diagnosed; the same command goes on")
@@ -148,8 +149,6 @@ def _drawn(chosen: argparse.Namespace) -> list[Case]:
 def _check(chosen: argparse.Namespace, count: int) -> None:
     if not 0 <= chosen.graph <= count:
         raise UserError(f"--graph {chosen.graph}: must be 0 to the number of cases")
-    if chosen.workers < 1:
-        raise UserError(f"--workers {chosen.workers}: must be 1 or more")
 
 
 def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
@@ -161,18 +160,27 @@ def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, unt
         believed = yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False)
         (folder / "bench.yaml").write_text(believed, encoding="utf-8")
     by_graph, offline = cases[: chosen.graph], cases[chosen.graph :]
-    return record_by_graph(by_graph, folder, until) and record(offline, folder, chosen.workers, until)
+    return record_by_graph(by_graph, folder, until) and record(offline, folder, until, **jobs.where(chosen))
 
 
-def _diagnose(folder: Path, workers: int, seconds: float) -> bool:
-    """Have all cases diagnosed in a process of its own; False if time was up."""
-    words = [sys.executable, "-m", "hydro_diagnosis.blind_benchmark.blind", str(folder), "--workers", str(workers)]
-    status = subprocess.run([*words, "--seconds", str(seconds)], check=False, cwd=folder).returncode
-    if status == 130:
-        raise KeyboardInterrupt
-    if status not in (0, 3):
-        raise UserError(f"the diagnosis ended with status {status}: its output is above")
-    return status == 0
+SLICE = 4
+"""Cases that one process diagnoses: a blindfold is not taken off again."""
+
+
+def _diagnose(folder: Path, until: float, **where: Any) -> bool:
+    """Have all cases diagnosed in processes of their own; False if time was up."""
+    from hydro_diagnosis.blind_benchmark.blind import waiting
+
+    left = waiting(folder)
+    slices = {left[at].name: (left[at : at + SLICE],) for at in range(0, len(left), SLICE)}
+    return len(jobs.complete(_blindly, slices, **where, until=until, label="diagnosing", unit="slice")) == len(slices)
+
+
+def _blindly(cases: Sequence[Path]) -> None:
+    words = [sys.executable, "-m", "hydro_diagnosis.blind_benchmark.blind", *map(str, cases)]
+    done = subprocess.run(words, check=False, cwd=cases[0].parent, stderr=subprocess.PIPE, text=True)
+    if done.returncode:
+        raise UserError(done.stderr.strip() or f"the diagnosis ended with status {done.returncode}")
 
 
 def _forget_other_versions(folder: Path) -> None:

@@ -23,10 +23,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from joblib import Parallel, delayed
-from tqdm import tqdm
 
 from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import UserError, progress
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.signals import Flag
@@ -97,7 +96,7 @@ Run = tuple[Case, str]
 """A case and the name of a recording."""
 
 
-def record(cases: Sequence[Case], folder: Path, workers: int, until: float) -> bool:
+def record(cases: Sequence[Case], folder: Path, until: float, **where: Any) -> bool:
     """Record the missing runs of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side.
 
     Returns
@@ -105,21 +104,13 @@ def record(cases: Sequence[Case], folder: Path, workers: int, until: float) -> b
     False if `until`, a time of `time.monotonic`, came before the end.
     """
     missing = [case for case in cases if not all(whole(folder / case.name / name) for name in (*FITTED, HELD))]
-    slices = [missing[at : at + SLICE] for at in range(0, len(missing), SLICE)]
-    bar: tqdm[Any] = progress(total=len(missing), label="recording", unit="case")
-    with bar:
-        tasks = (delayed(_record)(part, folder, until) for part in slices)
-        done = 0
-        for count in Parallel(workers, prefer="threads", return_as="generator_unordered")(tasks):
-            done += count
-            bar.update(count)
-    return done == len(missing)
+    slices = {missing[at].name: (missing[at : at + SLICE], folder) for at in range(0, len(missing), SLICE)}
+    done = jobs.complete(_record, slices, **where, until=until, label="recording", unit="slice")
+    return len(done) == len(slices)
 
 
-def _record(cases: Sequence[Case], folder: Path, until: float) -> int:
-    """Record one slice; return the number of cases recorded, 0 once time is up."""
-    if time.monotonic() > until:
-        return 0
+def _record(cases: Sequence[Case], folder: Path) -> None:
+    """Record one slice."""
     runs = [(case, name) for case in cases for name in (*FITTED, HELD) if not whole(folder / case.name / name)]
     left = runs
     for attempt in ATTEMPTS:
@@ -127,7 +118,6 @@ def _record(cases: Sequence[Case], folder: Path, until: float) -> int:
         left = [(case, name) for case, name in left if not usable(fresh(folder / case.name / name))]
     for case, name in runs:
         fresh(folder / case.name / name).rename(folder / case.name / name)
-    return len(cases)
 
 
 def _play(runs: Sequence[Run], attempt: Attempt, folder: Path) -> None:
@@ -135,14 +125,14 @@ def _play(runs: Sequence[Run], attempt: Attempt, folder: Path) -> None:
     if not runs:
         return
     with tempfile.TemporaryDirectory(prefix="hydro-truth-") as scratch:
-        jobs = []
+        batch = []
         for case, name in runs:
             out = clear(folder / case.name / name)
             paths = written(case, name, attempt, Path(scratch))
-            jobs.append({"out": str(out), "seed": run_seed(case, name), **paths})
-        batch = Path(scratch) / "batch.yaml"
-        batch.write_text(yaml.safe_dump({"jobs": jobs}), encoding="utf-8")
-        run_emulator(["--offline", "--batch", str(batch)])
+            batch.append({"out": str(out), "seed": run_seed(case, name), **paths})
+        file = Path(scratch) / "batch.yaml"
+        file.write_text(yaml.safe_dump({"jobs": batch}), encoding="utf-8")
+        run_emulator(["--offline", "--batch", str(file)])
 
 
 def fresh(bag: Path) -> Path:

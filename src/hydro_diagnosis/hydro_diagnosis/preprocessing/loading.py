@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data sets: recordings are read in parallel, split into fitted and held-out parts, and trimmed.
+"""Data sets: recordings are read, split into fitted and held-out parts, and trimmed.
 
 Of long recordings those windows are kept that together cover most of the state space.
 """
@@ -12,7 +12,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, is_bag, read_table
@@ -49,8 +48,6 @@ def load_dataset(
     """Return segments to fit, segments held out, and notes on their quality; `column_map`: see `read_table`.
 
     `inspection` collects the doubts about each recording, also where none can be diagnosed.
-
-    Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
 
     Raises InputError if none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
     """
@@ -123,7 +120,7 @@ def _read(
 
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
     """
-    looked = Parallel()(delayed(_look)(path, bench, columns) for path in paths)
+    looked = [_look(path, bench, columns) for path in paths]
     for _, found in looked:
         inspection.add(found)
     recordings = [one for one, _ in looked if isinstance(one, Recording)]

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections import defaultdict
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable, writable_folder
+from hydro_bridge.cli import jobs
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_filter.controller.factory import LEARNED, FilterChoice
@@ -38,15 +38,17 @@ def main() -> None:
     options = arguments(sys.argv[1:])
     raise_if_mismatched(_choice(options).trouble())  # before the work
     lines = list(product(options.plants, options.cases, options.filters))
-    tasks = [task(options, *line, seed) for line in lines for seed in range(options.seeds)]
+    runs = {line: [f"{', '.join(line)}, seed {seed}" for seed in range(options.seeds)] for line in lines}
+    tasks = {name: (task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
-    done: dict[tuple[str, str, str], list[Outcome]] = defaultdict(list)
-    work = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(evaluate_task)(each) for each in tasks)
-    for each, result in zip(tasks, progress(work, total=len(tasks), label="runs", unit="run"), strict=True):
-        line = (each.plant, each.case, each.filter)
-        done[line].append(result)
-        if len(done[line]) == options.seeds:
-            table.add(**table_row(*line, done[line]))
+    done: dict[str, Outcome] = {}
+    rows: dict[tuple[str, str, str], dict[str, Any]] = {}
+    for name, result in jobs.run(evaluate_task, tasks, **jobs.where(options), label="runs", unit="run"):
+        done[name] = result
+        line = next(line for line in lines if name in runs[line])
+        if all(one in done for one in runs[line]):
+            rows[line] = table_row(*line, [done[one] for one in runs[line]])
+            table.rows = [rows[line] for line in lines if line in rows]
             if options.json:
                 table.write_json(options.json)  # what is done stays, whatever comes
     table.show(options.json)
@@ -144,11 +146,11 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=20, help="runs of each line")
     parser.add_argument("--seconds", type=float, default=18.0, help="s, of each run; the paper's episode")
     parser.add_argument("--contraction-rate", type=float, help="lambda [1/s] of the certified range; default 0.1")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes at once; -1: one a core")
+    jobs.add_arguments(parser)
     parser.add_argument("--plots", type=writable_folder, metavar="DIR", help="draw the tracking figures into DIR")
     parser.add_argument("--html", type=writable, metavar="FILE", help="write table and figures as one page")
     add_json_argument(parser)
     asked = parser.parse_args(given)
-    if asked.seeds < 1 or not asked.seconds >= 1.0 or asked.jobs == 0:
-        parser.error("--seeds needs 1 or more, --seconds 1 or more, --jobs not 0")
+    if asked.seeds < 1 or not asked.seconds >= 1.0:
+        parser.error("--seeds needs 1 or more, --seconds 1 or more")
     return asked

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many jobs: on this machine's cores, or on a cluster by its scheduler's address (`many_jobs.md`).
+
+for name, result in jobs.run(trial, {"trial 7": (bench, 7), "trial 8": (bench, 8)}):  # as they come
+    ...
+
+A job is a function of plain values with a seed among them: its result does not depend on who computes it. One job, or
+one core, is computed in this process. Otherwise Dask's distributed sends jobs to processes, one a core, and again to
+another one where a process was killed; it is imported only then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import ExitStack, closing
+from logging import CRITICAL
+from math import inf
+from pathlib import Path
+from traceback import format_exception
+from typing import Any
+
+from tqdm import tqdm
+
+from hydro_bridge.cli.console import KNOWN_ERRORS, progress
+from hydro_bridge.errors import UserError, is_file_error, user_message
+
+Arguments = Mapping[str, tuple[Any, ...]]
+"""Arguments of each job, by its name."""
+Results = Generator[tuple[str, Any, Exception | None], None, None]
+ANSWERS_WITHIN, WORKER_WITHIN = 10.0, 600.0
+"""Times [s] that a scheduler has to answer, and a first worker to be there: a queue may hold it back."""
+SETTINGS = {
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1},
+}
+"""Dask's own MALLOC_TRIM_THRESHOLD_ makes each large array anew by the kernel: four times the processor time here."""
+DEATHS = 3
+"""Processes that may be killed by one job."""
+
+
+class JobsError(UserError):
+    """Some jobs failed, and the others are done; `errors`: why, by name."""
+
+    def __init__(self, errors: Mapping[str, Exception], count: int) -> None:
+        named = ", ".join(errors) if len(errors) < 10 else f"{', '.join([*errors][:8])} and {len(errors) - 8} more"
+        super().__init__(f"{len(errors)} of {count} jobs failed: {named}; the others are done")
+        self.errors = errors
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add `--jobs N` and `--scheduler ADDRESS`."""
+    parser.add_argument("--jobs", type=_count, default=0, metavar="N", help="jobs at once (default: one a core)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="of a cluster that does them instead (many_jobs.md)")
+
+
+def where(asked: argparse.Namespace) -> dict[str, Any]:
+    """What those options say, for `run` and `complete`."""
+    return {"at_once": asked.jobs, "scheduler": asked.scheduler}
+
+
+def run(
+    function: Callable[..., Any], arguments: Arguments, *, at_once: int = 0, scheduler: str | None = None,
+    kept: Path | None = None, until: float = inf, label: str = "jobs", unit: str = "job",
+) -> Iterator[tuple[str, Any]]:  # fmt: skip
+    """Yield the name of each job and what `function(*arguments[name])` returns, as they come.
+
+    Parameters
+    ----------
+    at_once
+        Processes on this machine; 0: one a core.
+    scheduler
+        Address of a Dask scheduler, whose workers compute in their place.
+    kept
+        File of results, a line of JSON each: what it has is not computed again, what comes is added.
+    until
+        Time of `time.monotonic` after which no job begins.
+
+    Raises
+    ------
+    JobsError
+        At the end, where jobs failed. Each is named on standard error as it fails.
+    """
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
+    found = {entry["key"]: entry["value"] for entry in map(json.loads, lines)}
+    missing = {name: values for name, values in arguments.items() if name not in found}
+    yield from ((name, found[name]) for name in arguments if name in found)
+    at_once = min(at_once or len(os.sched_getaffinity(0)), len(missing))
+    alone = not missing or (at_once == 1 and scheduler is None)
+    results = _here(function, missing, until) if alone else _side_by_side(function, missing, until, at_once, scheduler)
+    errors: dict[str, Exception] = {}
+    bar: tqdm[Any] = progress(total=len(missing), label=label, unit=unit, every=60.0, delay=60.0)
+    with closing(results), bar:
+        for name, value, error in results:
+            bar.update()
+            if error is not None:
+                errors[name] = error
+                bar.write(f"{name}: {_told(error)}", file=sys.stderr)
+                continue
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"key": name, "value": value}) + "\n")
+            yield name, value
+    if errors:
+        raise JobsError({name: errors[name] for name in arguments if name in errors}, len(arguments))
+
+
+def complete(function: Callable[..., Any], arguments: Arguments, **how: Any) -> dict[str, Any]:
+    """Return the results of `run` by name, in the order of the names."""
+    found = dict(run(function, arguments, **how))
+    return {name: found[name] for name in arguments if name in found}
+
+
+def _here(function: Callable[..., Any], missing: Arguments, until: float) -> Results:
+    for name, values in missing.items():
+        if time.monotonic() > until:
+            return
+        try:
+            value = function(*values)
+        except Exception as error:
+            yield name, None, error
+        else:
+            yield name, value, None
+
+
+def _side_by_side(
+    function: Callable[..., Any], missing: Arguments, until: float, at_once: int, scheduler: str | None
+) -> Results:
+    """A worker has one job at a time: if it is killed, it was by that one."""
+    import dask
+    from distributed import Client, KilledWorker, LocalCluster, as_completed
+
+    local = {"n_workers": at_once, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(SETTINGS))
+        try:
+            address = scheduler or stack.enter_context(LocalCluster(**local))
+            client = stack.enter_context(Client(address, timeout=ANSWERS_WITHIN))
+            client.wait_for_workers(1, timeout=WORKER_WITHIN)
+        except (OSError, ValueError) as error:
+            raise UserError(f"no scheduler with workers answers at {scheduler}: {error}") from error
+        sent: dict[str, str] = {}
+        waiting, deaths, done = deque(missing), Counter[str](), as_completed()
+
+        def send() -> None:
+            while waiting and len(sent) < max(1, sum(client.nthreads().values())) and time.monotonic() <= until:
+                future = client.submit(function, *missing[waiting[0]], pure=False)
+                sent[future.key] = waiting.popleft()
+                done.add(future)
+
+        send()
+        for future in done:
+            name, failure = sent.pop(future.key), future.exception()
+            value = future.result() if failure is None else None
+            future.release()  # its worker need not keep the result
+            if isinstance(failure, KilledWorker):
+                failure = UserError("each process that did it was killed: it may need more memory than a worker has")
+                deaths[name] += 1
+                if deaths[name] < DEATHS:
+                    waiting.append(name)
+                    send()
+                    continue
+            send()
+            yield name, value, failure
+
+
+def _told(error: Exception) -> str:
+    """A sentence if the user can correct it, else the traceback."""
+    if isinstance(error, (UserError, *KNOWN_ERRORS)) or is_file_error(error):
+        return user_message(error)
+    return "".join(format_exception(type(error), error, error.__traceback__)).rstrip()
+
+
+def _count(word: str) -> int:
+    count = int(word)
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"{word}: must be 1 or more")
+    return count

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hydro_bridge.cli import jobs
+from hydro_bridge.errors import UserError
+
+
+def drawn(seed: int) -> tuple[float, int]:
+    """A number of this seed alone, and who drew it."""
+    return random.Random(seed).random(), os.getpid()
+
+
+def marked(number: int, folder: Path) -> int:
+    """Leaves a file for each time that it is done; number 2 is killed the first time, 3 each time, 4 is no number."""
+    done = len([*folder.glob(f"{number}-*")])
+    (folder / f"{number}-{done}").touch()
+    if number == 3 or (number == 2 and not done):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number == 4:
+        raise UserError("it holds no numbers")
+    return number
+
+
+def arguments(count: int) -> dict[str, tuple[int]]:
+    return {f"job {seed}": (seed,) for seed in range(count)}
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[str]:
+    """A scheduler and two workers, as started by hand."""
+    file = tmp_path / "scheduler.json"
+    dask, to = [sys.executable, "-m", "dask"], ["--scheduler-file", str(file)]
+    scheduler = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", *to]
+    workers = [*dask, "worker", "--nworkers", "2", "--nthreads", "1", "--no-dashboard", *to]
+    started = [subprocess.Popen(each, stderr=subprocess.DEVNULL) for each in (scheduler, workers)]
+    try:
+        while not file.exists():
+            time.sleep(0.1)
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in reversed(started):
+            process.send_signal(signal.SIGINT)
+            process.wait(timeout=30.0)
+
+
+def test_results_do_not_depend_on_how_many_compute_them() -> None:
+    alone = jobs.complete(drawn, arguments(6), at_once=1)
+    together = jobs.complete(drawn, arguments(6), at_once=2)
+    assert list(alone) == list(together) == list(arguments(6))
+    assert [number for number, _ in alone.values()] == [number for number, _ in together.values()]
+    assert {process for _, process in alone.values()} == {os.getpid()}
+    assert len({process for _, process in together.values()} - {os.getpid()}) == 2
+
+
+def test_finished_jobs_are_not_done_again(tmp_path: Path) -> None:
+    kept = tmp_path / "rows"
+    assert jobs.complete(pow, {"a": (2, 3), "b": (2, 4)}, kept=kept, at_once=1) == {"a": 8, "b": 16}
+    assert jobs.complete(divmod, {"b": (1, 0), "a": (1, 0)}, kept=kept, at_once=1) == {"b": 16, "a": 8}
+    assert jobs.complete(pow, {"a": (2, 3), "c": (3, 3)}, kept=kept, at_once=1) == {"a": 8, "c": 27}
+
+
+def test_nothing_begins_once_time_is_up() -> None:
+    assert jobs.complete(drawn, arguments(2), at_once=1, until=time.monotonic() - 1.0) == {}
+
+
+def test_poisoned_job_is_named_and_the_rest_is_done(capsys: pytest.CaptureFixture[str]) -> None:
+    found = {}
+    with pytest.raises(jobs.JobsError, match=r"^1 of 3 jobs failed: b; the others are done$") as failed:
+        for name, result in jobs.run(divmod, {"a": (1, 1), "b": (1, 0), "c": (4, 2)}, at_once=1):
+            found[name] = result
+    assert found == {"a": (1, 0), "c": (2, 0)}
+    assert isinstance(failed.value.errors["b"], ZeroDivisionError)
+    assert "b: Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_job_whose_process_is_killed_is_done_again_and_poison_kills_no_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wanted = {f"recording {number}": (number, tmp_path) for number in range(8)}
+    with pytest.raises(jobs.JobsError, match=r"2 of 8 jobs failed: recording 3, recording 4; the others"):
+        jobs.complete(marked, wanted, at_once=2, kept=tmp_path / "kept")
+    assert jobs.complete(marked, {n: v for n, v in wanted.items() if v[0] not in (3, 4)}, kept=tmp_path / "kept")
+    assert {number: len([*tmp_path.glob(f"{number}-*")]) for number in range(8)} == {
+        0: 1, 1: 1, 2: 2, 3: jobs.DEATHS, 4: 1, 5: 1, 6: 1, 7: 1
+    }  # fmt: skip
+    said = capsys.readouterr().err
+    assert "recording 4: it holds no numbers" in said
+    assert "recording 3: each process that did it was killed" in said
+
+
+@pytest.mark.slow
+def test_cluster_gives_what_this_process_gives_though_a_worker_is_killed(cluster: str) -> None:
+    who: set[int] = set()
+    while len(who) < 2:  # the second worker takes longer to start
+        who |= {*jobs.complete(os.getpid, {str(number): () for number in range(4)}, scheduler=cluster).values()}
+    assert os.getpid() not in who
+    assert jobs.complete(pow, {"a": (2, 3), "b": (2, 4)}, scheduler=cluster) == {"a": 8, "b": 16}
+    done = []
+    for name, _ in jobs.run(time.sleep, {str(number): (0.5,) for number in range(6)}, scheduler=cluster):
+        if not done:
+            os.kill(who.pop(), signal.SIGKILL)
+        done.append(name)
+    assert sorted(done) == ["0", "1", "2", "3", "4", "5"]
+
+
+def test_address_without_a_scheduler_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jobs, "ANSWERS_WITHIN", 1.0)
+    for address in ("tcp://127.0.0.1:9", "nowhere"):
+        with pytest.raises(UserError, match=f"no scheduler with workers answers at {address}"):
+            jobs.complete(drawn, arguments(2), scheduler=address)
