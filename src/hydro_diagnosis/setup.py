@@ -36,6 +36,7 @@ setup(
     entry_points={
         "console_scripts": [
             "diagnose = hydro_bridge.process.start:main_of.hydro_diagnosis.cli",
+            "diagnose_many = hydro_bridge.process.start:main_of.hydro_diagnosis.diagnose_many",
             "prove = hydro_bridge.process.start:main_of.hydro_diagnosis.blind_benchmark.prove",
             "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.listing",
         ],

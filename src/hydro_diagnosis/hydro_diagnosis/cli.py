@@ -107,8 +107,7 @@ def run(arguments: Sequence[str]) -> int:
     if chosen.columns and not (chosen.bench or chosen.model):
         print(FOREIGN, file=sys.stderr)
     from hydro_diagnosis.pipeline import diagnose
-    from hydro_diagnosis.report.corrected_bench import write_corrected
-    from hydro_diagnosis.report.page import write_page
+    from hydro_diagnosis.report.page import write_files
 
     try:
         with nullcontext(silent) if chosen.quiet else StageBar() as told:
@@ -125,17 +124,14 @@ def run(arguments: Sequence[str]) -> int:
                 progress=told,
             )
     except DiagnosisInterrupted as interrupted:
-        _made(chosen.out)
+        chosen.out.mkdir(parents=True, exist_ok=True)
         interrupted.report.write(chosen.out)
         print(f"interrupted: {chosen.out / 'report.json'} holds what was finished, no verdict", file=sys.stderr)
         return interrupted.status
     except KeyboardInterrupt as interruption:
         print("interrupted while reading: nothing was written", file=sys.stderr)
         return endings.status(interruption)
-    _made(chosen.out)
-    found.report.write(chosen.out)
-    write_corrected(found.corrected, (), chosen.out / "corrected.yaml")
-    write_page(found, chosen.out / "report.html")
+    write_files(found, chosen.out)
     refresh_index(chosen.out)
     _say(found, chosen.out)
     return 0
@@ -145,11 +141,6 @@ def run(arguments: Sequence[str]) -> int:
 def main() -> int:
     """Entry point; 2 for input that cannot be diagnosed, 130 when interrupted."""
     return run(sys.argv[1:])
-
-
-def _made(folder: Path) -> None:
-    """Create the folder only once there is something to write: refused input leaves nothing behind."""
-    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _say(found: Diagnosis, folder: Path) -> None:

@@ -16,6 +16,7 @@ from hydro_diagnosis.findings import EffectReport, Report
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.comparison import compare
+from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report.plots import STATIC, location_plot, valve_plot
 from hydro_sim.plotting import UNITS
@@ -32,9 +33,12 @@ _SHOWN = {"m": ("µm", 1e6), "Pa": ("kPa", 1e-3), "N": ("N", 1.0)}
 _MINUS = "\N{MINUS SIGN}"
 
 
-def write_page(found: Diagnosis, path: Path) -> None:
-    """Write report.html."""
-    write_whole(path, rendered(found).encode())
+def write_files(found: Diagnosis, folder: Path) -> None:
+    """Write report.json, corrected.yaml and report.html to a folder, which is made only now."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found.report.write(folder)
+    write_corrected(found.corrected, (), folder / "corrected.yaml")
+    write_whole(folder / "report.html", rendered(found).encode())
 
 
 def rendered(found: Diagnosis) -> str:

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnoses each of many recordings by itself; what is found goes into tables in Parquet.
+
+ros2 run hydro_diagnosis diagnose_many runs --bench mine.yaml --out study        # all recordings in a folder
+ros2 run hydro_diagnosis diagnose_many 'today/*.mf4' --columns map.yaml --bench mine.yaml --out study
+ros2 run hydro_diagnosis diagnose_many @list.txt --out study                     # one path a line
+
+The same command does only what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import glob
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from pyarrow import parquet
+
+from hydro_bridge.cli import jobs
+from hydro_bridge.cli.console import UserError, command, plural, writable_folder
+from hydro_diagnosis.bench_numbers import read_bench
+from hydro_diagnosis.findings import ParameterEstimate, Report
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_sim.model.bench import read_content
+
+_OF = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
+DIAGNOSES = pa.schema(
+    [
+        *_OF,
+        ("verdict", pa.string()),
+        ("refused", pa.string()),
+        ("causes", pa.list_(pa.string())),
+        ("closures", pa.int32()),
+        ("explained", pa.float64()),
+        ("notes", pa.list_(pa.string())),
+        ("seconds", pa.float64()),
+    ]
+)
+PARAMETERS = pa.schema(
+    [
+        *_OF,
+        ("cause", pa.string()),
+        ("options", pa.string()),
+        ("parameter", pa.string()),
+        ("value", pa.float64()),
+        ("low", pa.float64()),
+        ("high", pa.float64()),
+        ("unit", pa.string()),
+    ]
+)
+"""Columns of STUDY/diagnoses.parquet and of STUDY/parameters.parquet (`many_recordings.md`)."""
+
+
+def recordings_in(words: Sequence[str]) -> dict[str, Path]:
+    """Recordings by name, in order: files, bags, all of a folder, or a pattern.
+
+    Raises UserError: nothing is there.
+    """
+    found: dict[Path, None] = {}
+    for word in words:
+        paths = sorted(map(Path, glob.glob(word, recursive=True))) if glob.has_magic(word) else [Path(word)]
+        there = [one for path in paths if path.exists() for one in _within(path)]
+        if not there:
+            raise UserError(f"{word}: there is no recording")
+        found.update(dict.fromkeys(one.resolve() for one in there))
+    top = Path(os.path.commonpath([path.parent for path in found]))
+    return {path.relative_to(top).as_posix(): path for path in found}
+
+
+def _within(path: Path) -> Iterator[Path]:
+    if not path.is_dir() or (path / "metadata.yaml").is_file():  # a file, or a bag
+        yield path
+        return
+    for one in sorted(path.iterdir()):
+        if one.is_dir() or one.suffix.lower() in (".mcap", *SUFFIXES):
+            yield from _within(one)
+
+
+def diagnosed(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Diagnose one recording, write its report to a folder, and return its rows of both tables."""
+    from hydro_diagnosis.pipeline import diagnose
+    from hydro_diagnosis.report.page import write_files
+
+    try:
+        found = diagnose([path], **options)
+    except InputError as error:
+        return {"diagnosis": {"refused": str(error)}, "parameters": []}
+    write_files(found, Path(folder))
+    return rows(found.report)
+
+
+def rows(report: Report) -> dict[str, Any]:
+    """A report as a row of `DIAGNOSES` and rows of `PARAMETERS`, without the recording's name."""
+    begin = report.recordings[0]["begin"]
+    shares = [share for share in report.checks.get("explained", {}).values() if share is not None]
+    parameters = [
+        _number(effect.id, ",".join(f"{key}={one}" for key, one in effect.options.items()), name, number)
+        for effect in report.effects
+        for name, number in effect.parameters.items()
+    ]
+    estimated = [
+        _number("", "", one.name, ParameterEstimate(value=one.value, ci95=one.ci95, unit=one.unit))
+        for one in report.estimated
+    ]
+    diagnosis = {
+        "verdict": report.verdict,
+        "causes": [effect.id for effect in report.effects],
+        "closures": len(report.closures),
+        "explained": min(shares, default=None),
+        "notes": report.data_quality,
+        "seconds": report.seconds,
+    }
+    beginning = {"begin": None if begin is None else round(1e6 * begin)}
+    return {
+        "diagnosis": {**beginning, **diagnosis},
+        "parameters": [{**beginning, **one} for one in (*parameters, *estimated)],
+    }
+
+
+def _number(cause: str, options: str, name: str, number: ParameterEstimate) -> dict[str, Any]:
+    low, high = number.ci95 or (None, None)
+    return {
+        "cause": cause, "options": options, "parameter": name, "value": number.value, "low": low, "high": high,
+        "unit": number.unit,
+    }  # fmt: skip
+
+
+def write_study(folder: Path, found: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write both tables of what was found, by the recordings' names."""
+    diagnoses = [{"recording": name, **one["diagnosis"]} for name, one in found.items()]
+    parameters = [{"recording": name, **row} for name, one in found.items() for row in one["parameters"]]
+    for name, table, schema in (("diagnoses", diagnoses, DIAGNOSES), ("parameters", parameters, PARAMETERS)):
+        partial = folder / f"{name}.parquet.partial"
+        parquet.write_table(pa.Table.from_pylist(table, schema), partial)
+        partial.replace(folder / f"{name}.parquet")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    options = argparse.ArgumentParser(
+        prog="diagnose_many", description=__doc__, formatter_class=argparse.RawTextHelpFormatter,
+        fromfile_prefix_chars="@",
+    )  # fmt: skip
+    options.add_argument(
+        "recordings", nargs="+", metavar="RECORDING",
+        help="as for diagnose; a folder of recordings, a pattern, or @FILE with one of them a line",
+    )  # fmt: skip
+    options.add_argument("--bench", metavar="FILE", help="as for diagnose, of all recordings")
+    options.add_argument("--columns", metavar="MAP", help="as for diagnose, of all recordings")
+    options.add_argument("--without", nargs="+", default=[], metavar="ID", help="as for diagnose")
+    options.add_argument("--estimate", nargs="+", default=[], metavar="NAME", help="as for diagnose")
+    options.add_argument("--seconds", type=float, metavar="S", help="as for diagnose, for each recording")
+    options.add_argument("--out", required=True, type=writable_folder, metavar="STUDY", help="folder of the data set")
+    jobs.add_arguments(options)
+    return options
+
+
+def asked_of(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Options of `diagnose`, with the content of files in place of their paths: what is done depends on it.
+
+    Raises InputError or ValueError: a file cannot be read.
+    """
+    if chosen.bench:
+        read_bench(chosen.bench, frozenset(chosen.estimate))
+    columns = ColumnMap.load(chosen.columns)
+    return {
+        "bench": read_content(chosen.bench) if chosen.bench else None,
+        "columns": None if columns is None else str(columns),
+        **{name: getattr(chosen, name) for name in ("without", "estimate", "seconds")},
+    }
+
+
+@command(InputError, ValueError, OSError)
+def main() -> int:
+    """Entry point; 0 if each recording was diagnosed or refused in a sentence, 2 if one could not be."""
+    chosen = parser().parse_args(sys.argv[1:])
+    named = recordings_in(chosen.recordings)
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    options = asked_of(chosen)
+    arguments = {name: (str(path), str(chosen.out / "reports" / name), options) for name, path in named.items()}
+    found: dict[str, Any] = {}
+    digest = sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:12]
+    told = jobs.where(chosen) | {
+        "kept": chosen.out / f"found-{digest}.jsonl",
+        "label": "diagnoses",
+        "unit": "recording",
+    }
+    try:
+        found.update(jobs.run(diagnosed, arguments, **told))
+    finally:
+        write_study(chosen.out, {name: found[name] for name in named if name in found})
+    refused = {name: one["diagnosis"]["refused"] for name, one in found.items() if "refused" in one["diagnosis"]}
+    for name, why in refused.items():
+        print(f"{name}: refused: {why}", file=sys.stderr)
+    print(
+        f"{chosen.out}/diagnoses.parquet, parameters.parquet: {plural(len(found), 'recording')}, {len(refused)} refused"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    main()
