@@ -23,8 +23,8 @@ KEYS = {name: f"python3-{name}" for name in (
 """rosdep's keys of modules that are no ROS packages."""
 
 WITHOUT_KEY = {
-    "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "safetensors", "tensorboardX",
-    "threadpoolctl",
+    "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pyarrow", "safetensors",
+    "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 
@@ -33,9 +33,6 @@ DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}
 
 NOT_ASKED_FOR = {"asammdf", "cycler", "llvmlite"}
 """Only for MDF files; come with matplotlib and numba."""
-
-BEHIND_PANDAS = {"hydro_diagnosis": {"pyarrow"}}
-"""What pandas imports to read Parquet."""
 
 
 def modules_imported(files: Iterable[Path]) -> set[str]:
@@ -82,4 +79,4 @@ def test_what_pip_has_to_install_is_declared(folder: Path) -> None:
     called = ast.walk(ast.parse((folder / "setup.py").read_text(encoding="utf-8")))
     (value,) = (node.value for node in called if isinstance(node, ast.keyword) and node.arg == "install_requires")
     listed = {name for name in ast.literal_eval(value) if not name.startswith("hydro_")}
-    assert listed == needed | BEHIND_PANDAS.get(folder.name, set())
+    assert listed == needed

@@ -27,7 +27,7 @@ def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
     for path, name in zip(worn[:2], ("a.csv", "late/b.csv"), strict=True):
         (folder / name).write_bytes(path.read_bytes())
     (folder / "broken.csv").write_text("<html></html>", encoding="utf-8")
-    (folder / "notes.md").write_text("no recording", encoding="utf-8")
+    (folder / "notes.docx").write_text("no recording", encoding="utf-8")
     assert ran(monkeypatch, folder, "--out", study, "--jobs", 1) == 0
     assert "broken.csv: refused" in capfd.readouterr().err
     diagnoses = pd.read_parquet(study / "diagnoses.parquet").set_index("recording")
@@ -36,7 +36,7 @@ def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
     assert diagnoses.verdict["a.csv"] == "explained" and "web page" in diagnoses.refused["broken.csv"]
     springs = parameters[parameters.cause == "spring_stiffness"]
     assert sorted(springs.recording) == ["a.csv", "late/b.csv"]
-    assert (springs.low < 18500.0).all() and (springs.high > 18500.0).all() and set(springs.unit) == {"N/m"}
+    assert (springs.low < 0.925).all() and (springs.high > 0.925).all() and set(springs.parameter) == {"ratio"}
     reports = [study / "reports" / name / "report.html" for name in ("a.csv", "late/b.csv")]
     before = [path.stat().st_mtime_ns for path in reports]
     (folder / "c.csv").write_bytes(worn[2].read_bytes())
