@@ -232,7 +232,7 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
         return
     position, stroke = channels["piston_position"], guarded(bench).stroke
     low, high = float(position.min()) / stroke, float(position.max()) / stroke
-    factor, offset = by_spring(channels, bench)
+    factor, offset = _by_spring(channels, bench)
     if low >= -MARGIN and high <= 1.0 + MARGIN:
         if "piston_position" in taken and high < MARGIN:
             yield tuple(_lengths(factor, max(-low, high), taken))
@@ -249,7 +249,7 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
     yield velocity, Scale("piston_position", said, factor=sign, offset=float(f"{zero:.3g}"))
 
 
-def by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
+def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
     """Factor and offset [m] by which the position would compress the spring as the load's force says; else 0, 0."""
     if "load_force" not in channels:
         return 0.0, 0.0

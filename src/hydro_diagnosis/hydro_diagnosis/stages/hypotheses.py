@@ -27,8 +27,6 @@ from hydro_diagnosis.selection.outcome import NAMES
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages.reading import Case, Progress, Question, StageResult, read
 from hydro_diagnosis.wiring import (
-    MARGIN,
-    SIZE,
     Advance,
     Doubt,
     Exchange,
@@ -36,7 +34,6 @@ from hydro_diagnosis.wiring import (
     Rename,
     Repair,
     Scale,
-    by_spring,
     in_other_units,
     reversed_sign,
 )
@@ -49,8 +46,6 @@ UNJUDGED = 100.0
 """Price of a sample that a hypothesis does not judge, in noise variances: it is left if it is not known better."""
 MOST_REPAIRS = 4
 """Largest number of simultaneous mistakes."""
-VOLUMES = 0.7
-"""Share of what the pressures leave that may be left once the position's zero is moved."""
 STEP = 0.02
 """s by which a channel is moved to see which way it is late."""
 REACH = 0.15
@@ -154,7 +149,6 @@ class _Trial:
                 yield reversed_sign(name)
         if "piston_position" in here and knows(bench, "stroke"):
             yield Scale("piston_position", "piston_position has the wrong sign", factor=-1.0, offset=bench.stroke)
-        yield from self._origin()
         for one, other in (("pressure_a", "pressure_b"), ("hydraulic_force", "load_force")):
             if {one, other} <= here:
                 yield Exchange(one, f"{one} and {other} are exchanged", other=other)
@@ -164,26 +158,6 @@ class _Trial:
         for name in (*MEASURED, "valve_current"):
             if name in here:
                 yield from self._delays(name)
-
-    def _origin(self) -> Iterator[Scale]:
-        """The position's zero by the spring, if the chambers' volumes agree: else the spring rests elsewhere."""
-        needed, bench = ("piston_position", "load_force", "pressure_a", "pressure_b"), self._problem.bench
-        if not (
-            self._channels.issuperset(needed) and knows(bench, "stroke", "spring_stiffness", "spring_rest_position")
-        ):
-            return
-        pooled = {name: np.concatenate([one.channels[name] for one in self._segments]) for name in needed[:2]}
-        factor, offset = by_spring(pooled, bench)
-        if not 1.0 / SIZE < factor < SIZE:
-            return
-        zero = bench.spring_rest_position + (offset - bench.spring_rest_position) / factor
-        said = "piston_position has its zero elsewhere (judged by the spring: write what was measured)"
-        moved = Scale("piston_position", said, offset=float(f"{zero:.3g}"))
-        before, after = (
-            sum(one[name][0] for name in needed[2:] if name in one) for one in (self._before, self._left(moved))
-        )
-        if abs(zero) > MARGIN * bench.stroke and after < VOLUMES * before:
-            yield moved
 
     def timed(self, repair: Advance) -> Advance:
         """The repair with the delay that leaves least; that of whole rows, if it leaves no more."""
@@ -300,12 +274,13 @@ def read_repaired(question: Question, progress: Progress) -> Case:
 
 
 def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Case:
-    """The same case, or it repaired, where causes leave something: what they leave may be a mistake of wiring."""
+    """The same case, or it repaired: what causes leave, or what several say together, may be a mistake of wiring."""
     claims = found.outcome.fit.claims
     left_over = found.assessment.remainder or noticeable(found.holdout, found.holdout.residual(claims))
-    if case.question.as_wired or not left_over:
+    if case.question.as_wired:
         return case
-    repairs = suspected(found.problem, claims, case.held, case.units)
+    suspects = suspected(found.problem, claims, case.held, case.units) if left_over else ()
+    repairs = suspects or _other_zero(found.problem, claims)
     if not repairs:
         return case
     try:
@@ -313,6 +288,16 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
     except InputError:
         return case
     return _choose(case, _left(found.problem, found.holdout, claims), repairs, other, progress)
+
+
+def _other_zero(problem: Problem, claims: Sequence[Claim]) -> tuple[Repair, ...]:
+    """Another zero of the position, where both the spring's rest and a dead volume seem to be other ones."""
+    found = {claim.effect.id: claim.values for claim in claims}
+    if not found.keys() >= {"spring_rest", "dead_volume"}:
+        return ()
+    offset = problem.bench.spring_rest_position - found["spring_rest"]["position"]
+    said = "piston_position has its zero elsewhere (judged by the spring: write what was measured)"
+    return (Scale("piston_position", said, offset=float(f"{offset:.5g}")),)
 
 
 def _mismatch(problem: Problem) -> bool:
