@@ -37,7 +37,7 @@ train: setup  ## a short training on the emulated bench over the serial line, re
 	@$(SOURCED) ros2 run hydro_policy trainer --demo $(ARGS)
 
 prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261124" repeats docs/reports/proof.md)
-	@$(SOURCED) ros2 run hydro_diagnosis prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
+	@$(SOURCED) .venv/bin/python -m benchmarks.prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
 test: lint setup  ## all checks and all tests but the studies: the graph's in real time, the others beside them
 	@$(SOURCED) .venv/bin/python -m pytest -m "not study" $(BOTH_CORES) $(ARGS) || case $$? in \

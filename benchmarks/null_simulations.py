@@ -23,11 +23,11 @@ from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
 from benchmarks._report import parser
+from benchmarks.prove.blind import engine
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_diagnosis.bench_numbers import completed
-from hydro_diagnosis.blind_benchmark.blind import engine
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals

@@ -24,10 +24,10 @@ import numpy as np
 import pandas as pd
 
 from benchmarks import _report
+from benchmarks.prove.cases import FORMS, SINGLES, VALUES, Pick, Shape, Size
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, command
 from hydro_bridge.signals import STATE_FIELDS
-from hydro_diagnosis.blind_benchmark.cases import FORMS, SINGLES, VALUES, Pick, Shape, Size
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import read_table
 from hydro_diagnosis.recording import InputError

@@ -7,7 +7,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "data/*", "report/templates/*", "blind_benchmark/templates/*", "page/*"]},
+    package_data={name: ["py.typed", "data/*", "report/templates/*", "page/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -37,7 +37,6 @@ setup(
         "console_scripts": [
             "diagnose = hydro_bridge.process.start:main_of.hydro_diagnosis.cli",
             "diagnose_many = hydro_bridge.process.start:main_of.hydro_diagnosis.diagnose_many",
-            "prove = hydro_bridge.process.start:main_of.hydro_diagnosis.blind_benchmark.prove",
             "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.listing",
         ],
     },

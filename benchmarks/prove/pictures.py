@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from benchmarks.prove.cases import FITTED, SECONDS
+from benchmarks.prove.scores import Result, confusion
 from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.pages import data_uri, environment
-from hydro_diagnosis.blind_benchmark.cases import FITTED, SECONDS
-from hydro_diagnosis.blind_benchmark.scores import Result, confusion
+from hydro_bridge.pages import Section, results_page
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.selection.outcome import SearchSettings
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure
@@ -30,16 +30,16 @@ _CAPTIONS = {
 def write_page(path: Path, table: Table, pictures: Mapping[str, Path], failed: Sequence[Mapping[str, Any]],
           about: Mapping[str, str]) -> None:  # fmt: skip
     """Write the page; `about`: facts on the run, by name."""
-    made = environment("hydro_diagnosis", "blind_benchmark/templates")
-    made.filters["flat"] = _flat
-    page = made.get_template("proof.html").render(
-        title="Proof on sealed cases",
-        about=about,
-        table=table,
-        pictures=[(_CAPTIONS[what], data_uri(file)) for what, file in pictures.items()],
-        failed=failed,
-    )
-    write_whole(path, page.encode())
+    cases = Table(dict.fromkeys(("case", "kind", "concealed", "verdict", "claimed"), ""), title="Failures")
+    for one in failed:
+        cases.add(case=one["case"], kind=one["kind"], concealed=_flat(one["truth"]), verdict=one["verdict"],
+                  claimed=f"{_flat(one['claimed'])} {one['why']}")  # fmt: skip
+    shown = [
+        Section(heading="Standards", table=table),
+        *(Section(heading=what, text=_CAPTIONS[what], picture=file) for what, file in pictures.items()),
+        Section(heading="Failures", table=cases) if failed else Section(heading="Failures", text="None."),
+    ]
+    write_whole(path, results_page("Proof on sealed cases", about, shown).encode())
 
 
 def _flat(data: Mapping[str, Any]) -> str:

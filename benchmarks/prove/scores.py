@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.prove.cases import Case
 from hydro_bridge.cli.console import Table
-from hydro_diagnosis.blind_benchmark.cases import Case
 
 Name = tuple[str, str]
 """Id, and the chamber, cell or sensor if it has one."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run hydro_diagnosis prove`: how often the diagnosis is right, on benches whose causes it cannot see.
+"""`python -m benchmarks.prove --seed S`: how often the diagnosis is right, on benches whose causes it cannot see.
 
 Draws benches with nothing, one, two or three causes concealed (effects, wrong bench values, other forms, causes that
 have no name), seals the answers and prints their SHA-256, records each bench through the emulator, has the diagnosis
@@ -21,16 +21,17 @@ from typing import Any
 
 import yaml
 
+from benchmarks.prove import pictures
+from benchmarks.prove.cases import PARTS, Case, draw, draw_parts
+from benchmarks.prove.scores import Result, confusion, failures, standards
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_diagnosis.blind_benchmark import pictures
-from hydro_diagnosis.blind_benchmark.cases import PARTS, Case, draw, draw_parts
-from hydro_diagnosis.blind_benchmark.scores import Result, confusion, failures, standards
 from hydro_sim.model.bench import Bench
 
 ANSWERS, DIGEST = "answers.json", "answers.sha256"
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def seal(cases: Sequence[Case], folder: Path) -> str:
@@ -67,21 +68,15 @@ SEALED, BLIND = "sealed", "blind"
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     options = argparse.ArgumentParser(
-        prog="prove", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks.prove", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     options.add_argument("--cases", type=int, default=20, metavar="N", help="benches (default: 20; a proof: 224)")
     options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
     options.add_argument("--seed", type=int, required=True, metavar="S", help="of everything that is drawn")
     options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
-    options.add_argument("--graph", type=int, default=0, metavar="K",
-                         help="record the first K in real time, by serial line and graph (2 minutes each)")  # fmt: skip
     jobs.add_arguments(options)
     options.add_argument("--minutes", type=float, default=float("inf"),
                          help="begin no new case after so long; the same command goes on later")  # fmt: skip
-    options.add_argument("--only-record", action="store_true", help="seal and record; the same words without it go on")
-    options.add_argument("--partial", action="store_true", help="when time is up, open the seal and score what is done")
-    options.add_argument("--kinds", nargs="+", choices=list(PARTS), metavar="KIND",
-                         help=f"score these kinds alone: {', '.join(PARTS)}")  # fmt: skip
     options.add_argument("--again", action="store_true",
                          help="diagnose anew what another version of the diagnosis answered")  # fmt: skip
     add_json_argument(options)
@@ -91,36 +86,30 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str]) -> int:
     """Prove; 0 when cases are scored, 3 when time was up before."""
     chosen = parser().parse_args(arguments)
-    from hydro_diagnosis.blind_benchmark.blind import ANSWER
+    from benchmarks.prove.blind import ANSWER
 
     cases = _drawn(chosen)
-    _check(chosen, len(cases))
     until = time.monotonic() + 60.0 * chosen.minutes
     folder = writable_folder(chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}").absolute()
     digest = seal(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
     recorded = _record(cases, folder / BLIND, chosen, until)
-    if recorded and chosen.only_record:
-        return 0
     if chosen.again:
         _forget_other_versions(folder)
     finished = recorded and _diagnose(folder / BLIND, until, **jobs.where(chosen))
-    done = [case.name for case in cases if (folder / BLIND / case.name / ANSWER).exists()]
     if not finished:
-        print(f"time is up: {len(done)} of {len(cases)} cases are diagnosed; the same command goes on")
-        if not (chosen.partial and done):
-            return 3
-    answers = [case for case in unseal(folder / SEALED, digest) if case.name in done]
+        done = sum((folder / BLIND / case.name / ANSWER).exists() for case in cases)
+        print(f"time is up: {done} of {len(cases)} cases are diagnosed; the same command goes on")
+        return 3
+    answers = unseal(folder / SEALED, digest)
     print("opened: the answers are those that were sealed")
     results = [
-        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text()))
-        for case in answers
-        if not chosen.kinds or case.kind in chosen.kinds
+        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text())) for case in answers
     ]
     _show(
         results,
         folder,
-        {"seed": str(chosen.seed), "cases": f"{len(answers)} of {len(cases)}", "SHA-256": digest},
+        {"seed": str(chosen.seed), "cases": str(len(cases)), "SHA-256": digest},
         chosen.json,
     )
     return 0
@@ -146,21 +135,15 @@ def _drawn(chosen: argparse.Namespace) -> list[Case]:
     return draw_parts({kind: int(count) for kind, count in parts.items()}, chosen.seed)
 
 
-def _check(chosen: argparse.Namespace, count: int) -> None:
-    if not 0 <= chosen.graph <= count:
-        raise UserError(f"--graph {chosen.graph}: must be 0 to the number of cases")
-
-
 def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
     """Record all cases; False if time was up."""
-    from hydro_diagnosis.blind_benchmark.recording import record, record_by_graph
+    from benchmarks.prove.recording import record
 
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "bench.yaml").exists():
         believed = yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False)
         (folder / "bench.yaml").write_text(believed, encoding="utf-8")
-    by_graph, offline = cases[: chosen.graph], cases[chosen.graph :]
-    return record_by_graph(by_graph, folder, until) and record(offline, folder, until, **jobs.where(chosen))
+    return record(cases, folder, until, **jobs.where(chosen))
 
 
 SLICE = 4
@@ -169,7 +152,7 @@ SLICE = 4
 
 def _diagnose(folder: Path, until: float, **where: Any) -> bool:
     """Have all cases diagnosed in processes of their own; False if time was up."""
-    from hydro_diagnosis.blind_benchmark.blind import waiting
+    from benchmarks.prove.blind import waiting
 
     left = waiting(folder)
     slices = {left[at].name: (left[at : at + SLICE],) for at in range(0, len(left), SLICE)}
@@ -177,15 +160,15 @@ def _diagnose(folder: Path, until: float, **where: Any) -> bool:
 
 
 def _blindly(cases: Sequence[Path]) -> None:
-    words = [sys.executable, "-m", "hydro_diagnosis.blind_benchmark.blind", *map(str, cases)]
-    done = subprocess.run(words, check=False, cwd=cases[0].parent, stderr=subprocess.PIPE, text=True)
+    words = [sys.executable, "-m", "benchmarks.prove.blind", *map(str, cases)]
+    done = subprocess.run(words, check=False, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     if done.returncode:
         raise UserError(done.stderr.strip() or f"the diagnosis ended with status {done.returncode}")
 
 
 def _forget_other_versions(folder: Path) -> None:
     """Remove what another version of the diagnosis answered."""
-    from hydro_diagnosis.blind_benchmark.blind import ANSWER, engine
+    from benchmarks.prove.blind import ANSWER, engine
 
     this = engine()
     for answer in (folder / BLIND).glob(f"*/{ANSWER}"):
@@ -195,7 +178,7 @@ def _forget_other_versions(folder: Path) -> None:
 
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
     """Print the table; write proof.json, the pictures and proof.html."""
-    from hydro_diagnosis.blind_benchmark.blind import engine
+    from benchmarks.prove.blind import engine
 
     engines = sorted({str(result.answer["engine"]) for result in results})
     about = {**about, "engine": ", ".join(engines)}

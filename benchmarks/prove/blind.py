@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m hydro_diagnosis.blind_benchmark.blind CASE...`: diagnoses cases from recordings and bench.yaml alone.
+"""`python -m benchmarks.prove.blind CASE...`: diagnoses cases from recordings and bench.yaml alone.
 
 Each CASE is a folder of recordings beside bench.yaml, and gets answer.json and corrected.yaml. Finished cases are left
 alone; several can run side by side.
@@ -22,11 +22,12 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import hydro_diagnosis
 import hydro_sim.model
+from benchmarks.prove.cases import FITTED, HELD
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import command
 from hydro_diagnosis import InputError, diagnose
-from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
 from hydro_diagnosis.report.corrected_bench import write_corrected
 
 
@@ -34,10 +35,9 @@ from hydro_diagnosis.report.corrected_bench import write_corrected
 def engine() -> str:
     """Digest of the sources at the first call."""
     digest = sha256()
-    for package in (Path(__file__).parent, Path(hydro_sim.model.__file__).parent):
+    for package in (Path(hydro_diagnosis.__file__).parent, Path(hydro_sim.model.__file__).parent):
         for path in sorted(package.rglob("*.py")):
-            if "blind_benchmark" not in path.relative_to(package).parts:
-                digest.update(path.read_bytes())
+            digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 
 
