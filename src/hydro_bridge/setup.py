@@ -40,6 +40,7 @@ setup(
         "mcap",
         "msgspec",
         "numpy",
+        "pyarrow",
         "pyserial",
         "pyyaml",
         "rosbags",

@@ -4,6 +4,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -114,6 +115,35 @@ def test_cluster_gives_what_this_process_gives_though_a_worker_is_killed(cluster
             os.kill(who.pop(), signal.SIGKILL)
         done.append(name)
     assert sorted(done) == ["0", "1", "2", "3", "4", "5"]
+
+
+@pytest.mark.slow
+def test_scheduler_is_killed_and_the_same_jobs_are_completed_without_it(cluster: str, tmp_path: Path) -> None:
+    from distributed import Client
+
+    with Client(cluster) as client:
+        scheduler = client.run_on_scheduler(os.getpid)
+    wanted, kept, done = {str(number): (0.5,) for number in range(8)}, tmp_path / "kept", []
+    with pytest.raises(UserError, match=f"the scheduler at {cluster} went away: the same command does what is missing"):
+        for name, _ in jobs.run(time.sleep, wanted, scheduler=cluster, kept=kept):
+            done.append(name)
+            os.kill(scheduler, signal.SIGKILL)
+    assert 1 <= len(done) < 8
+    missing = jobs.complete(drawn, wanted, kept=kept, at_once=1)
+    assert [name for name in wanted if missing[name] is None] == sorted(done), "what was done is not done again"
+
+
+def test_full_disk_is_told_and_the_same_jobs_are_completed_with_room(tmp_path: Path) -> None:
+    kept, limits = tmp_path / "kept", resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (90, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert kept.stat().st_size == 90 and not kept.read_bytes().endswith(b"\n")
+    assert jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)["19"] == 2**19
+    assert len(kept.read_text().splitlines()) == 20
 
 
 def test_address_without_a_scheduler_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -13,6 +17,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from hydro_bridge.bags import location
 from hydro_bridge.bags.cdr import STATE_TYPE, encode_states
 from hydro_bridge.bags.recording import (
     STATE_TOPIC,
@@ -25,6 +30,7 @@ from hydro_bridge.bags.recording import (
     stream_bag,
 )
 from hydro_bridge.bags.schema import definition
+from hydro_bridge.bags.source import BagSource
 
 GAINS = "/hydro/gains"
 GAINS_TYPE = "hydro_msgs/msg/Gains"
@@ -150,6 +156,70 @@ def test_a_recording_by_rosbags_is_read(tmp_path, states, plugin):
         for row, time in zip(encode_states(states), states["time"], strict=True):
             writer.write(connection, int(time * 1e9), row.tobytes())
     assert same(read_bag(tmp_path / "other").state, states)
+
+
+def test_a_part_is_found_by_the_index_and_its_samples_are_those_of_the_whole(tmp_path, make_states):
+    states = make_states(20_000)
+    with BagWriter(tmp_path / "long") as writer:
+        writer.write_states(states)
+    path = mcap_of(tmp_path / "long")
+    for begin, end, asked in ((0, 7_000, ",7"), (7_000, 12_500, "7,12.5"), (12_500, 20_000, "12.5")):
+        for whole in (tmp_path / "long", path):
+            assert same(read_bag(f"{whole}#t={asked}").state, states[begin:end])
+    assert BagSource(path).seconds() == pytest.approx(19.999)
+    with pytest.raises(RecordingError, match="the part ends before it begins, or begins after"):
+        read_bag(f"{path}#t=20,30", topics=[STATE_TOPIC])
+    damaged = bytearray(path.read_bytes())
+    damaged[len(damaged) // 4] ^= 255
+    path.write_bytes(damaged)
+    assert same(read_bag(f"{path}#t=12.5,").state, states[12_500:]), "what comes before is not read"
+    path.write_bytes(damaged[:-1000])
+    with pytest.raises(RecordingError, match="has no index"):
+        read_bag(f"{path}#t=0,1")
+
+
+class Store(SimpleHTTPRequestHandler):
+    """What S3 answers to HEAD, to GET of a range, and to the question what is below a prefix."""
+
+    def do_GET(self):
+        address = urlsplit(self.path)
+        if "list-type=2" in address.query:
+            found = [one for one in Path(self.directory).rglob("*") if one.is_file()]
+            self.answer(200, b"<ListBucketResult>%s</ListBucketResult>" % b"".join(map(self.listed, found)))
+            return
+        begin, end = map(int, self.headers["Range"].removeprefix("bytes=").split("-"))
+        with open(self.translate_path(address.path), "rb") as file:
+            file.seek(begin)
+            self.answer(206, file.read(end + 1 - begin))
+
+    def listed(self, file):
+        key = file.relative_to(Path(self.directory) / "lab").as_posix().encode()
+        return b"<Contents><Key>%s</Key><Size>%d</Size></Contents>" % (key, file.stat().st_size)
+
+    def answer(self, status, body):
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+
+def test_a_store_that_speaks_s3_gives_what_the_disk_gives(tmp_path, states, monkeypatch):
+    with BagWriter(tmp_path / "lab/monday") as writer:
+        writer.write_states(states)
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Store, directory=str(tmp_path))) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{server.server_port}")
+        monkeypatch.setenv("AWS_ACCESS_KEY_ID", "lab")
+        monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "lab")
+        location._store.cache_clear()
+        (stored,) = location.stored_below("s3://lab")
+        assert str(stored) == "s3:/lab/monday/monday_0.mcap"
+        assert same(read_bag("s3://lab/monday/monday_0.mcap").state, states)
+        assert same(read_bag(f"{stored}#t=1,2.5").state, states[1000:2500])
+        with pytest.raises(RecordingError, match=r"s3:/lab/no\.mcap cannot be read"):
+            read_bag("s3://lab/no.mcap")
+        server.shutdown()
+    location._store.cache_clear()
 
 
 @pytest.mark.parametrize("keep", [0.3, 0.6, 0.95])

@@ -4,6 +4,7 @@
 ros2 run hydro_diagnosis diagnose_many runs --bench mine.yaml --out study        # all recordings in a folder
 ros2 run hydro_diagnosis diagnose_many 'today/*.mf4' --columns map.yaml --bench mine.yaml --out study
 ros2 run hydro_diagnosis diagnose_many @list.txt --out study                     # one path a line
+ros2 run hydro_diagnosis diagnose_many s3://lab/day.mcap --every 3600 --out study  # hour by hour
 
 The same command does only what is missing.
 """
@@ -17,12 +18,16 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 from pyarrow import parquet
 
+from hydro_bridge.bags.location import is_bag, is_stored, is_there, parted, stored_below
+from hydro_bridge.bags.source import BagSource
+from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import UserError, command, plural, writable_folder
 from hydro_diagnosis.bench_numbers import read_bench
@@ -60,17 +65,20 @@ PARAMETERS = pa.schema(
 
 
 def recordings_in(words: Sequence[str]) -> dict[str, Path]:
-    """Recordings by name, in order: files, bags, all of a folder, or a pattern.
+    """Recordings by name, in order: files, bags, all of a folder or of a store, or a pattern.
 
     Raises UserError: nothing is there.
     """
     found: dict[Path, None] = {}
     for word in words:
         paths = sorted(map(Path, glob.glob(word, recursive=True))) if glob.has_magic(word) else [Path(word)]
-        there = [one for path in paths if path.exists() for one in _within(path)]
+        if is_stored(word):
+            there = stored_below(word)
+        else:
+            there = [one.resolve() for path in paths if is_there(path) for one in _within(path)]
         if not there:
             raise UserError(f"{word}: there is no recording")
-        found.update(dict.fromkeys(one.resolve() for one in there))
+        found.update(dict.fromkeys(there))
     top = Path(os.path.commonpath([path.parent for path in found]))
     return {path.relative_to(top).as_posix(): path for path in found}
 
@@ -82,6 +90,19 @@ def _within(path: Path) -> Iterator[Path]:
     for one in sorted(path.iterdir()):
         if one.is_dir() or one.suffix.lower() in (".mcap", *SUFFIXES):
             yield from _within(one)
+
+
+def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
+    """Parts of a bag by name, `every` s each, the last half to one and a half of it; another file as it is."""
+    if not is_bag(path) or parted(path)[1] is not None:
+        return {name: str(path)}
+    try:
+        count = max(round(BagSource(path).seconds() / every), 1)
+    except RecordingError:  # each part would be refused for the same reason
+        count = 1
+    borders = [*(f"{k * every:.12g}" for k in range(count)), ""]
+    parts = [f"#t={begin},{end}" for begin, end in pairwise(borders)]
+    return {f"{name}{part}": f"{path}{part}" for part in parts}
 
 
 def diagnosed(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -158,6 +179,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--without", nargs="+", default=[], metavar="ID", help="as for diagnose")
     options.add_argument("--estimate", nargs="+", default=[], metavar="NAME", help="as for diagnose")
     options.add_argument("--seconds", type=float, metavar="S", help="as for diagnose, for each recording")
+    options.add_argument("--every", type=float, metavar="S", help="diagnose each S seconds of a bag by themselves")
     options.add_argument("--out", required=True, type=writable_folder, metavar="STUDY", help="folder of the data set")
     jobs.add_arguments(options)
     return options
@@ -182,10 +204,15 @@ def asked_of(chosen: argparse.Namespace) -> dict[str, Any]:
 def main() -> int:
     """Entry point; 0 if each recording was diagnosed or refused in a sentence, 2 if one could not be."""
     chosen = parser().parse_args(sys.argv[1:])
-    named = recordings_in(chosen.recordings)
+    named = {name: str(path) for name, path in recordings_in(chosen.recordings).items()}
+    if chosen.every:
+        named = {
+            part: at for name, path in named.items() for part, at in parts_of(name, Path(path), chosen.every).items()
+        }
     chosen.out.mkdir(parents=True, exist_ok=True)
     options = asked_of(chosen)
-    arguments = {name: (str(path), str(chosen.out / "reports" / name), options) for name, path in named.items()}
+    folders = {name: str(chosen.out / "reports" / name.replace("#t=", "/")) for name in named}
+    arguments = {name: (path, folders[name], options) for name, path in named.items()}
     found: dict[str, Any] = {}
     digest = sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:12]
     told = jobs.where(chosen) | {

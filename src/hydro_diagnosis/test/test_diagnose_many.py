@@ -4,12 +4,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose_many
+from hydro_sim.model.bench import Bench
 
 
 def ran(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
@@ -51,3 +56,19 @@ def test_where_nothing_is_a_sentence_says_so(
     assert ran(monkeypatch, tmp_path / "*.csv", "--out", tmp_path / "study") == 2
     assert "there is no recording" in capfd.readouterr().err
     assert not (tmp_path / "study").exists()
+
+
+def test_each_part_of_a_long_bag_is_diagnosed_by_itself(
+    tmp_path: Path, record: Callable[..., StateArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with BagWriter(tmp_path / "day") as writer:
+        for k, stiffness in enumerate((20000.0, 18500.0)):
+            states = record(replace(Bench.nominal(), spring_stiffness=stiffness), seed=k, seconds=11.0)
+            states["time"] += 12.0 * k
+            writer.write_states(states)
+    assert ran(monkeypatch, tmp_path / "day", "--every", 12, "--out", tmp_path / "study", "--jobs", 1) == 0
+    diagnoses = pd.read_parquet(tmp_path / "study/diagnoses.parquet")
+    assert list(diagnoses.recording) == ["day#t=0,12", "day#t=12,"]
+    assert list(map(list, diagnoses.causes)) == [[], ["spring_stiffness"]]
+    assert (diagnoses.begin[1] - diagnoses.begin[0]).total_seconds() == 12.0
+    assert (tmp_path / "study/reports/day/12,/report.html").is_file()

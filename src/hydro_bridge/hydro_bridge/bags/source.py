@@ -4,22 +4,29 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from struct import Struct
+from struct import error as struct_error
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from mcap.summary import Summary
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
+from hydro_bridge.bags.location import is_stored, opened, parted
 from hydro_bridge.bags.schema import UnknownTypeError, definition
 from hydro_bridge.bags.types import RecordingError
 
@@ -29,7 +36,7 @@ def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
 
     Raises RecordingError: nothing there, or a recording that is not stored as plain mcap.
     """
-    if path.is_file():
+    if path.is_file() or is_stored(path):
         return [path], []
     if not path.is_dir():
         raise RecordingError(f"{path} does not exist")
@@ -72,6 +79,11 @@ class Span:
     log_times: npt.NDArray[np.int64]
     """ns."""
 
+    def within(self, begin: float, end: float) -> Span:
+        """The messages from a log time [ns] up to another."""
+        kept = (self.log_times >= begin) & (self.log_times < end)
+        return Span(starts=self.starts[kept], sizes=self.sizes[kept], log_times=self.log_times[kept])
+
 
 @dataclass
 class McapScan:
@@ -84,6 +96,8 @@ class McapScan:
     attachments: dict[str, bytes] = field(default_factory=dict)
     finished: bool = False
     """Whether the end of the file was reached as its writer meant it."""
+    part: tuple[float, float] | None = None
+    """Log times [ns] from which and up to which messages are read, without metadata and attachments; None: all."""
 
     def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
         """Yield the bytes of each block and the location of each channel's messages in it.
@@ -91,20 +105,59 @@ class McapScan:
         Raises RecordingError: not an MCAP file, or a damaged chunk. A truncated file raises nothing: `finished` stays
         False.
         """
-        try:
-            stream = self.path.open("rb")
-        except OSError as error:
-            raise RecordingError(f"{self.path} cannot be read: {error.strerror}") from None
-        with stream:
-            if stream.read(len(_MAGIC)) != _MAGIC:
-                empty = "is empty" if self.path.stat().st_size == 0 else "is not an MCAP file"
-                raise RecordingError(f"{self.path} {empty}")
-            for block in self._raw_blocks(stream):
-                yield block, self._split(block)
+        with self._opened() as (stream, size):
+            if self.part is None:
+                for block in self._raw_blocks(stream, size):
+                    yield block, self._split(block)
+                return
+            for block in self._indexed_blocks(stream):
+                spans = {channel: span.within(*self.part) for channel, span in self._split(block).items()}
+                yield block, {channel: span for channel, span in spans.items() if len(span.starts)}
 
-    def _raw_blocks(self, stream: BinaryIO) -> Iterator[bytes]:
+    def times(self) -> tuple[int, int]:
+        """Log times [ns] of the first message and of the last, by the index; raises RecordingError as `blocks`."""
+        with self._opened() as (stream, _):
+            statistics = self._index(stream).statistics
+        return (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
+
+    @contextmanager
+    def _opened(self) -> Iterator[tuple[BinaryIO, int]]:
+        try:
+            stream, size = opened(self.path)
+            with stream:
+                if stream.read(len(_MAGIC)) != _MAGIC:
+                    empty = "is empty" if size == 0 else "is not an MCAP file"
+                    raise RecordingError(f"{self.path} {empty}")
+                yield stream, size
+        except OSError as error:
+            raise RecordingError(f"{self.path} cannot be read: {error.strerror or error}") from None
+
+    def _index(self, stream: BinaryIO) -> Summary:
+        stream.seek(0)
+        try:
+            summary = SeekingReader(stream).get_summary()
+        except (McapError, struct_error):
+            summary = None
+        if summary is None or (not summary.chunk_indexes and summary.statistics and summary.statistics.message_count):
+            raise RecordingError(
+                f"{self.path} has no index, so that no part of it can be found: "
+                "`ros2 run hydro_bridge recorder --repair FOLDER` makes one"
+            )
+        return summary
+
+    def _indexed_blocks(self, stream: BinaryIO) -> Iterator[bytes]:
+        """The chunks that hold messages of the part."""
+        begin, end = self.part or (0.0, inf)
+        summary = self._index(stream)
+        self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
+        for chunk in sorted(summary.chunk_indexes, key=lambda one: one.chunk_start_offset):
+            if chunk.message_start_time < end and chunk.message_end_time >= begin:
+                place = chunk.chunk_start_offset + _RECORD.size
+                stream.seek(place)
+                yield self._chunk(stream.read(chunk.chunk_length - _RECORD.size), place)
+
+    def _raw_blocks(self, stream: BinaryIO, size: int) -> Iterator[bytes]:
         loose = bytearray()
-        size = self.path.stat().st_size
         while len(head := stream.read(_RECORD.size)) == _RECORD.size:
             opcode, length = _RECORD.unpack(head)
             if opcode == 0 or stream.tell() + length > size:
@@ -196,8 +249,13 @@ class BagSource:
     _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        files, self.notes = mcap_files(self.path)
+        whole, part = parted(self.path)
+        files, self.notes = mcap_files(whole)
         self.scans = [McapScan(path) for path in files]
+        if part is not None:
+            first = self.scans[0].times()[0]
+            for scan in self.scans:
+                scan.part = (first + 1e9 * part[0], first + 1e9 * part[1])
 
     def spans(self) -> Iterator[tuple[McapScan, Channel, bytes, Span]]:
         """Yield each channel's messages in each block of each file; raises RecordingError."""
@@ -212,11 +270,18 @@ class BagSource:
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
                 )
 
+    def seconds(self) -> float:
+        """Return the time [s] from the first message to the last, by the index; raises RecordingError."""
+        times = [scan.times() for scan in self.scans]
+        return 1e-9 * (max(end for _, end in times) - times[0][0])
+
     def without(self, topic: str, topics: Collection[str]) -> RecordingError:
         """Return the error that `topic` is not among the `topics` that were read."""
         there = f"there is {', '.join(sorted(topics)) or 'nothing'}"
         if not topics and not all(scan.finished for scan in self.scans):
             there = "it was cut off before the end of its first block: copy it anew"
+        elif any(scan.part for scan in self.scans):
+            there = "the part ends before it begins, or begins after it has ended"
         return RecordingError(f"{self.path} has no messages on {topic}; {there}")
 
     def type_of(self, scan: McapScan, channel: Channel) -> tuple[str, str]:

@@ -86,8 +86,7 @@ def run(
     JobsError
         At the end, where jobs failed. Each is named on standard error as it fails.
     """
-    lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
-    found = {entry["key"]: entry["value"] for entry in map(json.loads, lines)}
+    found = {} if kept is None or not kept.exists() else _found(kept)
     missing = {name: values for name, values in arguments.items() if name not in found}
     yield from ((name, found[name]) for name in arguments if name in found)
     at_once = min(at_once or len(os.sched_getaffinity(0)), len(missing))
@@ -116,6 +115,15 @@ def complete(function: Callable[..., Any], arguments: Arguments, **how: Any) -> 
     return {name: found[name] for name in arguments if name in found}
 
 
+def _found(kept: Path) -> dict[str, Any]:
+    """Results in a file, from which a last line is taken that was cut off, by a full disk or a kill."""
+    content = kept.read_bytes()
+    whole = content[: content.rfind(b"\n") + 1]
+    if whole != content:
+        os.truncate(kept, len(whole))
+    return {entry["key"]: entry["value"] for entry in map(json.loads, whole.splitlines())}
+
+
 def _here(function: Callable[..., Any], missing: Arguments, until: float) -> Results:
     for name, values in missing.items():
         if time.monotonic() > until:
@@ -133,9 +141,9 @@ def _side_by_side(
 ) -> Results:
     """A worker has one job at a time: if it is killed, it was by that one."""
     import dask
-    from distributed import Client, KilledWorker, LocalCluster, as_completed
+    from distributed import CancelledError, Client, KilledWorker, LocalCluster, as_completed
 
-    local = {"n_workers": at_once, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": CRITICAL}
+    local = {"n_workers": at_once, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": CRITICAL}
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(SETTINGS))
         try:
@@ -153,20 +161,25 @@ def _side_by_side(
                 sent[future.key] = waiting.popleft()
                 done.add(future)
 
-        send()
-        for future in done:
-            name, failure = sent.pop(future.key), future.exception()
-            value = future.result() if failure is None else None
-            future.release()  # its worker need not keep the result
-            if isinstance(failure, KilledWorker):
-                failure = UserError("each process that did it was killed: it may need more memory than a worker has")
-                deaths[name] += 1
-                if deaths[name] < DEATHS:
-                    waiting.append(name)
-                    send()
-                    continue
+        try:
             send()
-            yield name, value, failure
+            for future in done:
+                name, failure = sent.pop(future.key), future.exception()
+                value = future.result() if failure is None else None
+                future.release()  # its worker need not keep the result
+                if isinstance(failure, KilledWorker):
+                    failure = UserError(
+                        "each process that did it was killed: it may need more memory than a worker has"
+                    )
+                    deaths[name] += 1
+                    if deaths[name] < DEATHS:
+                        waiting.append(name)
+                        send()
+                        continue
+                send()
+                yield name, value, failure
+        except (OSError, CancelledError) as error:
+            raise UserError(f"the scheduler at {address} went away: the same command does what is missing") from error
 
 
 def _told(error: Exception) -> str:

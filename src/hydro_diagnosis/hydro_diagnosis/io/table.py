@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from hydro_bridge.bags.location import is_bag, is_there
 from hydro_bridge.bags.recording import RecordingError, read_bag
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap, Source
@@ -252,7 +253,7 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     where a column is not found, the columns that there are.
     """
     path = Path(path)
-    if not path.exists():
+    if not is_there(path):
         raise InputError(f"{path}: there is no such recording")
     if is_bag(path) and has_states(path):
         found = from_bag(path)
@@ -260,17 +261,12 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     return _from_columns(path, columns_of(path), columns)
 
 
-def is_bag(path: Path) -> bool:
-    """Return whether a path is a rosbag2 folder or an .mcap file."""
-    return path.is_dir() or path.suffix == ".mcap"
-
-
 def columns_of(path: Path) -> Columns:
     """Columns of a recording before any map: the fields of a bag with /hydro/state, all numbers of other files.
 
     Raises InputError: in one sentence that names the path.
     """
-    if not path.exists():
+    if not is_there(path):
         raise InputError(f"{path}: there is no such recording")
     if is_bag(path):
         if not has_states(path):

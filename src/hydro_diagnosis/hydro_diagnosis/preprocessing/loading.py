@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hydro_bridge.bags.location import is_bag, is_there
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, is_bag, read_table
+from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, read_table
 from hydro_diagnosis.io.topics import has_states
 from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SHORTEST
 from hydro_diagnosis.preprocessing.streaming import (
@@ -141,7 +142,7 @@ def _look(
         return table
 
     try:
-        if path.exists() and is_bag(path) and has_states(path):
+        if is_there(path) and is_bag(path) and has_states(path):
             return read_bag_within(path, bench, columns, inspected), found
         return table_within(inspected(read_table(path, columns)), bench), found
     except UnusableRecordingError as error:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hydro_bridge.bags.location import is_bag
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import applies, completed, hiding, lacks, left_out, read_bench, refuse_missing
@@ -28,7 +29,6 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
 from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.table import is_bag
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_diagnosis.recording import InputError, Segment
