@@ -23,8 +23,8 @@ KEYS = {name: f"python3-{name}" for name in (
 """rosdep's keys of modules that are no ROS packages."""
 
 WITHOUT_KEY = {
-    "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pyarrow", "safetensors",
-    "tensorboardX", "threadpoolctl",
+    "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pyarrow", "ruptures",
+    "safetensors", "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 

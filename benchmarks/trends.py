@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wear that is concealed in a year of recordings: when `trends` finds it, and what it finds where there is none.
+
+    python -m benchmarks.trends --benches 12                          tables as diagnose_many writes them, drawn
+    python -m benchmarks.trends --recorded 18 --write study            recordings by the emulator, diagnosed one by one
+
+Each bench has a recording a day and is looked at every --every days, as a nightly job does. A table's values are
+drawn with the intervals that stand beside them and a scatter between recordings of the same size; a cause below three
+standard deviations is not claimed.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from benchmarks._report import parser
+from hydro_bridge.cli import jobs
+from hydro_bridge.cli.console import Table, command
+from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_diagnosis.change_points import course
+from hydro_diagnosis.diagnose_many import diagnosed, write_study
+from hydro_diagnosis.trends import NEUTRAL, Series, series_of
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation.schedules import Segment
+
+DAYS = 365
+NUMBERS = {
+    "leakage_internal.coefficient": (2e-14, 1e-13),
+    "friction_coulomb.force": (1.0, 12.0),
+    "valve_deadband.half_width": (1e-5, 0.0),
+    "entrained_air.volume_fraction": (3e-4, 0.0),
+    "load_cell_bias.force": (0.5, 0.0),
+}
+"""Standard deviation of a diagnosis, and the value of a new bench."""
+KINDS = ("wear", "slow wear", "wear, repaired", "step")
+CALM = ("nothing", "nothing, 2 % wrong", "nothing, slow scatter")
+WORN = 10.0
+"""Standard deviations by which a number has grown after `SPAN` days of wear."""
+SPAN = {"wear": 60.0, "slow wear": 180.0, "wear, repaired": 60.0, "step": 1e-9}
+LIMIT = 12.0
+"""Standard deviations above new at which the limit stands."""
+REPAIRED = 60
+
+
+def wear(kind: str, begin: int) -> FloatArray:
+    """Growth of a number by day in standard deviations, shape (365,); a step is half as large."""
+    days = np.arange(DAYS, dtype=np.float64)
+    grown = np.clip((days - begin) / SPAN[kind], 0.0, 0.5 if kind == "step" else np.inf) * WORN
+    return np.where(days >= begin + REPAIRED, 0.0, grown) if kind == "wear, repaired" else grown
+
+
+def scatter(kind: str, rng: np.random.Generator) -> FloatArray:
+    """Scatter of a number between recordings in standard deviations, shape (365,)."""
+    white = rng.standard_normal(DAYS)
+    if kind == "nothing, 2 % wrong":
+        return white + 10.0 * rng.standard_normal(DAYS) * (rng.random(DAYS) < 0.02)
+    if kind == "nothing, slow scatter":
+        keep = np.exp(-1.0 / 3.0)
+        for day in range(1, DAYS):
+            white[day] = keep * white[day - 1] + np.sqrt(1.0 - keep**2) * white[day]
+    return white
+
+
+def rows_of(name: str, true: FloatArray, rng: np.random.Generator) -> dict[int, dict[str, Any]]:
+    """Rows of parameters.parquet for a number's values by day, where its cause is claimed."""
+    sd = NUMBERS[name][0] * np.exp(rng.uniform(np.log(0.5), np.log(2.0), DAYS))
+    value, neutral = true + sd * rng.standard_normal(DAYS), NEUTRAL[name]
+    cause, parameter = name.split(".")
+    claimed = np.flatnonzero(np.abs(value - neutral.neutral) > np.maximum(3.0 * sd, neutral.smallest))
+    return {
+        day: {"cause": cause, "options": "", "parameter": parameter, "value": value[day], "unit": neutral.unit,
+              "low": value[day] - 1.96 * sd[day], "high": value[day] + 1.96 * sd[day]}
+        for day in claimed.tolist()
+    }  # fmt: skip
+
+
+def drawn(kind: str, worn: str, begin: int, seed: int) -> list[Series]:
+    """The numbers of a bench of a kind, by way of the tables; only the worn one where one is worn."""
+    rng = np.random.default_rng(seed)
+    found = [{"diagnosis": {"begin": round(86400e6 * day), "verdict": "explained", "causes": []}, "parameters": []}
+             for day in range(DAYS)]  # fmt: skip
+    for name, (sd, new) in NUMBERS.items():
+        if kind in CALM or name == worn:
+            true = new + sd * (scatter(kind, rng) + (wear(kind, begin) if kind in SPAN else 0.0))
+            for day, row in rows_of(name, true, rng).items():
+                found[day]["parameters"].append({"begin": found[day]["diagnosis"]["begin"]} | row)
+    with tempfile.TemporaryDirectory() as folder:
+        write_study(Path(folder), {f"{day:03d}": one for day, one in enumerate(found)})
+        return series_of(Path(folder))
+
+
+def watched(kind: str, worn: str, begin: int, seed: int, every: int) -> dict[str, Any]:
+    """What the looks at a bench say: days of alarms, and dates of the change and of the limit when found and later."""
+    alarms, dated, ahead = [], [], {}
+    for series in drawn(kind, worn, begin, seed):
+        known = 0
+        for day in range(every, DAYS, every):
+            seen = series.until(day)
+            found = course(seen.time, seen.value, seen.sd)
+            if found is None:
+                continue
+            if found.findings > known:
+                alarms.append(day)
+                if found.changes and day >= begin:
+                    dated.append((found.changes[-1].time, found.changes[-1].earliest, found.changes[-1].latest))
+            known = found.findings
+            if kind in ("wear", "slow wear") and found.running and day >= begin:
+                sd, new = NUMBERS[worn]
+                limit, first, last = found.lines[-1].reaches(new + LIMIT * sd, True)
+                ahead[day] = tuple(day + one for one in (limit, first, last))
+    return {"alarms": alarms, "dated": dated, "ahead": list(ahead.items())}
+
+
+def about(kind: str, begins: list[int], results: list[Mapping[str, Any]]) -> dict[str, Any]:
+    """A row of the table over the benches of a kind."""
+    years, calm = DAYS / 365.0, kind in CALM
+    false = [sum(calm or day < begin for day in one["alarms"]) for begin, one in zip(begins, results, strict=True)]
+    at_risk = sum(years if calm else begin / 365.0 for begin in begins)
+    row: dict[str, Any] = {"kind": kind, "benches": len(results), "false": sum(false), "years": at_risk,
+                           "false_per_year": sum(false) / at_risk}  # fmt: skip
+    after = [[day - b for day in one["alarms"] if day >= b] for b, one in zip(begins, results, strict=True)]
+    late = [one[0] for one in after if one]
+    errors = [abs(one["dated"][0][0] - b) for b, one in zip(begins, results, strict=True) if one["dated"]]
+    held = [
+        one["dated"][0][1] <= b <= one["dated"][0][2] for b, one in zip(begins, results, strict=True) if one["dated"]
+    ]
+    row |= {"found": None if calm else len(late), "days": _median(late, calm), "date_error": _median(errors, calm),
+            "date_held": None if calm or not held else 100.0 * float(np.mean(held))}  # fmt: skip
+    limits = [
+        (abs(when - true), first <= true <= last)
+        for begin, one in zip(begins, results, strict=True) if kind in ("wear", "slow wear")
+        for true in [begin + LIMIT / WORN * SPAN[kind]]
+        for day, (when, first, last) in one["ahead"] if 0.0 < true - day <= 30.0
+    ]  # fmt: skip
+    row["limit_error"] = _median([error for error, _ in limits], not limits)
+    row["limit_held"] = 100.0 * float(np.mean([held for _, held in limits])) if limits else None
+    return row
+
+
+def _median(values: list[float], none: bool) -> float | None:
+    return None if none or not values else float(np.median(values))
+
+
+MEANINGS = {
+    "kind": "", "benches": "a year each", "false": "alarms before the wear began, or where there is none",
+    "years": "of benches without wear",
+    "false_per_year": "false alarms per bench and year (five numbers where calm, else one)",
+    "found": "benches whose wear was found", "days": "from its begin to the alarm, median",
+    "date_error": "of the begin as told with the alarm, days, median", "date_held": "% of its intervals that hold it",
+    "limit_error": "of the date of the limit, told in the 30 days before it, days, median",
+    "limit_held": "% of its intervals that hold it",
+}  # fmt: skip
+
+
+def simulated(benches: int, seed: int, every: int, **where: Any) -> Table:
+    """The table over drawn benches of all kinds."""
+    rng, cases = np.random.default_rng(seed), {}
+    for kind in (*KINDS, *CALM):
+        for k in range(benches):
+            worn, begin = list(NUMBERS)[k % len(NUMBERS)], int(rng.integers(90, 180))
+            cases[f"{kind} {k}"] = (kind, worn, begin, int(rng.integers(2**31)), every)
+    found = jobs.complete(watched, cases, **where, label="benches", unit="bench")
+    table = Table(MEANINGS)
+    for kind in (*KINDS, *CALM):
+        names = [name for name in cases if cases[name][0] == kind]
+        table.add(**about(kind, [cases[name][2] for name in names], [found[name] for name in names]))
+    return table
+
+
+GROWTH = 3e-14
+"""Of the recorded bench's leak [m3/s/Pa] by day from the middle of the history on."""
+RUNS = (Segment(seconds=5.0, waveform="multisine", amplitude=200.0, frequency=0.8, kp=60.0, ki=10.0),
+        Segment(seconds=5.0, waveform="sine", amplitude=250.0, frequency=0.5, kp=60.0, ki=10.0))  # fmt: skip
+
+
+def recorded_one(day: int, count: int, seed: int) -> dict[str, Any]:
+    """Rows of the diagnosis of one recording: the nominal bench with a leak and dry friction, 5 % from day to day."""
+    rng = np.random.default_rng([seed, day])
+    leak, force = 1e-13 * rng.normal(1.0, 0.05) + GROWTH * max(0, day - count // 2), 12.0 * rng.normal(1.0, 0.05)
+    effects = {"leakage_internal": {"coefficient": leak}, "friction_coulomb": {"force": force}}
+    states = record_offline(
+        truth_from_mapping({"profile": "nominal", "effects": effects}), RUNS, seed=seed + day
+    ).states
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.csv"
+        pd.DataFrame({"time": states["time"], **{name: states[name] for name in STATE_FIELDS}}).to_csv(
+            path, index=False
+        )
+        options = {"bench": None, "columns": None, "without": [], "estimate": [], "seconds": None}
+        return diagnosed(str(path), folder, options)
+
+
+def recorded(count: int, seed: int, study: Path, **where: Any) -> Table:
+    """What `trends` says of each number of such a bench, looked at every day."""
+    cases = {
+        f"{pd.Timestamp('2026-03-01') + pd.Timedelta(day, 'D'):%Y-%m-%d}": (day, count, seed) for day in range(count)
+    }
+    study.mkdir(parents=True, exist_ok=True)
+    kept = study / "found.jsonl"
+    write_study(study, jobs.complete(recorded_one, cases, **where, kept=kept, label="recordings", unit="recording"))
+    table = Table({"number": "", "named": "recordings", "alarms": f"days; the leak grows from day {count // 2} on",
+                   "told": "day of the last change", "first": "", "last": "95 % of it"})  # fmt: skip
+    for series in series_of(study, "%Y-%m-%d"):
+        zero, alarms, known, found = series.time[0], [], 0, None
+        for day in range(count):
+            seen = series.until(zero + day)
+            found = course(seen.time, seen.value, seen.sd)
+            if found and found.findings > known:
+                alarms.append(day)
+            known = found.findings if found else known
+        last = found.changes[-1] if found and found.changes else None
+        days = [one - zero for one in (last.time, last.earliest, last.latest)] if last else [None] * 3
+        table.add(number=series.name, named=len(series.time), alarms=", ".join(map(str, alarms)),
+                  **dict(zip(("told", "first", "last"), days, strict=True)))  # fmt: skip
+    return table
+
+
+@command(ValueError, OSError)
+def main() -> None:
+    """Draw or record, look, print the table."""
+    options = parser("trends", __doc__)
+    options.add_argument("--benches", type=int, default=12, help="of each kind (default: 12)")
+    options.add_argument("--every", type=int, default=3, metavar="DAYS", help="between looks (default: 3)")
+    options.add_argument("--recorded", type=int, metavar="N", help="recordings by the emulator, in place of tables")
+    options.add_argument("--write", type=Path, default=Path("study"), metavar="STUDY", help="folder of their tables")
+    options.add_argument("--seed", type=int, default=1)
+    jobs.add_arguments(options)
+    asked = options.parse_args()
+    if asked.recorded:
+        table = recorded(asked.recorded, asked.seed, asked.write, **jobs.where(asked))
+    else:
+        table = simulated(asked.benches, asked.seed, asked.every, **jobs.where(asked))
+    table.show(asked.json)
+
+
+if __name__ == "__main__":
+    main()

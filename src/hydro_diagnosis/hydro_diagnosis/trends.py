@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What has worn: each named number over the recordings of a bench, from the tables of diagnose_many.
+
+ros2 run hydro_diagnosis trends study                               # one bench; its page is study/trends.html
+ros2 run hydro_diagnosis trends press_* --limit leakage_internal.coefficient=2e-13 --horizon 30
+
+Exit status 3 if within --new days a change was found that was not known before, or a limit is passed within --horizon.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, plural, writable
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import environment
+from hydro_bridge.signals import FloatArray
+from hydro_diagnosis.change_points import FEWEST, Course, course
+from hydro_diagnosis.effects import LIBRARY, FitParameter
+from hydro_diagnosis.report.plots import svg
+from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED
+
+NEUTRAL: Mapping[str, FitParameter] = {
+    f"{effect.id}.{one.name}": one
+    for effect in LIBRARY
+    for one in effect.parameters
+    if one.smallest > 0.0 and isfinite(one.neutral)
+}
+"""Numbers with a value at which their cause is absent."""
+KNOWN = frozenset(f"{effect.id}.{one.name}" for effect in LIBRARY for one in effect.parameters)
+ALARM = 3
+"""Exit status of a change or a limit."""
+_DAY = pd.Timedelta("1D")
+_COLUMNS = {
+    "bench": "the study's folder; the first one needs attention most",
+    "number": "",
+    "since": "time of the last change",
+    "from": "", "to": "95 % interval of that time",
+    "evidence": "of the change, BIC; 10 is needed",
+    "before": "value just before the change",
+    "now": "value at the last recording", "low": "", "high": "95 % interval of it",
+    "per_month": "trend since the change, in 30 days; null without evidence for one",
+    "limit": "", "limit_on": "expected date at which it is passed",
+    "limit_first": "", "limit_last": "95 % interval of that date, null beyond ten years",
+    "new": "whether it raises the exit status",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Series:
+    """A number over the recordings of one bench."""
+
+    name: str
+    """cause.parameter, behind it the place: leakage_external.coefficient[chamber=a]."""
+    unit: str
+    time: FloatArray
+    """Days since 1970, ascending, shape (n,)."""
+    value: FloatArray
+    sd: FloatArray
+
+    @property
+    def key(self) -> str:
+        """cause.parameter."""
+        return self.name.partition("[")[0]
+
+    def until(self, time: float) -> Series:
+        """The recordings up to a time."""
+        return Series(self.name, self.unit, *(one[self.time <= time] for one in (self.time, self.value, self.sd)))
+
+
+def series_of(study: Path, dates: str | None = None) -> list[Series]:
+    """Each number that some recording of a study named, by name.
+
+    A recording whose mismatch is explained without a cause counts as the cause's neutral value, 95 % within the least
+    that was ever named; of the others, only numbers with an interval count.
+
+    Raises UserError: there are no tables, or no recording has a time.
+    """
+    try:
+        diagnoses, numbers = (pd.read_parquet(study / f"{name}.parquet") for name in ("diagnoses", "parameters"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{study}: no tables of diagnose_many can be read: {error}") from error
+    diagnoses = diagnoses[diagnoses.refused.isna()].set_index("recording")
+    if dates:
+        texts = diagnoses.index.to_series()
+        diagnoses["begin"] = pd.to_datetime(texts, format=dates, exact=False, errors="coerce", utc=True)
+    diagnoses = diagnoses.dropna(subset="begin").sort_values("begin")
+    if diagnoses.empty:
+        raise UserError(f"{study}: no recording has a time; --dates FORMAT reads it from the names")
+    options = numbers.options.str.replace(r"(^|,)form=\w*", "", regex=True).str.strip(",")
+    place = ("[" + options + "]").where(options != "", "")
+    numbers["cause_there"], numbers["name"] = numbers.cause + place, numbers.cause + "." + numbers.parameter + place
+    claimed = {str(cause): rows.recording for cause, rows in numbers.groupby("cause_there")}
+    return [
+        _series(str(name), rows, diagnoses, claimed[rows.cause_there.iloc[0]]) for name, rows in numbers.groupby("name")
+    ]
+
+
+def _series(name: str, rows: pd.DataFrame, diagnoses: pd.DataFrame, claimed: pd.Series[str]) -> Series:
+    """`claimed`: recordings in which the cause was named, in whatever form."""
+    named = rows.drop_duplicates("recording").set_index("recording")
+    sd = (named.high - named.low) / 3.92
+    points = pd.DataFrame({"value": named.value, "sd": np.maximum(sd, 1e-9 * named.value.abs())}).dropna()
+    points = points[points.index.isin(diagnoses.index)]
+    neutral = NEUTRAL.get(name.partition("[")[0])
+    if neutral is not None:
+        settled = diagnoses.index[diagnoses.verdict.isin(("no_mismatch", "explained", "modelled"))]
+        absent = settled.difference(claimed)
+        least = (points.value - neutral.neutral).abs().min() / 1.96
+        spread = np.nanmax([neutral.smallest, points.sd.median(), least])
+        points = pd.concat([points, pd.DataFrame({"value": neutral.neutral, "sd": spread}, index=absent)])
+    points["time"] = (diagnoses.begin.loc[points.index] - pd.Timestamp(0, tz="UTC")) / _DAY
+    points = points.sort_values("time")
+    return Series(name, rows.unit.iloc[0], *(points[key].to_numpy(float) for key in ("time", "value", "sd")))
+
+
+def row_of(bench: str, series: Series, found: Course, limit: float | None, asked: argparse.Namespace) -> dict[str, Any]:
+    """A row of the table; `asked`: new and horizon, in days."""
+    line, last = found.lines[-1], found.changes[-1] if found.changes else None
+    now, spread = float(line.at(line.end)), 1.96 * float(line.sd(line.end))
+    before = course(*_arrays(series.until(line.end - asked.new)))
+    new = before is not None and found.findings > before.findings
+    ahead = (inf, inf, inf) if limit is None else _ahead(series, found, limit)
+    return dict(zip(_COLUMNS, (
+        bench, series.name, *(_date(one) for one in ((last.time, last.earliest, last.latest) if last else (inf,) * 3)),
+        last.evidence if last else None, float(found.lines[-2].at(found.lines[-2].end)) if last else None,
+        now, now - spread, now + spread, 30.0 * line.slope if found.running else None,
+        limit, *(_date(line.end + one) for one in ahead), bool(new or ahead[0] <= asked.horizon),
+    ), strict=True))  # fmt: skip
+
+
+def _arrays(series: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return series.time, series.value, series.sd
+
+
+def _ahead(series: Series, found: Course, limit: float) -> tuple[float, float, float]:
+    """Days from the last recording to a limit; without evidence for a slope only a limit that is passed counts."""
+    start = NEUTRAL[series.key].neutral if series.key in NEUTRAL else float(found.lines[0].at(found.lines[0].begin))
+    ahead = found.lines[-1].reaches(limit, limit > start)
+    return ahead if found.running or ahead[0] == 0.0 else (inf, inf, inf)
+
+
+def _date(days: float) -> str | None:
+    return None if not isfinite(days) else str((pd.Timestamp(0) + days * _DAY).date())
+
+
+def sentence(row: Mapping[str, Any], unit: str) -> str:
+    """What has worn since, in words."""
+    now = f"{row['now']:.3g} {unit} ({row['low']:.3g} to {row['high']:.3g})"
+    told = f"steady at {now}"
+    if row["since"]:
+        told = (f"{row['before']:.3g} {unit} until {row['since']} (between {row['from']} and {row['to']}, evidence "
+                f"{row['evidence']:.0f}), now {now}")  # fmt: skip
+    if row["per_month"] is not None:
+        told = told.replace("steady at", "now") + f", {row['per_month']:+.2g} a month"
+    if row["limit_on"]:
+        last = row["limit_last"] or "later than ten years ahead"
+        told += f"; {row['limit']:g} is passed on {row['limit_on']} (between {row['limit_first']} and {last})"
+    return told + "."
+
+
+def picture(series: Series, found: Course, limit: float | None) -> str:
+    """Values with their intervals, lines between changes, the limit."""
+
+    def draw(axes: Any) -> None:
+        axis, zero = axes[0], pd.Timestamp(0)
+        time = zero + pd.to_timedelta(series.time, "D")
+        axis.errorbar(time, series.value, 1.96 * series.sd, fmt=".", color=GRAY, elinewidth=0.5, markersize=3)
+        for one in found.lines:
+            at = np.linspace(one.begin, one.end, 30)
+            when, value, spread = zero + pd.to_timedelta(at, "D"), one.at(at), 1.96 * one.sd(at)
+            axis.plot(when, value, color=BLUE)
+            axis.fill_between(when, value - spread, value + spread, color=BLUE, alpha=0.2, linewidth=0)
+        for change in found.changes:
+            low, high = (zero + one * _DAY for one in (change.earliest, change.latest))
+            axis.axvspan(low, high, color=ORANGE, alpha=0.3)
+            axis.axvline(zero + change.time * _DAY, color=ORANGE)
+        if limit is not None:
+            axis.axhline(limit, color=RED, linestyle=":")
+        axis.set_ylabel(f"{series.key.partition('.')[2]} [{series.unit}]")
+
+    return svg(1, (8.0, 2.4), draw)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    options = argparse.ArgumentParser(
+        prog="trends", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )  # fmt: skip
+    options.add_argument("studies", nargs="+", type=Path, metavar="STUDY", help="folder of diagnose_many, one a bench")
+    options.add_argument("--limit", action="append", default=[], type=_limit, metavar="CAUSE.PARAMETER=VALUE",
+                         help="repeatable")  # fmt: skip
+    options.add_argument("--horizon", type=float, default=30.0, metavar="DAYS", help="ahead (default: 30)")
+    options.add_argument("--new", type=float, default=1.0, metavar="DAYS", help="since the last look (default: 1)")
+    options.add_argument(
+        "--dates", metavar="FORMAT", help="of the recordings' names, as %%Y-%%m-%%d, if they are no bags"
+    )
+    options.add_argument("--page", type=writable, metavar="FILE", help="default: trends.html in the first STUDY")
+    add_json_argument(options)
+    return options
+
+
+def _limit(word: str) -> tuple[str, float]:
+    name, _, value = word.partition("=")
+    if name not in KNOWN:
+        raise argparse.ArgumentTypeError(f"{word}: no number {name}, as leakage_internal.coefficient")
+    return name, float(value)
+
+
+@command(ValueError)
+def main() -> int:
+    """Entry point; 3 if something is new or near, 2 for an input that cannot be used, else 0."""
+    asked = parser().parse_args(sys.argv[1:])
+    limits, told, short = dict(asked.limit), [], []
+    for study in asked.studies:
+        for series in series_of(study, asked.dates):
+            found = course(*_arrays(series))
+            if found is None:
+                short.append(f"{study}: {series.name}: {plural(len(series.time), 'recording')}, {FEWEST} are needed")
+                continue
+            row = row_of(str(study), series, found, limits.get(series.key), asked)
+            told.append((row, sentence(row, series.unit), picture(series, found, row["limit"])))
+    told = ranked(told)
+    table = Table(_COLUMNS, rows=[row for row, *_ in told])
+    for row, words, _ in told:
+        print(f"{'! ' if row['new'] else ''}{row['bench']}: {row['number']}: {words}")
+    print(*short, sep="\n", end="\n" if short else "")
+    page = asked.page or asked.studies[0] / "trends.html"
+    made = environment("hydro_diagnosis", "report/templates").get_template("trends.html")
+    write_whole(Path(page), made.render(title="Trends", told=told, short=short).encode())
+    if asked.json:
+        table.write_json(asked.json)
+    return ALARM if any(row["new"] for row in table.rows) else 0
+
+
+def ranked(told: list[tuple[dict[str, Any], str, str]]) -> list[tuple[dict[str, Any], str, str]]:
+    """Benches by what needs attention first: new or near, then the nearest limit, then the evidence of change."""
+
+    def urgency(row: Mapping[str, Any]) -> tuple[bool, str, float]:
+        return not row["new"], row["limit_on"] or "9999", -(row["evidence"] or 0.0)
+
+    worst: dict[str, tuple[bool, str, float]] = {}
+    for row, *_ in told:
+        worst[row["bench"]] = min(worst.get(row["bench"], urgency(row)), urgency(row))
+    return sorted(told, key=lambda one: (worst[one[0]["bench"]], one[0]["bench"], urgency(one[0])))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trends: wear is found and dated, a repair too; nothing is made of scatter; the nightly job's exit status."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import FloatArray
+from hydro_diagnosis import trends
+from hydro_diagnosis.change_points import course
+from hydro_diagnosis.diagnose_many import write_study
+
+DAYS = 60
+
+
+def study(folder: Path, leak: FloatArray, seed: int = 0, sd: float = 2e-14) -> Path:
+    """A recording a day; a leak below three standard deviations is not claimed."""
+    rng = np.random.default_rng(seed)
+    found = {}
+    for day, true in enumerate(leak):
+        value = float(true + np.sqrt(2.0) * sd * rng.standard_normal())
+        begin = {"begin": round(86400e6 * (day + 20000))}
+        number = {"cause": "leakage_internal", "options": "form=laminar", "parameter": "coefficient", "value": value,
+                  "low": value - 1.96 * sd, "high": value + 1.96 * sd, "unit": "m3/s/Pa"}  # fmt: skip
+        found[f"{day:02d}.mcap"] = {
+            "diagnosis": {**begin, "verdict": "explained"},
+            "parameters": [{**begin, **number}] if value > 3.0 * sd else [],
+        }
+    folder.mkdir()
+    write_study(folder, found)
+    return folder
+
+
+def ran(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["trends", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        trends.main()
+    return int(ended.value.code or 0)
+
+
+def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    leak = 2e-14 * np.maximum(np.arange(DAYS) - 30.0, 0.0)
+    worn, well, table = (
+        study(tmp_path / "worn", leak),
+        study(tmp_path / "well", 0.0 * leak + 1e-13),
+        tmp_path / "t.json",
+    )
+    assert ran(monkeypatch, well, "--new", 40) == 0
+    assert ran(monkeypatch, well, worn, "--new", 40, "--json", table, "--page", tmp_path / "all.html") == trends.ALARM
+    assert ran(monkeypatch, worn, "--new", 1) == 0  # it was known the day before
+    first, second = json.loads(table.read_text(encoding="utf-8"))["rows"]
+    assert (first["bench"], second["since"]) == (str(worn), None)
+    assert abs((np.datetime64(first["since"]) - np.datetime64(20030, "D")).astype(int)) <= 5
+    assert "worn" in (page := (tmp_path / "all.html").read_text(encoding="utf-8")) and page.count("<svg") == 2
+    limit = ("--limit", "leakage_internal.coefficient=8e-13", "--json", table)  # reached on day 70
+    assert ran(monkeypatch, worn, *limit, "--horizon", 5) == 0
+    assert ran(monkeypatch, worn, *limit, "--horizon", 30) == trends.ALARM
+    (row,) = json.loads(table.read_text(encoding="utf-8"))["rows"]
+    assert row["limit_first"] < str(np.datetime64(20070, "D")) < row["limit_last"]
+    assert ran(monkeypatch, worn, "--limit", "leek.coefficient=1") == 2
+
+
+def test_a_cause_that_is_not_claimed_counts_as_absent(tmp_path: Path) -> None:
+    (series,) = trends.series_of(study(tmp_path / "study", np.where(np.arange(DAYS) < 30, 0.0, 2e-13)))
+    assert len(series.time) == DAYS and np.median(series.value[:30]) == 0.0
+    found = course(series.time, series.value, series.sd)
+    assert found and [change.time for change in found.changes] == [20030.0]
+
+
+@pytest.mark.parametrize("scale", [1e-15, 1.0, 1e6])  # a leak and a pressure
+def test_wear_and_repair_are_both_dated_and_scatter_is_not(scale: float) -> None:
+    rng, time = np.random.default_rng(1), np.arange(200.0)
+    noise, sd = rng.standard_normal(200), np.full(200, 0.3)
+    noise[::40] += 15.0  # wrong values
+    worn = np.where((time >= 80) & (time < 140), 0.2 * (time - 80), 0.0)
+    found, quiet = (course(time, scale * one, scale * sd) for one in (noise + worn, noise))
+    assert found and quiet and not quiet.findings
+    begin, repair = found.changes
+    assert begin.earliest - 5 <= 80 <= begin.latest + 5 and repair.time == 140
+
+
+def test_the_manuals_queries_give_the_same_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study(tmp_path / "study", np.full(3, 1e-13))
+    monkeypatch.chdir(tmp_path)
+    page = next(Path(__file__).parents[3].glob("docs/manual/how-to/many_recordings.md")).read_text(encoding="utf-8")
+    queries = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    rows = []
+    for query in queries:
+        exec(query, names := {})
+        leaks = names["leaks"]
+        leaks = leaks.df() if "duckdb" in names else leaks.to_pandas() if "pl" in names else leaks
+        rows.append(leaks.sort_values("recording")[["recording", "value", "low", "high"]].to_numpy().tolist())
+    assert len(rows) == 3 and rows[0] == rows[1] == rows[2] and len(rows[0]) == 3
+    assert capsys.readouterr().out.count("02.mcap") == 3
