@@ -88,7 +88,7 @@ def test_a_foreign_bench_is_commissioned_without_a_word_typed(foreign: list[str]
     low, high = found["certified_gains"]["compensated"]
     assert low <= 400.0 <= high
     rmse = {key: max(found["comparison"][key]["rmse"].values()) for key in ("best_fixed", "compensated")}
-    assert found["adopted"] == "compensated"
+    assert found["adopted"] in ("compensated", "residual")
     assert rmse["compensated"] < 0.6 * rmse["best_fixed"]
 
 

@@ -57,6 +57,7 @@ typedef struct {
 typedef struct {
     hydro_model whole, linear;
     hydro_model_sample *sample;     /* of the whole model */
+    const hydro_real *sample_k;     /* its coefficients, of a mass that the forces within it do not accelerate */
     hydro_model_jacobian *jacobian; /* of the loop's model */
     const int *from_whole;          /* place in the whole model of each state of the loop's */
     const hydro_real *rest;     /* the whole model's still bench */
@@ -194,7 +195,7 @@ static inline void hydro_follow(
 {
     hydro_real z[HYDRO_READINGS];
     hydro_lift(loop, memory->hidden, x, false, memory->hidden);
-    loop->sample(loop->whole.k, memory->hidden, current, z);
+    loop->sample(loop->sample_k, memory->hidden, current, z);
     memory->reference_rate = reference_rate;
 }
 

@@ -12,9 +12,13 @@ import numpy as np
 import pytest
 import yaml
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.model.loop import effects_to_compile, loop_of, rest_measurement
+from hydro_filter.model.loop import effects_to_compile, loop_of, memories, rest_measurement
+from hydro_filter.model.observer import follow, settle
+from hydro_filter.model.state import POSITION, VELOCITY
+from hydro_filter.model.terms import hidden_state_numbers
 from hydro_sim.compilations import VARIABLE, read_compilations
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
@@ -105,3 +109,25 @@ def test_the_filter_on_a_bench_file_as_set_up_compiles_it_compiles_nothing(tmp_p
     environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert read_compilations(tmp_path / "log") == [] and done.stderr == ""
+
+
+def test_bristles_bend_by_the_motion_that_was_measured() -> None:
+    """Closed form of a steady motion, although the forces at hand would throw the mass off within a sample."""
+    coulomb, breakaway, width, stiffness, speed, count = 12.0, 45.0, 0.01, 5e5, 1e-3, 100
+    numbers = (
+        ("friction_coulomb", {"force": coulomb}),
+        ("friction_stribeck", {"breakaway_force": breakaway, "velocity": width}),
+        ("friction_presliding", {"stiffness": stiffness}),
+    )
+    model = of(*({"id": name, "parameters": each} for name, each in numbers))
+    loop, memory = loop_of(model, model), memories()[0]
+    x = rest_measurement(loop.model)
+    x[VELOCITY] = speed
+    for _ in range(count):
+        settle(loop, memory, x, 0.0, 0.0)
+        follow(loop, memory, x, 0.0, 0.0)
+        x[POSITION] += speed * SAMPLE_PERIOD
+    bent = memory["hidden"][hidden_state_numbers(model)["friction_presliding", 0, "bent"]]
+    level = coulomb + breakaway * np.exp(-((speed / width) ** 2))
+    moved = count * speed * SAMPLE_PERIOD
+    assert bent == pytest.approx(level * (1.0 - np.exp(-stiffness * moved / level)), rel=1e-3)

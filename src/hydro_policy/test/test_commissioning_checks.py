@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from hydro_bridge.signals import Flag, ReferenceSignal, StateArray, Waveform
+from hydro_filter.controller.loop_filter import default_filter
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError
 from hydro_sim.model.bench import Bench
@@ -83,3 +84,11 @@ def test_lost_samples_and_late_commands_count() -> None:
     assert checks.unusable(kept) == pytest.approx(0.04, abs=5e-3)
     with pytest.raises(GateError, match="lost"):
         checks.line(kept, 1.0)
+
+
+def test_a_model_that_is_not_this_bench_is_told_before_the_valve_moves_behind_its_filter() -> None:
+    checks.fits(MOTION, default_filter(BENCH))
+    other = MOTION.copy()
+    other["load_force"] *= 1.3
+    with pytest.raises(GateError, match="spring or its load cell"):
+        checks.fits(other, default_filter(BENCH))

@@ -90,7 +90,8 @@ def _refuse(parts: LoopParts) -> None:
 def _arrays(loop: Loop) -> list[str]:
     """Coefficients, places, the still bench and the load, as arrays."""
     model = loop.model
-    arrays = {"K": model.k, "LINEAR_K": model.loop_k, "REST": model.rest, "FORCES": model.forces}
+    arrays = {"K": model.k, "SAMPLE_K": model.sample_k, "LINEAR_K": model.loop_k, "REST": model.rest,
+              "FORCES": model.forces}  # fmt: skip
     places = ", ".join(map(str, model.from_whole))
     return [
         *(_array(f"HYDRO_WHOLE_{name}", numbers) for name, numbers in arrays.items()),
@@ -123,6 +124,7 @@ def _loop(loop: Loop, truth: Bench) -> list[str]:
         f"        .whole = {{hydro_whole_rates, HYDRO_WHOLE_K, {', '.join(map(str, whole))}}},",
         f"        .linear = {{hydro_linear_rates, HYDRO_WHOLE_LINEAR_K, {', '.join(map(str, linear))}}},",
         "        .sample = hydro_whole_sample,",
+        "        .sample_k = HYDRO_WHOLE_SAMPLE_K,",
         "        .jacobian = hydro_linear_jacobian,",
         "        .from_whole = HYDRO_FROM_WHOLE,",
         "        .rest = HYDRO_WHOLE_REST,",

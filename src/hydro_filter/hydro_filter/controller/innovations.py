@@ -2,10 +2,10 @@
 """Model monitor: detects from one-step prediction errors whether the model still fits the bench.
 
 Of three consecutive samples the middle one gives the model's state, and the outer two its change. The predicted load is
-the simulated state of its amplifier. Static friction may have any force up to its level: below `ModelParts.creep` the
-best-fitting one is used. Behind a lagging sensor, a chamber's error is what the observer corrects of its pressure in a
-sample. The equations are
-then independent, and none contains the lag of the box's velocity. Their errors, T = 1 ms::
+the simulated state of its amplifier. Static friction may have any force up to its level, and nobody knows how bristles
+are bent at the start: below `ModelParts.creep` the best-fitting force is used. Behind a lagging sensor, a chamber's
+error is what the observer corrects of its pressure in a sample. The equations are then independent, and none contains
+the lag of the box's velocity. Their errors, T = 1 ms::
 
     load             f_l - (gain F + bias)        F: the spring's force at x_p, behind the load cell's amplifier     N
     motion           m (x_p'' - model's)          x_p'' of three positions                                           N
@@ -132,12 +132,12 @@ def errors(model, m, x, error, size):
     held_rates(p, y, opening, True, slopes)
     rate_a, rate_b, pull = slopes[0], slopes[1], slopes[3]
     error[1] = p.mass * (bend - pull)
-    if p.holds and abs(speed) < p.creep:
+    if p.level > 0.0 and abs(speed) < p.creep:
         y[3] = state[3] = math.copysign(p.creep, speed)
         held_rates(p, y, opening, True, slopes)
         whole = slopes[3]
         held_rates(p, state, 0.0, False, slopes)
-        level = p.mass * abs(slopes[3] - whole)
+        level = max(p.level, p.mass * abs(slopes[3] - whole))
         y[3] = state[3] = speed
         held_rates(p, state, 0.0, False, slopes)
         free = p.mass * (bend - slopes[3])

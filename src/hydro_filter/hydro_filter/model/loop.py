@@ -68,6 +68,10 @@ CREEP = 0.025
 FORCES_ALLOWED, PRESSURES_ALLOWED = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
 """`ModelParts.allowed` over the bench's force: 2.5 %; dry friction; a cell's drift; of pressures in `UNCERTAINTY`."""
 
+CARRIED = 1e6
+"""Mass within a sample over the bench's: hidden states follow the measured velocity, not what bristles make of it
+within the sample, whose bend is unknown at first."""
+
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
 
@@ -159,6 +163,7 @@ def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, Floa
     loop_bench = without_disturbances(truth)
     whole, loop = BenchModel(truth, substeps=SUBSTEPS), BenchModel(loop_bench, substeps=SUBSTEPS)
     k, rest, _ = whole.begin(whole.values)
+    carried = whole.values * [CARRIED if one.name == "moving_mass" else 1.0 for one in whole.parameters]
     loop_k, loop_rest, _ = loop.begin(loop.values)
     places, loop_places = hidden_state_numbers(truth), hidden_state_numbers(loop_bench)
     numbers = truth.constants()[0]
@@ -174,7 +179,10 @@ def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, Floa
     forces = load_curve(numbers, chosen, positions)
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
-    dry = any(effect["id"].startswith(("friction_coulomb", "friction_stribeck")) for effect in truth.effects)
+    dry = [
+        effect["parameters"] for effect in truth.effects if effect["id"] in ("friction_coulomb", "friction_stribeck")
+    ]
+    level = sum(max(value for name, value in each.items() if "force" in name) for each in dry)
     bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
     gain, bias = sensor_scales(truth)
     record = Sensors().constants()[0]
@@ -184,6 +192,7 @@ def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, Floa
     cell, loop_cell = cell_states(truth, places), cell_states(loop_bench, loop_places)
     model = ModelParts(
         sample_at=whole.address, rates_at=whole.address_of("bench_rates"), k=k,
+        sample_k=whole.begin(carried)[0],
         loop_rates_at=loop.address_of("bench_rates"), loop_jacobian_at=loop.address_of("bench_jacobian"),
         loop_k=loop_k, from_whole=np.array(from_whole, np.int64), rest=rest,
         spool=state_number(places, "valve_lag", "spool"), spool_rate=state_number(places, "valve_lag", "rate"),
@@ -196,7 +205,8 @@ def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, Floa
         force_shown=state_number(places, "sensor_lag sensor=hydraulic_force", "signal"),
         lag=lag, inertia=inertia, gain=gain, bias=bias,
         area=area, ratio=ratio, mass=float(numbers["moving_mass"]), positions=positions, forces=forces,
-        holds=dry and not bristles, least_gain=least, least_opening=0.1 * float(numbers["valve_current_max"]),
+        holds=level > 0.0 and not bristles, level=level, least_gain=least,
+        least_opening=0.1 * float(numbers["valve_current_max"]),
         bend_max=size.force * BEND_MAX, creep=size.length * CREEP,
         allowed=size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
         memories=np.array([record["force_memory"], record["velocity_memory"]]),

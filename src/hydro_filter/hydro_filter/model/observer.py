@@ -156,7 +156,7 @@ def follow(loop, memory, x, current, reference_rate):
     p, n, z = loop.model, len(loop.model.rest), np.empty(5)
     opening = memory.hidden[n]
     model_state(p, memory.hidden, x, memory.hidden[:n], False)
-    machine_code.sample(p.sample_at, p.k, memory.hidden, current, z)
+    machine_code.sample(p.sample_at, p.sample_k, memory.hidden, current, z)
     arrived = current if p.past == 0 else memory.hidden[n - p.past + p.at_valve]
     memory.hidden[n] = (arrived + p.before if p.spool == NONE else memory.hidden[p.spool]) + p.after
     own_rate = p.spool != NONE and p.spool_rate != NONE

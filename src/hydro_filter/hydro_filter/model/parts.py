@@ -29,6 +29,8 @@ class ModelParts(NamedTuple):
     """Constants of the two models for compiled code; created by `loop.loop_of`."""
 
     sample_at: int
+    sample_k: FloatArray
+    """Coefficients of the sample: those of a mass that the forces within it do not accelerate."""
     rates_at: int
     k: FloatArray
     loop_rates_at: int
@@ -87,7 +89,9 @@ class ModelParts(NamedTuple):
     """m, and the load there [N]: rises."""
     forces: FloatArray
     holds: bool
-    """Whether dry friction can hold the piston."""
+    """Whether dry friction, without bristles, can hold the piston."""
+    level: float
+    """N, up to which dry friction holds, bristles or not."""
     least_gain: float
     """N/s/A: a chamber at its limit has no gain."""
     least_opening: float

@@ -76,7 +76,7 @@ ANOTHER_LAW = 50
 WORTH_A_LINE = 0.01
 """Share of late, stale or failed corrections from which a warning is logged; /diagnostics has each of them."""
 
-BUSY = "stale ones came too late to act upon: the machine is busy; end what else runs, or start it with --realtime"
+BUSY = "stale ones came too late to act upon: the machine is busy; end what else runs"
 
 BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
@@ -107,6 +107,7 @@ class FilterNode(Node):
         self._publisher: Publisher | None = None  # as long as another filter answers
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
+        self._advice = "" if realtime else ", or start it with --realtime"
         scheduling = request_realtime(realtime=realtime)
         told = "; ".join(f"{name}: {value}" for name, value in self._told.items())
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
@@ -279,7 +280,8 @@ class FilterNode(Node):
         elif trouble := sum(news[status] for status in TROUBLE):
             level = Level.WARN
             if trouble > WORTH_A_LINE * news.total():
-                busy = f"; {BUSY}" if news[CorrectionStatus.STALE] and not self.settings.bypass else ""
+                late = news[CorrectionStatus.STALE] and not self.settings.bypass
+                busy = f"; {BUSY}{self._advice}" if late else ""
                 self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"

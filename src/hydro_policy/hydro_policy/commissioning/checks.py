@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, StateArray
+from hydro_bridge.serial.frames import LawState
+from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Flag, FloatArray, Law, StateArray
+from hydro_filter.controller.loop_filter import LoopFilter
+from hydro_filter.model.sample import Sample
 from hydro_policy.commissioning.record import GateError
 from hydro_sim.model.bench import Bench
 
@@ -76,6 +79,31 @@ def unusable(armed: StateArray) -> float:
     lost = np.diff(armed["sequence"].astype(np.int64)) - 1
     late = armed["flags"] & (Flag.FILTER_STALE | Flag.WATCHDOG) != 0
     return float((lost[lost < _LONGEST_GAP].sum() + late.sum()) / len(armed))
+
+
+def fits(states: StateArray, loop_filter: LoopFilter) -> None:
+    """Raise GateError if the filter would say MISMATCH in a recording: its model predicts this bench too badly.
+
+    Parameters
+    ----------
+    states
+        Samples of the bench, armed or not.
+    loop_filter
+        A new one.
+    """
+    compensated = LawState(Law.COMPENSATED, 0.0, 0.0, NEUTRAL, 0.0, 1.0)  # any law: only the model is judged
+    law = compensated if loop_filter.unknown(compensated=False) else None
+    follows = np.diff(states["sequence"].astype(np.int64), prepend=0) == 1
+    for record, consecutive in zip(states, follows, strict=True):
+        if not consecutive:
+            loop_filter.skip()
+        loop_filter.correct(Sample.of(record, law))
+        if loop_filter.mismatch:
+            raise GateError(
+                f"{loop_filter.mismatch} in the held-out recording, so the filter would say MISMATCH: what the "
+                "diagnosis did not explain is too large for it; see reports/diagnosis, then try larger sines "
+                "(--amplitude), a truer bench file, or less friction"
+            )
 
 
 def _smooth(values: FloatArray, samples: int = 50) -> FloatArray:

@@ -7,9 +7,9 @@
     gains       half of the amplitude, then all of it, at 1 Hz
     excitation  two recordings, one of them held out; again where samples were lost or commands late
     diagnosis   what the bench file leaves out
-    metric      of the bench as found, with its certified range
+    metric      of the bench as found, with its certified range; on the held-out recording its filter says no MISMATCH
     policy      pretrained on the bench as found, with --policy
-    controllers behind the filter: base gains, fixed gains, the compensated law, the policy
+    controllers behind the filter: base gains, fixed gains, the compensated law, the learned residual on it, the policy
     comparison  the best of them is adopted
 
 Everything moves under the compensated law without a filter until there is one of this bench: it tracks with 0.3 to 2.5
@@ -34,6 +34,7 @@ from hydro_bridge.files import site
 from hydro_bridge.files.site import ANEW
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.signals import Flag, StateArray
+from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError, GateSkipped, Record, best, scored
@@ -292,12 +293,15 @@ def metric(at: Site) -> str:
     """See the module."""
     out = at.folder / site.METRIC
     words = ("--model", str(at.folder / site.MODEL), "--bench", at.bench, "--out", str(out))
-    laws = "compensated" if at.again and at.record.adopted == "compensated" else "both"
+    laws = "compensated" if at.again and at.record.adopted in ("compensated", "residual") else "both"
     said = at.run("hydro_filter", "learn_metric", *words, "--law", laws)
+    found = ScheduledMetric.load(out)
     at.record.certified_gains = {
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]
-        for one in ScheduledMetric.load(out).certificates
+        for one in found.certificates
     }
+    own = loop_filter(found, Bench.load(str(at.folder / site.MODEL)), Bench.load(at.bench))
+    checks.fits(_states(at.recording("held_out")), own)
     ranges = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in at.record.certified_gains.items())
     missing = laws == "both" and len(at.record.certified_gains) < 2
     return "; ".join([*ranges, *([said] if missing else [])])
@@ -322,7 +326,8 @@ def controllers(at: Site) -> str:
     chosen = [word for pair in fixed for word in ("--fixed", *(f"{value:g}" for value in pair))]
     trained = at.folder / POLICY
     chosen += ["--policy", str(trained)] if trained.is_dir() else []
-    content = at.evaluate("controllers", *chosen, *COMPARED, *_filter(at), amplitude=at.record.amplitude)
+    chosen += ["--learned-residual", *COMPARED, *_filter(at)]
+    content = at.evaluate("controllers", *chosen, amplitude=at.record.amplitude)
     found = scored(content)
     rows = {name: entry for name, entry in found.items() if name.startswith("fixed")}
     missing: dict[str, Any] = {"name": "policy", "rmse": {}, "trips": 0}
@@ -331,6 +336,7 @@ def controllers(at: Site) -> str:
         "best_fixed": rows[best(rows) or first],
         "base": rows[first],
         "compensated": found["compensated"],
+        "residual": found["compensated, learned residual"],
         "policy": found.get(f"policy {trained.name}", missing),
     }
     if found["compensated"]["trips"]:
@@ -356,7 +362,7 @@ GATES = (
     Gate(name="gains", run=gains, files=(site.BENCH, *_recorded("gains"))),
     Gate(name="excitation", run=excitation, files=_recorded("training", "held_out")),
     Gate(name="diagnosis", run=diagnosis, files=(*_recorded("training", "held_out"), site.MODEL), plant=False),
-    Gate(name="metric", run=metric, files=(site.BENCH, site.MODEL, site.METRIC), plant=False),
+    Gate(name="metric", run=metric, files=(site.BENCH, site.MODEL, site.METRIC, *_recorded("held_out")), plant=False),
     Gate(name="policy", run=policy, files=(site.MODEL, POLICY), plant=False),
     Gate(name="controllers", run=controllers, files=(site.MODEL, site.METRIC, *_recorded("controllers"))),
     Gate(name="comparison", run=comparison, files=(f"{site.REPORTS}/controllers/evaluation.json",), plant=False),
