@@ -89,7 +89,8 @@ def test_an_uneven_model_is_decided_as_in_python_but_for_rounding(tmp_path: Path
     trials = {"drawn": drawn(20_000, 9), "at edges": edges(truth), "recorded": recorded(other, 4, 10_000)}
     for label, rows in trials.items():
         differing, worst, measure = compare(replay(program, "double", rows), decided(other, rows), f"uneven, {label}")
-        assert differing == 0.0 and worst < 1e-12 and measure < 1e-9
+        # drawn samples jump through the whole stroke in 1 ms: there 1e-10 of the valve's range is rounding
+        assert differing == 0.0 and worst < (1e-11 if label == "drawn" else 1e-12) and measure < 1e-9
 
 
 def test_single_precision_stays_near(parts: LoopParts, programs: dict[str, Path]) -> None:
