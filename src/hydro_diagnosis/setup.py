@@ -38,6 +38,7 @@ setup(
         "console_scripts": [
             "diagnose = hydro_bridge.process.start:main_of.hydro_diagnosis.cli",
             "diagnose_many = hydro_bridge.process.start:main_of.hydro_diagnosis.diagnose_many",
+            "prove = hydro_bridge.process.start:main_of.hydro_diagnosis.prove",
             "trends = hydro_bridge.process.start:main_of.hydro_diagnosis.trends",
             "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.listing",
         ],
