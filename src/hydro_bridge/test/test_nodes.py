@@ -22,10 +22,10 @@ from rosbags.rosbag2 import Reader
 from hydro_bridge.bags.recording import continuity, objects, read_bag
 from hydro_bridge.files import bench_file
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GAINS, GRAPH, STATE, create_subscription
+from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GRAPH, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame
 from hydro_bridge.signals import Flag, ReferenceSignal, Waveform
-from hydro_msgs.msg import BoxInfo, Gains
+from hydro_msgs.msg import BoxInfo
 from hydro_msgs.srv import Claim
 from tests.graph_probe import Probe
 
@@ -51,30 +51,6 @@ def start() -> Iterator[Callable[..., Companion]]:
     yield begin
     for companion in started:
         companion.stop()
-
-
-def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
-    small_box()
-    output = io.StringIO()
-    start("bridge", "--port", cable.path, output=output)
-    told: list[DiagnosticStatus] = []
-    listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
-    create_subscription(probe.node, DIAGNOSTICS, listen)
-    probe.wait(lambda: len(probe.states) > 20)
-    probe.take()
-    rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
-    probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
-    assert told[-1].level == DiagnosticStatus.ERROR
-    refused = probe.ask(True)
-    assert not refused.success and "end all but one" in refused.message
-    assert [probe.ask(True).message for _ in range(5)] == [refused.message] * 5
-    probe.wait(lambda: refused.message in output.getvalue())
-    assert output.getvalue().count(refused.message) == 1, "told once, however often it is asked for"
-    assert probe.ask(False).success
-    probe.node.destroy_publisher(rival)
-    told.clear()
-    probe.wait(lambda: told and "nodes publish" not in told[-1].message)
-    assert probe.ask(True).success
 
 
 @pytest.fixture

@@ -17,7 +17,6 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.grammar.composition import divided
 
@@ -74,11 +73,3 @@ def test_the_threshold_pays_for_the_number_of_columns() -> None:
 )
 def test_a_coefficient_has_what_is_left_of_the_equations_unit(unit: str, others: tuple[str, ...], left: str) -> None:
     assert divided(unit, *others) == left
-
-
-def test_coefficients_of_sensors_and_edges_have_their_units() -> None:
-    units = {law.form: law.unit for law in grammar.COMPOSITIONS}
-    assert units["zero of pressure_b, from the start"] == "Pa"
-    assert units["pick-up of current of hydraulic_force"] == "N/A"
-    assert units["pick-up of current of pressure_a"] == "Pa/A"
-    assert units["throttled flow, of the return"] == "-"

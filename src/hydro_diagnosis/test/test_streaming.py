@@ -12,7 +12,7 @@ import yaml
 from hydro_diagnosis.io.table import read_table
 from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.preprocessing.streaming import Visits, read_bag_within, select_informative_windows
+from hydro_diagnosis.preprocessing.streaming import read_bag_within
 from hydro_diagnosis.recording import Recording, UnusableRecordingError
 from hydro_sim.model.bench import Bench
 
@@ -81,18 +81,6 @@ def test_long_bag_in_which_nothing_moves_is_refused(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(streaming, "WHOLE", 3)
     with pytest.raises(UnusableRecordingError, match="too short to be diagnosed"):
         read_bag_within(tmp_path / "bag", BENCH)
-
-
-def test_windows_that_visit_other_places_are_preferred(minute: tuple[Path, Recording]) -> None:
-    _, whole = minute
-    visits = Visits(BENCH)
-    kinds = []
-    for start in range(0, 60, 5):
-        visits.add(whole.segments[0].cut(1000 * start + 500, 1000 * start + 4500))
-        kinds.append(("fast", "still", "steps", "slow")[start // 5 % 4])
-    assert "still" not in {kinds[k] for k in select_informative_windows(visits, 3)}
-    assert select_informative_windows(visits, 100) == list(range(12))
-    assert select_informative_windows(visits, 1, [1, 5]) in ([1], [5])
 
 
 @pytest.mark.study

@@ -8,12 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.signals import Flag, ReferenceSignal
-from hydro_policy.evaluation.controllers import FixedGains
+from hydro_bridge.signals import Flag
 from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings
-from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
-from hydro_policy.supervision.plant_supervisor import CALM
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -56,20 +52,3 @@ def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_tr
     assert np.mean(best / tried[(60.0, 15.0)]) < 1.0
     assert not any("force_limit" in sentence for sentence in graph.sentences)
     assert not int(graph.box.state["faults"][0]) & Flag.FORCE_LIMIT
-
-
-def test_calm_that_the_last_pair_asked_for_is_kept_in_the_evaluation_that_follows() -> None:
-    graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
-    evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
-    stops_at_once = SafetyMonitor(MonitorSettings(peak_error=1.0))
-    search = GridSession(GridSettings(ki_values=(15.0,)), evaluation, graph, monitor=stops_at_once)
-    graph.run(search, 10.0)
-    assert search.finished and search.watch.calming, "its last pair was stopped"
-    session = EvaluationSession(evaluation, [FixedGains(90.0, 15.0)], graph, after=search.watch)
-    ended, heard = graph.time, len(graph.references)
-    assert graph.references[-1] == ReferenceSignal(), "no reference meanwhile"
-    graph.run(session, CALM)
-    assert graph.references[heard:] == [] and all(gains[:2] == (0.0, 0.0) for gains in graph.gains_published[-50:])
-    graph.run(session, 3.0)
-    assert graph.references[heard:] == [ReferenceSignal(), evaluation.cases[0].signal] and session.finished
-    assert graph.time - ended >= CALM + evaluation.length(evaluation.cases[0]) - 0.01

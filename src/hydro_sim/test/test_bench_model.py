@@ -124,40 +124,6 @@ def test_a_lagging_cell_follows_a_displaced_piston_from_the_samples_start(effect
     np.testing.assert_allclose(dy[:, 2] * scales[2] / scales, difference, atol=2e-6)
 
 
-@pytest.mark.parametrize("name", SETS)
-def test_gradient_of_a_prediction_is_that_of_differences(name: str) -> None:
-    """By every parameter of every effect, by the bench's numbers, and by the start, over 70 samples."""
-    model = BenchModel(replace(Bench.nominal(), effects=SETS[name]))
-    current, weights = wave(207)[137:], np.array([1.0, 1.0, 1e-4, 1e-4, 1e5])
-    k, start, _ = model.begin(model.values)
-    model.rollout(k, start, wave(137))
-    targets = model.rollout(k, start.copy(), current) + np.array([3.0, -2.0, 2e4, 1e4, 1e-5])
-
-    def loss(theta: FloatArray, y: FloatArray) -> float:
-        k, _, _ = model.begin(theta)
-        return float(np.sum((weights * (model.rollout(k, y.copy(), current) - targets)) ** 2))
-
-    value, gy, gk = model.window(k, start, current, targets, weights)
-    assert value == pytest.approx(loss(model.values, start), rel=1e-12)
-    sizes = np.maximum(np.abs(model.values), [1e-6 * one.scale for one in model.parameters])
-    found = model.gradient(model.values, gk) * sizes
-    differences = np.array([_slope(lambda t: loss(t, start), model.values, i, sizes[i]) for i in range(len(sizes))])
-    np.testing.assert_allclose(found, differences, rtol=2e-4, atol=1e-5 * np.max(np.abs(differences)))
-    scales = np.array([state.scale for state in model.states])
-    by_start = np.array([_slope(lambda y: loss(model.values, y), start, i, scales[i]) for i in range(len(scales))])
-    np.testing.assert_allclose(gy * scales, by_start, rtol=2e-4, atol=1e-5 * np.max(np.abs(by_start)))
-
-
-def _slope(function: Any, at: FloatArray, index: int, size: float) -> float:
-    """Central difference by an entry, times `size`."""
-    step, ends = 1e-6 * size, []
-    for side in (1.0, -1.0):
-        moved = at.copy()
-        moved[index] += side * step
-        ends.append(function(moved))
-    return float((ends[0] - ends[1]) / 2e-6)
-
-
 @pytest.mark.parametrize("damping", [0.2, 1.0, 3.0])
 def test_lags_are_exponentials_of_their_matrix(damping: float) -> None:
     bench = replace(Bench.nominal(), effects=(effect("valve_lag", bandwidth=300.0, damping=damping),))

@@ -19,14 +19,12 @@ import pytest
 from hydro_bridge.conformance.command import (
     FAIL,
     LEFT_OUT,
-    NOT_JUDGED,
     PASS,
     Result,
     chosen,
     read,
     run,
     shipped,
-    status,
 )
 from hydro_bridge.conformance.host import Host, UnreadableError
 from hydro_bridge.errors import UserError
@@ -81,18 +79,6 @@ class Delayed(InStep):
         self.memory.down += self.under_way.popleft()
         self.under_way.append(bytearray())
         return super().read(timeout)
-
-
-class LateHost(InStep):
-    """A host that does not run for 250 samples at these reads; the line keeps what comes meanwhile."""
-
-    def __init__(self, box: InStep, late: set[int]) -> None:
-        super().__init__(box.machine, box.link, box.memory)
-        self.late, self.reads = late, 0
-
-    def read(self, timeout: float) -> bytes:
-        self.reads += 1
-        return b"".join(super(LateHost, self).read(timeout) for _ in range(250 if self.reads in self.late else 1))
 
 
 class Corrupt(InStep):
@@ -154,20 +140,6 @@ def only(line: InStep, *names: str) -> list[Result]:
     return run(
         chosen(shipped(), list(names)), lambda: Host(line, line.clock), Bench.nominal().to_mapping(), moving=True
     )
-
-
-def test_a_case_in_which_the_host_was_late_is_tried_once_more(memory: Any) -> None:
-    (result,) = only(LateHost(c_box(memory), {300}), "law.current")
-    assert (result.outcome, result.found) == (PASS, "")
-
-
-def test_a_case_in_which_the_host_was_late_twice_is_not_judged(memory: Any) -> None:
-    results = only(LateHost(c_box(memory), set(range(300, 10_000, 300))), "law.current")
-    assert results[0].outcome == NOT_JUDGED
-    assert results[0].found.startswith("this host was silent for 250 ms; ")
-    assert status(results) == 3
-    assert status([*results, Result(results[0].case, FAIL, "")]) == 1
-    assert status([Result(results[0].case, PASS, "")]) == 0
 
 
 def test_a_box_whose_frames_cannot_be_read_is_told_so_once(memory: Any) -> None:

@@ -100,16 +100,6 @@ def test_spool_never_exceeds_its_rate_limit(order: int) -> None:
     assert np.max(np.diff(spool)) == pytest.approx(2e-3, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("effects", "positive", "negative"),
-    [({"valve_gain": {"ratio": 0.8}}, 0.8, 0.8), ({"valve_gain_asymmetry": {"ratio": 1.3}}, 1.0, 1.3)],
-)
-def test_gain_and_asymmetry_scale_the_flow(effects: dict[str, Any], positive: float, negative: float) -> None:
-    for current, ratio in ((0.002, positive), (-0.002, negative)):
-        plain, changed = (first_rate(locked(**chosen), current, "a")[1] for chosen in ({}, effects))
-        assert changed / plain == pytest.approx(ratio, rel=1e-2)
-
-
 @pytest.mark.parametrize("form", ["bell", "hyperbolic"])
 def test_null_leak_flows_through_both_edges_of_both_chambers(form: str) -> None:
     plant = locked(valve_null_leakage={"coefficient": 2e-9, "width": 1e-3, "form": form})

@@ -100,24 +100,6 @@ def test_friction_takes_energy_out_at_every_instant() -> None:
     assert power.min() > -1e-6
 
 
-@pytest.mark.parametrize(
-    ("effects", "position", "expected"),
-    [
-        ({}, 0.05, 200.0),
-        ({"spring_stiffness": {"ratio": 1.2}}, 0.05, 240.0),
-        ({"spring_rest": {"position": 0.045}}, 0.05, 100.0),
-        ({"spring_hardening": {"coefficient": 5e7}}, 0.05, 250.0),
-        ({"spring_hardening": {"coefficient": 5e7}}, 0.03, -250.0),
-        ({"backlash": {"width": 2e-3}}, 0.0409, 0.0),
-        ({"backlash": {"width": 2e-3}}, 0.042, 20.0),
-        ({"backlash": {"width": 2e-3}}, 0.038, -20.0),
-    ],
-)
-def test_load_force_over_position(effects: dict[str, Any], position: float, expected: float) -> None:
-    p = truth(**effects).parameters[0]
-    assert dynamics.load_force(p, position, REST, 0.0) == pytest.approx(expected, abs=1e-6)
-
-
 def test_bouc_wen_spring_saturates_and_loses_energy_round_a_cycle() -> None:
     plant = truth(outside={"spring_hysteresis": {"force": 40.0, "deflection": 1e-3}})
     log = plant.run(0.002 * np.sin(2 * np.pi * 2.0 * np.arange(2000) * 1e-3))[2][1000:]

@@ -4,22 +4,145 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment
 
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
+from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import EffectReport, Report
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.report import plots
-from hydro_diagnosis.report.comparison import compare
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report.plots import STATIC, location_plot, valve_plot
-from hydro_sim.plotting import UNITS
+from hydro_diagnosis.report.plots import STATIC, location_plot, svg, valve_plot
+from hydro_diagnosis.validation import FREE_RUN, SIMULATED
+from hydro_sim.plotting import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
+
+_SECONDS = 6.0
+"""Length shown."""
+_POINTS = 1500
+"""Plotted per line at most."""
+_INTERVAL = 0.25
+"""s, shaded by one cause."""
+_STANDS_OUT = 2.0
+"""Noise's multiple from which the part of a cause is shaded."""
+_SHADES = (SKY, GREEN, PURPLE, RED)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Signals of one stretch, as they are plotted."""
+
+    recording: str
+    time: FloatArray
+    """s, shape (n,)."""
+    measured: dict[str, FloatArray]
+    """By channel, SI units, shape (n,)."""
+    before: dict[str, FloatArray]
+    after: dict[str, FloatArray]
+    """Simulated with the bench file alone, and with what was found."""
+    causes: list[tuple[float, float, str]]
+    """Begin, end [s] and cause, where the bench file alone is most wrong by it."""
+
+    def fits(self) -> list[dict[str, Any]]:
+        """NRMSE [%] by channel; None where a simulation diverges."""
+        return [
+            {
+                "name": UNITS[name][0],
+                "before": nrmse(self.measured[name], self.before[name]),
+                "after": nrmse(self.measured[name], self.after[name]),
+            }
+            for name in self.measured
+        ]
+
+    def plot(self) -> str:
+        """SVG of measured and simulated signals, the causes shaded."""
+        every = max(len(self.time) // _POINTS, 1)
+        labels = list(dict.fromkeys(cause for *_, cause in self.causes))
+
+        def draw(axes: Any) -> None:
+            for axis, name in zip(axes, self.measured, strict=True):
+                label, unit, factor = UNITS[name]
+                measured = factor * self.measured[name]
+                for begin, end, cause in self.causes:
+                    axis.axvspan(begin, end, color=_SHADES[labels.index(cause) % len(_SHADES)], alpha=0.15, linewidth=0)
+                axis.plot(self.time[::every], measured[::every], color="black", linewidth=1.6, label="measured")
+                for signal, color, what in ((self.before, ORANGE, "bench file"), (self.after, BLUE, "corrected")):
+                    axis.plot(
+                        self.time[::every], factor * signal[name][::every], color=color, linewidth=0.8, label=what
+                    )
+                room = 0.4 * max(float(np.ptp(measured)), 1e-9)
+                axis.set_ylim(measured.min() - room, measured.max() + room)
+                axis.set_ylabel(f"{label}\n[{unit}]")
+            legend(axes[0])
+            axes[-1].set_xlabel(f"time [s] of {self.recording}, free runs of {FREE_RUN:g} s one after the other")
+
+        return svg(len(self.measured), (9.0, 1.5 * len(self.measured) + 0.5), draw, sharex=True)
+
+    def shades(self) -> list[tuple[str, str]]:
+        """Color and cause of what is shaded."""
+        labels = dict.fromkeys(cause for *_, cause in self.causes)
+        return [(_SHADES[k % len(_SHADES)], label) for k, label in enumerate(labels)]
+
+
+def compare(found: Diagnosis) -> Comparison | None:
+    """Simulate the first held-out recording; None where nothing can be simulated."""
+    model = next((one for one in found.holdout if len(one.segment) * one.step > 2.0 * FREE_RUN + 1.0), None)
+    if model is None or not model.channels.keys() >= SIMULATED or MOTION not in found.problem.blocks:
+        return None
+    length = round(FREE_RUN / model.step)
+    first = model.settle - (model.settle - model.segment.phase) % model.spacing
+    count = int(min(_SECONDS / FREE_RUN, (len(model.segment) - first - 20) // length))
+    begins = first + length * np.arange(count)
+    base, claims = tuple(found.problem.baseline), tuple(found.assessment.fit.claims)
+    with np.errstate(all="ignore"):
+        before, after = (_simulated(model, some, begins, length) for some in (base, (*base, *claims)))
+    rows = np.arange(begins[0], begins[-1] + length)
+    measured = {name: model.channels[name][rows] for name in UNITS if name in before}
+    time = model.segment.start + model.step * rows
+    causes = _causes(found, model, claims, float(time[0]), float(time[-1]))
+    return Comparison(model.segment.recording, time, measured, before, after, causes)
+
+
+def _simulated(model: SegmentModel, claims: tuple[Claim, ...], begins: Any, length: int) -> dict[str, FloatArray]:
+    """Readings by channel, the windows one after the other, shape (windows * length,)."""
+    plant = Plant.of(model, claims)
+    shown = plant.measurements(plant.run(plant.start(begins), begins, length), begins)
+    return {name: one.T.ravel() for name, one in shown.items()}
+
+
+def _causes(
+    found: Diagnosis, model: SegmentModel, claims: tuple[Claim, ...], begin: float, end: float
+) -> list[tuple[float, float, str]]:
+    """Where the residuals without a cause stand out most from those with it, per interval."""
+    problem = found.problem
+    unseen = Problem([model.segment], problem.bench, problem.baseline, noise=problem.sensor_noise)
+    whole = unseen.residual(claims)
+    parts = {one.effect.label: unseen.residual(tuple(k for k in claims if k is not one)) - whole for one in claims}
+    shaded = []
+    for at in np.arange(begin, end, _INTERVAL):
+        inside = (unseen.layout.time >= at) & (unseen.layout.time < at + _INTERVAL)
+        sizes = {label: float(np.sqrt(np.mean(np.square(part[inside])))) for label, part in parts.items()}
+        label = max(sizes, key=lambda name: sizes[name], default=None) if inside.any() else None
+        if label is not None and sizes[label] > _STANDS_OUT:
+            shaded.append((float(at), float(min(at + _INTERVAL, end)), label))
+    return shaded
+
+
+def nrmse(measured: FloatArray, simulated: FloatArray) -> float | None:
+    """Fit in percent: 100 is exact, 0 as good as the mean of the measured signal; None where it is not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.linalg.norm(measured - simulated) / np.linalg.norm(measured - measured.mean()))
+    return 100.0 * (1.0 - off) if isfinite(off) else None
+
 
 _VERDICTS = {
     "no_mismatch": "The simulation matches these recordings: nothing is missing that they could show.",

@@ -1,5 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metric learning: roll out, label, solve a metric for each gain, evaluate."""
+"""Metric learning: roll out, label, solve a metric for each gain, evaluate by the empirical certificate.
+
+**Refinement.** That the solution P of Lyapunov's equation for one state decays at all of some hundred states of the
+rollouts is a linear matrix inequality in P: descent on P = L_0 (I + X) (I + X)' L_0' from the equation's L_0 L_0', X
+lower triangular, on the mean and the largest violation.
+
+**Empirical certificate**, on held-out windows; no proof over a set of states (safety.md)::
+
+    ((F + G K)' M (F + G K) - exp(-2 lambda T) M) / T        its largest eigenvalue relative to M; 0 or less: M decays
+
+For gains of the certified range K is the force law's. All others are not to be certified, and K is that of the best
+correction, so every sample asks twice: of the metric for its own gain if that is in the range, and of that for all
+other gains. Eigenvalues are of C^-1 ... C^-T with M = C C', so that a small M does not pass for a good one.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +20,29 @@ import argparse
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
 
 from hydro_bridge.cli.console import Table, progress
-from hydro_bridge.settings import check
-from hydro_bridge.signals import Law
-from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, require_decay, rest_loop
+from hydro_bridge.settings import check, quantity
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, Law
+from hydro_filter.metric.design import (
+    MetricDesign,
+    correcting_feedback,
+    decaying_range,
+    factor_entries,
+    require_decay,
+    rest_loop,
+)
 from hydro_filter.metric.scheduled import ScheduledMetric, Thresholds
+from hydro_filter.model.coordinates import Q_LOAD
 from hydro_filter.model.loop import driven_coordinate, loop_of, without_overlap
 from hydro_filter.model.parts import Loop
-from hydro_filter.training.certificate import (
-    Correction,
-    DecayRates,
-    Samples,
-    certificate_table,
-    certified_samples,
-    foreign_samples,
-    where_violated,
-)
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,
@@ -40,7 +54,6 @@ from hydro_filter.training.data import (
     collect,
     concatenated,
 )
-from hydro_filter.training.lmi_refinement import refined_rows
 from hydro_filter.training.thresholds import integral_allowance, noise_sizes
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
@@ -48,6 +61,173 @@ from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
+
+QUANTILES = (0.5, 0.99, 0.999, 1.0)
+COLUMNS = {
+    "metric": "still: equations of the still bench; solved: made to hold on samples",
+    "gains": "certified: under the force law's own K_p of the range; foreign: under the best correction",
+    "samples": "held-out samples",
+    "violated": "%, samples in which some direction does not decay at lambda",
+    "q50": "1/s, quantiles of the contraction matrix's largest eigenvalue relative to M; 0 or less holds",
+    "q99": "",
+    "q999": "",
+    "largest": "",
+    "condition": "median condition number of M",
+    "condition_max": "largest",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecayRates:
+    """Rates at which a metric is to decay."""
+
+    rate: Annotated[float, quantity("1/s", 0.0, 10.0)] = 0.1
+    """lambda of the certified range."""
+    foreign_rate: Annotated[float, quantity("1/s", 0.0, 15.0)] = 8.0
+    """lambda of all other gains."""
+    margin: Annotated[float, quantity("1/s", 0.0, 5.0)] = 0.3
+    """On top of both where metrics are solved: what a state between the samples, or a bench that is not quite the
+    model, may take of the decay.
+    """
+
+
+class Correction(NamedTuple):
+    """The best correction about the still bench."""
+
+    feedback: FloatArray
+    """K [A], of each coordinate."""
+    driven: int
+    """Coordinate whose entry of G follows g everywhere."""
+    push: float
+    """G's entry of it about the still bench."""
+
+
+class Samples(NamedTuple):
+    """b samples of closed loops, and the gain for whose metric they ask; shapes for eight coordinates."""
+
+    gain: FloatArray
+    """K_p [1/s], shape (b,); infinite: of the metric for all other gains."""
+    closed: FloatArray
+    """F + G K, shape (b, 8, 8)."""
+
+
+def correcting_gains(windows: Windows, correction: Correction) -> FloatArray:
+    """K [A] of the best correction at every sample, shape (n, H, 8): scaled as the force law scales its own by g."""
+    return (correction.push / windows.push[..., correction.driven])[..., np.newaxis] * correction.feedback
+
+
+def certified_samples(windows: Windows, metric: ScheduledMetric) -> Samples:
+    """Samples of the stable windows with gains of the certified range, under the force law."""
+    inside = (windows.gain >= metric.gains[0]) & (windows.gain <= metric.gains[-1])
+    wanted = windows.part(inside & (windows.label == STABLE))
+    return _samples(wanted, wanted.feedback, wanted.gain)
+
+
+def foreign_samples(windows: Windows, correction: Correction) -> Samples:
+    """All samples, under the best correction."""
+    return _samples(windows, correcting_gains(windows, correction), np.full(len(windows), np.inf))
+
+
+def _samples(windows: Windows, feedback: FloatArray, gain: FloatArray) -> Samples:
+    closed = windows.transition + windows.push[..., np.newaxis] * feedback[..., np.newaxis, :]
+    return Samples(np.repeat(gain, closed.shape[1]), closed.reshape(-1, *closed.shape[2:]))
+
+
+def certificate_table(
+    metrics: dict[str, ScheduledMetric], ask: Callable[[ScheduledMetric], tuple[Samples, Samples]], rates: DecayRates
+) -> Table:
+    """A row for each metric and kind of gains; `ask`: held-out samples of a metric, certified and foreign."""
+    table = Table(COLUMNS, title=f"Contraction at lambda = {rates.rate:g} and {rates.foreign_rate:g} 1/s, held out")
+    for name, metric in metrics.items():
+        for kind, samples, rate in zip(
+            ("certified", "foreign"), ask(metric), (rates.rate, rates.foreign_rate), strict=True
+        ):
+            grown, condition = growth(metric, samples, rate)
+            q50, q99, q999, largest = (float(value) for value in np.quantile(grown, QUANTILES))
+            table.add(
+                metric=name, gains=kind, samples=len(grown),
+                violated=100.0 * float((grown > 0.0).mean()), q50=q50, q99=q99, q999=q999, largest=largest,
+                condition=float(np.median(condition)), condition_max=float(condition.max()),
+            )  # fmt: skip
+    return table
+
+
+def where_violated(metric: ScheduledMetric, samples: Samples, rate: float) -> str:
+    """Gains of certified samples that violate the metric, and how fast their loop decays; empty: none."""
+    bad = growth(metric, samples, rate)[0] > 0.0
+    if not bad.any():
+        return ""
+    gains, slowest = samples.gain[bad], np.abs(np.linalg.eigvals(samples.closed[bad])).max(axis=1)
+    decay = float(-np.log(np.quantile(slowest, 0.5, method="lower"))) / SAMPLE_PERIOD
+    return f"K_p {gains.min():.0f} to {gains.max():.0f} 1/s, where the loop itself decays at {decay:.2g} 1/s"
+
+
+def growth(metric: ScheduledMetric, samples: Samples, rate: float) -> tuple[FloatArray, FloatArray]:
+    """Largest eigenvalue [1/s] of the contraction matrix relative to M, and the condition number of M, shape (b,)."""
+    gains, which = np.unique(samples.gain, return_inverse=True)
+    matrices = np.array([metric.matrix(gain) for gain in gains])
+    moved, matrix = samples.closed.transpose(0, 2, 1), matrices[which]
+    factor = np.linalg.cholesky(matrix)
+    half = np.linalg.solve(factor, moved @ matrix @ samples.closed)
+    whole = np.linalg.solve(factor, half.transpose(0, 2, 1))
+    largest = np.linalg.eigvalsh(0.5 * (whole + whole.transpose(0, 2, 1)))[:, -1]
+    return (largest - np.exp(-2.0 * rate * SAMPLE_PERIOD)) / SAMPLE_PERIOD, np.linalg.cond(matrices)[which]
+
+
+SAMPLES = 120
+STEPS = 250
+STEP = 2e-2
+LEFT_OUT = 0.02
+"""Share of the samples with the largest growth that is not asked for: the spool passes zero there, and the law divides
+by one side's g while the valve has the other's."""
+
+
+def refined_rows(
+    metric: ScheduledMetric, windows: Windows, foreign: FloatArray, rates: tuple[float, float], seed: int = 0
+) -> Iterator[FloatArray]:
+    """Refined rows of the table, shape (36,), for decay at `rates` (certified, other gains) [1/s].
+
+    `foreign`: F + G K of the windows' samples under the best correction, shape (n, H, 8, 8).
+    """
+    rng = np.random.default_rng(seed)
+    stable = windows.part(windows.label == STABLE)
+    chosen = rng.choice(len(stable), min(SAMPLES, len(stable)), replace=False)
+    for row, gain in zip(metric.table[:-1], metric.gains, strict=True):
+        feedback = stable.feedback[chosen, 0].copy()
+        feedback[:, Q_LOAD] *= gain / stable.gain[chosen]
+        closed = stable.transition[chosen, 0] + stable.push[chosen, 0][:, :, None] * feedback[:, None, :]
+        yield refine(row, closed, rates[0])
+    chosen = rng.choice(len(windows), min(SAMPLES, len(windows)), replace=False)
+    yield refine(metric.table[-1], foreign[chosen, 0], rates[1])
+
+
+def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
+    """The factor's entries, shape (36,), after descent on samples F + G K, shape (n, 8, 8); scaled as they came."""
+    width = closed.shape[-1]
+    lower = np.zeros((width, width))
+    lower[np.tril_indices(width)] = entries
+    start, moved, eye = torch.from_numpy(lower), torch.from_numpy(closed), torch.eye(width, dtype=torch.float64)
+    change = torch.zeros((width, width), dtype=torch.float64, requires_grad=True)
+    optimizer = torch.optim.Adam([change], lr=STEP)
+    limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(LEFT_OUT * len(closed))
+    best, found = np.inf, lower
+    for step in range(STEPS):
+        optimizer.param_groups[0]["lr"] = STEP * (1.0 - step / STEPS) + 1e-4
+        factor = start @ (eye + torch.tril(change))
+        half = torch.linalg.solve_triangular(factor.expand_as(moved), moved.transpose(1, 2) @ factor, upper=False)
+        grown = (torch.linalg.eigvalsh(half @ half.transpose(1, 2))[:, -1] - limit) / SAMPLE_PERIOD
+        worst = torch.sort(torch.relu(grown)).values[:kept]
+        value = worst.mean() + 0.3 * worst[-1] + 1e-3 * (change**2).sum()
+        if float(value.detach()) < best:
+            best, found = float(value.detach()), factor.detach().numpy().copy()
+        if best == 0.0:
+            break
+        optimizer.zero_grad()
+        value.backward()
+        optimizer.step()
+    weight = found @ found.T
+    return factor_entries(weight / weight[3, 3])
+
 
 HELD_OUT = 5
 """Every fifth rollout is held out."""

@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sample, its Jacobian, and the gradient of a prediction: loops around what `hydro_sim.model.assembly` generates.
+// A sample and its Jacobian: loops around what `hydro_sim.model.assembly` generates.
 //
 // Text of `bench_sample` and `bench_jacobian` is in a box, too (`source.embedded_source`).
 //
 // Above this text the generated part defines N (states), M (coefficients), P (parameters), SUBSTEPS, and
-//   once(theta, k)                    once_back(theta, gk, gtheta)             begin(k, y, out)
+//   once(theta, k)                    begin(k, y, out)
 //   enter(y, u, out)                  step(k, y, u, share, out)                read(k, y, z)
 //   step_tangent(k, y, u, share, D, out, D_out)    read_tangent(k, y, D, z, Z)       D: N x (N + 1), by y and u
-//   step_back(k, y, u, share, g, gy, gk)           read_back(k, y, g, gy, gk)        g: gradient by the outcome
 //   rates(k, y, u, share, out)
 
 #include <string.h>
@@ -76,57 +75,6 @@ void bench_jacobian(const double *k, double *y, double u, double *z, double *dy,
         memcpy(dy, moved, sizeof moved);
     }
     read_tangent(k, y, dy, z, dz);
-}
-
-// Turns gy, the gradient by y after a sample, into that by y before it, and adds those by k to gk.
-static void sample_back(const double *k, const double *y, double u, double *gy, double *gk)
-{
-    double states[SUBSTEPS + 1][N], before[N], part[M];
-    enter(y, u, states[0]);
-    for (int i = 0; i < SUBSTEPS; i++)
-        step(k, states[i], u, i / (double)SUBSTEPS, states[i + 1]);
-    for (int i = SUBSTEPS - 1; i >= 0; i--) {
-        step_back(k, states[i], u, i / (double)SUBSTEPS, gy, before, part);
-        memcpy(gy, before, sizeof before);
-        for (int j = 0; j < M; j++)
-            gk[j] += part[j];
-    }
-    enter_back(gy, before);
-    memcpy(gy, before, sizeof before);
-}
-
-// Sum over n samples and readings of (weight (z - target))^2 from y, and its gradients: by y into gy, by k added to gk.
-// `room`: (n + 1) x N numbers of work space.
-double bench_window(const double *k, const double *y, long n, const double *u, const double *target,
-                    const double *weight, double *gy, double *gk, double *room)
-{
-    double loss = 0.0, z[Z], g[Z], part[M], before[N];
-    memcpy(room, y, N * sizeof *room);
-    for (long h = 0; h < n; h++) {
-        memcpy(room + N * (h + 1), room + N * h, N * sizeof *room);
-        bench_sample(k, room + N * (h + 1), u[h], z);
-    }
-    memset(gy, 0, N * sizeof *gy);
-    for (long h = n - 1; h >= 0; h--) {
-        read(k, room + N * (h + 1), z);
-        for (int i = 0; i < Z; i++) {
-            double error = weight[i] * (z[i] - target[Z * h + i]);
-            loss += error * error;
-            g[i] = 2.0 * weight[i] * error;
-        }
-        read_back(k, room + N * (h + 1), g, before, part);
-        for (int i = 0; i < N; i++)
-            gy[i] += before[i];
-        for (int j = 0; j < M; j++)
-            gk[j] += part[j];
-        sample_back(k, room + N * h, u[h], gy, gk);
-    }
-    return loss;
-}
-
-void bench_once_back(const double *theta, const double *gk, double *gtheta)
-{
-    once_back(theta, gk, gtheta);
 }
 
 #endif

@@ -35,7 +35,7 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
         ("step", at, [("out", model.step)]),
         ("read", [k, y], [("z", model.read)]),
         ("rates", at, [("out", model.rates)]),
-        *(_tangents(model, at) + _gradients(model, at) if derivatives else []),
+        *(_tangents(model, at) if derivatives else []),
         *(_partials(model, at) if sensitivities else []),
     ]
     sizes = {"N": model.y, "M": model.k, "P": model.theta, "RATES": model.rates}
@@ -107,23 +107,6 @@ def _tangents(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]
             ("z", model.read), ("dz", (casadi.jacobian(model.read, model.y) @ d).T),
         ]),
     ]  # fmt: skip
-
-
-def _gradients(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:
-    """Propagation of a gradient from a function's outputs back to its inputs."""
-    g, gz, gk = (SX.sym("g", one.numel()) for one in (model.y, model.read, model.k))
-
-    def back(outcome: SX, by: SX, gradient: SX) -> SX:
-        return casadi.jtimes(outcome, by, gradient, True)
-
-    step = [("gy", back(model.step, model.y, g)), ("gk", back(model.step, model.k, g))]
-    read = [("gy", back(model.read, model.y, gz)), ("gk", back(model.read, model.k, gz))]
-    return [
-        ("once_back", [("theta", model.theta), ("gk", gk)], [("out", back(model.once, model.theta, gk))]),
-        ("enter_back", [("g", g)], [("out", back(model.enter, model.y, g))]),
-        ("step_back", [*at, ("g", g)], step),
-        ("read_back", [*at[:2], ("gz", gz)], read),
-    ]
 
 
 def _partial(outcome: SX, model: Functions) -> SX:
