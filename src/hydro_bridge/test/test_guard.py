@@ -84,6 +84,16 @@ def test_a_correction_acts_for_three_samples_while_the_gains_that_it_allows_go_o
     assert list(guard.take_events()) == []
 
 
+def test_a_correction_of_a_sample_that_is_too_old_does_not_act_however_lately_it_came():
+    guard = CommandGuard()
+    guard.set_gains(30.0, 4.0, 0.0)
+    guard.note_sample(82)
+    guard.set_correction(0.01, CorrectionStatus.MODIFIED, 80, 0.0)
+    assert guard.command(0.0).delta_u == 0.01
+    guard.note_sample(83)
+    assert guard.command(0.0).delta_u == 0.0 and guard.command(0.0).delta_kp == 30.0
+
+
 def test_stale_gains_give_base_gains_and_keep_the_correction():
     guard = fresh()
     guard.set_correction(0.01, CorrectionStatus.PASS, 300, 0.3)
@@ -158,6 +168,17 @@ def test_gains_that_never_come_back_disarm_and_stop_the_reference_once_and_say_s
     assert not guard.command(1010.3).arm, "gains alone arm nothing"
     guard.set_arm(True)
     assert guard.command(1100.0).arm and guard.given_up == "", "armed on purpose, and nobody has chosen gains since"
+
+
+def test_gains_that_come_back_in_time_disarm_nothing():
+    guard = CommandGuard(settings=GuardSettings(gains_timeout=2.0))
+    guard.set_arm(True)
+    for now in (0.0, 2.0, 4.0):
+        guard.set_gains(30.0, 4.0, now)
+        assert guard.command(now + 1.9).arm
+    guard.set_arm(False)
+    guard.command(100.0)
+    assert guard.given_up == "", "a plant that is disarmed has nothing to give up"
 
 
 @pytest.mark.parametrize("frequency", [0.0, -1.0, 1e6, 1e-60])
@@ -326,6 +347,14 @@ def test_whatever_law_command_comes_in_what_goes_down_is_finite_and_within_the_l
         assert getattr(OFFERED, f"{name}_min") <= getattr(command, name) <= getattr(OFFERED, f"{name}_max")
 
 
+def test_a_coefficient_out_of_range_is_clamped_and_told_once():
+    guard = compensated()
+    for _ in range(3):
+        guard.set_law(replace(SHAPED, coefficients=(2.0, 0.03, 1e-4, -5.0)), 0.1)
+    assert guard.command(0.1).coefficients == (OFFERED.coefficient_max[0], 0.03, 1e-4, -5.0)
+    assert list(guard.take_events()) == ["a_0 is outside [0.8, 1.25]: clamped"]
+
+
 @pytest.mark.parametrize("first", list(Law))
 def test_another_law_is_refused_while_armed_and_taken_once_disarmed(first):
     guard = CommandGuard()
@@ -357,6 +386,12 @@ def test_every_box_and_every_holder_begins_with_the_papers_law():
         guard.set_arm(False)
         forget(guard)
         assert guard.command(0.01) == Command()
+
+
+def test_before_anything_came_the_command_is_the_safe_one_and_nothing_is_complained_of():
+    guard = CommandGuard()
+    assert guard.command(0.0) == Command()
+    assert list(guard.take_events()) == []
 
 
 @pytest.mark.parametrize("change", [{"frequency": 1e-60}, {"phase": 1e60}, {"phase": -1e39}])

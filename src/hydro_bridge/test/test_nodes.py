@@ -22,10 +22,10 @@ from rosbags.rosbag2 import Reader
 from hydro_bridge.bags.recording import continuity, objects, read_bag
 from hydro_bridge.files import bench_file
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GRAPH, STATE, create_subscription
+from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame
 from hydro_bridge.signals import Flag, ReferenceSignal, Waveform
-from hydro_msgs.msg import BoxInfo
+from hydro_msgs.msg import BoxInfo, Gains
 from hydro_msgs.srv import Claim
 from tests.graph_probe import Probe
 
@@ -51,6 +51,30 @@ def start() -> Iterator[Callable[..., Companion]]:
     yield begin
     for companion in started:
         companion.stop()
+
+
+def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
+    small_box()
+    output = io.StringIO()
+    start("bridge", "--port", cable.path, output=output)
+    told: list[DiagnosticStatus] = []
+    listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
+    create_subscription(probe.node, DIAGNOSTICS, listen)
+    probe.wait(lambda: len(probe.states) > 20)
+    probe.take()
+    rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
+    probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
+    assert told[-1].level == DiagnosticStatus.ERROR
+    refused = probe.ask(True)
+    assert not refused.success and "end all but one" in refused.message
+    assert [probe.ask(True).message for _ in range(5)] == [refused.message] * 5
+    probe.wait(lambda: refused.message in output.getvalue())
+    assert output.getvalue().count(refused.message) == 1, "told once, however often it is asked for"
+    assert probe.ask(False).success
+    probe.node.destroy_publisher(rival)
+    told.clear()
+    probe.wait(lambda: told and "nodes publish" not in told[-1].message)
+    assert probe.ask(True).success
 
 
 @pytest.fixture
@@ -97,6 +121,32 @@ def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_s
     probe.wait(lambda: steered.told and steered.told[-1].message == "armed")
 
 
+def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
+    before = probe.commander.epoch
+    probe.ask(False)
+    probe.wait(lambda: probe.commander.epoch != before)
+    assert probe.ask(True).success
+    probe.spin(0.6)  # until then they are late ones of the session before
+    probe.commands, sent, began = False, 10, time.monotonic()
+    for _ in range(sent):
+        probe.commander._epoch = before  # each time: the plant keeps telling it
+        probe.commander.gains(32.0, 0.0)
+        probe.commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
+        probe.spin(0.05)
+    assert steered.armed() and steered.box.commands[-1].command.reference == ReferenceSignal()
+
+    def counted() -> list[int]:
+        said = {pair.key: pair.value for status in steered.told[-1:] for pair in status.values}
+        return [int(said.get(f"refused {topic}", 0)) for topic in (GAINS, REFERENCE)]
+
+    probe.wait(lambda: min(counted()) >= 5)  # these topics keep the last message alone: one may replace another
+    assert max(counted()) <= sent
+    sentence = "of /hydro/gains from nodes without authority (probe)"
+    probe.wait(lambda: sentence in steered.output.getvalue())
+    said = steered.output.getvalue().count("refused: ")
+    assert said <= 2.0 * (time.monotonic() - began + 1.0), "each topic once a second at most"
+
+
 def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):
     def claim(**words) -> Claim.Response:
         answer = probe.arming.call_async(Claim.Request(**words))
@@ -113,6 +163,15 @@ def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):
     assert "handed over to evaluate" in claim(act=Claim.Request.TAKE, name="collect").message
     heir = claim(act=Claim.Request.TAKE, name="evaluate")
     assert heir.success and heir.epoch
+
+
+def test_who_succeeds_a_holder_that_has_fallen_silent_finds_the_plant_disarmed(steered, probe):
+    other = Probe()
+    try:
+        other.take()  # nobody spins the first one meanwhile
+        assert not steered.armed() and not steered.box.commands[-1].command.arm
+    finally:
+        other.close()
 
 
 def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):

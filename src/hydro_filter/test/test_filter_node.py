@@ -22,7 +22,7 @@ from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from hydro_bridge.ros.companion import Companion  # noqa: E402
-from hydro_bridge.ros.messages import StateMessage  # noqa: E402
+from hydro_bridge.ros.messages import StateMessage, fill_law_state  # noqa: E402
 from hydro_bridge.ros.topics import (  # noqa: E402
     BOX,
     CORRECTION,
@@ -35,17 +35,21 @@ from hydro_bridge.ros.topics import (  # noqa: E402
 from hydro_bridge.signals import (  # noqa: E402
     PLANT_FIELDS,
     STATE_FIELDS,
+    Command,
     CorrectionStatus,
+    Flag,
     FloatArray,
+    Law,
     ReferenceSignal,
     Waveform,
 )
 from hydro_filter.controller.factory import FilterChoice  # noqa: E402
-from hydro_filter.controller.loop_filter import LoopFilterSettings  # noqa: E402
+from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter  # noqa: E402
 from hydro_filter.metric.scheduled import ScheduledMetric  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
+from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
 from hydro_sim.emulator.offline import record_offline  # noqa: E402
 from hydro_sim.excitation.schedules import Segment  # noqa: E402
 from hydro_sim.files.learned_bench import digest as digest_of  # noqa: E402
@@ -157,6 +161,19 @@ def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[.
     assert {(message.status, message.delta_u) for message in source.corrections} == {(CorrectionStatus.STALE, 0.0)}
 
 
+def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[..., Source], still: FloatArray) -> None:
+    source = started(*PATIENT)
+    good = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
+    for sequence, sample in enumerate([good, good._replace(state=np.full(8, np.nan)), good]):
+        source.publish(sequence, sample)
+        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
+    statuses = [message.status for message in source.corrections]
+    assert statuses == [CorrectionStatus.MODIFIED, CorrectionStatus.NAN, CorrectionStatus.MODIFIED]
+    assert source.corrections[1].delta_u == 0.0
+    assert source.corrections[0].delta_u == pytest.approx(source.corrections[2].delta_u, abs=1e-9)
+    assert source.corrections[0].delta_u > 0.0
+
+
 def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
     source = started("--bypass", *PATIENT)
     source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
@@ -168,6 +185,25 @@ def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> No
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
 
 
+def test_a_metric_of_the_papers_law_bypasses_the_compensated_one_and_answers_the_papers_as_ever(
+    started: Callable[..., Source], still: FloatArray
+) -> None:
+    source = started(*PATIENT)
+    laws = create_publisher(source.node, LAW_STATE)
+    source.wait(lambda: laws.get_subscription_count() > 0)
+    sample = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
+    for sequence in range(200):
+        if 20 <= sequence < 60:
+            laws.publish(LawStateMessage(sequence=sequence, law=1))
+            source.executor.spin_once(timeout_sec=0.002)  # before the sample, as a plant does
+        source.publish(sequence, sample)
+        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
+    statuses = [message.status for message in source.corrections]
+    assert set(statuses[:20]) == {CorrectionStatus.MODIFIED} == set(statuses[120:])
+    assert set(statuses[25:100]) == {CorrectionStatus.BYPASSED}
+    assert all(message.delta_u == 0.0 for message in source.corrections[25:100])
+
+
 @pytest.fixture
 def beside_the_law(started: Callable[..., Source], model: Bench, metric: ScheduledMetric, tmp_path: Path) -> Source:
     """A filter that is made for both laws."""
@@ -175,6 +211,64 @@ def beside_the_law(started: Callable[..., Source], model: Bench, metric: Schedul
     of.write_text(yaml.safe_dump(model.to_mapping()))
     replace(metric, made=MadeFor(box=Bench.nominal().digest, model=digest_of(of))).save(file)
     return started("--metric", str(file), "--model", str(of), *PATIENT)
+
+
+def shaken(model: Bench, answer: Callable[[Sample, LawStateMessage], float]) -> tuple[list[Sample], bool]:
+    """The compensated law at C_1 = 1 on a bench, K_p 150 to 300 drawn a hundred times a second; whether it tripped."""
+    usual = BoxConfig()
+    law = replace(usual.compensated, velocity_compensation=1.0, velocity_compensation_max=1.0)
+    box, plant, rng = (
+        Box(Bench.nominal(), replace(usual, compensated=law)),
+        AnalyticPlant(model),
+        np.random.default_rng(1),
+    )
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+    x, delta_u, told = plant.reset(1), 0.0, LawStateMessage()
+    box.receive(Command(law=Law.COMPENSATED), 0.0)
+    samples = []
+    for k in range(1500):
+        if k % 10 == 0:
+            delta_kp = rng.uniform(150.0, 300.0) - law.base_kp
+        command = Command(arm=True, law=Law.COMPENSATED, reference=signal, delta_kp=delta_kp, delta_u=delta_u)
+        box.receive(command, 1e-3 * k)
+        record = box.tick(x, 1e-3 * k)
+        samples.append(Sample.of(record, law_state(box.state[0])))
+        if int(record["flags"]) & Flag.TRIPPED:
+            return samples, True
+        delta_u = answer(samples[-1], fill_law_state(told, 0, k, law_state(box.state[0])))
+        x = plant.step(samples[-1].valve_current)
+    return samples, False
+
+
+def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
+    beside_the_law: Source, model: Bench, metric: ScheduledMetric
+) -> None:
+    source, core = beside_the_law, loop_filter(metric, model, Bench.nominal())
+    laws = create_publisher(source.node, LAW_STATE)
+    source.wait(lambda: laws.get_subscription_count() > 0)
+    assert shaken(model, lambda sample, told: 0.0)[1], "without a filter the box trips"
+    expected: list[float] = []
+
+    def answer(sample: Sample, told: LawStateMessage) -> float:
+        """The law before its sample, or behind it: the sample waits for it."""
+        sequence = told.sequence
+        if sequence % 2:
+            laws.publish(told)
+            source.publish(sequence, sample)
+        else:
+            source.publish(sequence, sample)
+            laws.publish(told)
+        source.wait(lambda: len(source.corrections) > sequence, timeout=5.0)
+        expected.append(core.correct(sample).delta_u)
+        return source.corrections[-1].delta_u
+
+    assert not shaken(model, answer)[1]
+    told = f"K_p 15 to 400 1/s at C_1 = {BoxConfig().compensated.velocity_compensation:g}"
+    source.wait(lambda: told in dict_of(source.diagnostics[-1])["certified"])
+    assert [message.sequence for message in source.corrections] == list(range(1500))
+    statuses = {message.status for message in source.corrections}
+    assert CorrectionStatus.MODIFIED in statuses and CorrectionStatus.BYPASSED not in statuses
+    assert [message.delta_u for message in source.corrections] == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still: FloatArray) -> None:
@@ -190,6 +284,21 @@ def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still
             source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
     statuses = [message.status for message in source.corrections]
     assert statuses[5] == CorrectionStatus.STALE and statuses.count(CorrectionStatus.STALE) == 1
+
+
+def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:
+    """Its stamps are /clock's; nobody told the filter, and it finds out within a second or two."""
+    source = started()
+    source.no_plant()
+    simulation = Companion("hydro_sim", "sim", ["--speed", "0"])
+    try:
+        source.wait(lambda: any(message.status == CorrectionStatus.PASS for message in source.corrections))
+        before = len(source.corrections)
+        source.wait(lambda: len(source.corrections) > before + 500)
+        later = [message.status for message in source.corrections[before:]]
+        assert later.count(CorrectionStatus.PASS) == len(later)
+    finally:
+        simulation.stop()
 
 
 def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after_a_gap(

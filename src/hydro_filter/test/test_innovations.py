@@ -101,6 +101,19 @@ def test_a_mismatch_stays_until_the_bench_is_the_learned_one_again_for_seconds_o
     assert done.states["proportional_gain"][-1] == 250.0
 
 
+def test_missing_samples_neither_raise_an_alarm_nor_end_one(contraction_filter: LoopFilter) -> None:
+    """Left out: a piece of 30 ms in every 200 ms, which nobody's spool and force would come through."""
+    for plant, broken in ((becoming(at=()), False), (becoming(SPRINGS[4][0]), True)):
+        states = played(contraction_filter, plant, 4.0).states
+        contraction_filter.reset()
+        for k, record in enumerate(states):
+            if k % 200 == 30:
+                contraction_filter.skip()
+            if k % 200 >= 30:
+                contraction_filter.correct(Sample.of(record))
+        assert bool(contraction_filter.mismatch) == broken
+
+
 def test_a_wrong_sample_is_no_mismatch(contraction_filter: LoopFilter) -> None:
     states = played(contraction_filter, becoming(at=()), 1.0).states
     states["load_force"][500] += 400.0

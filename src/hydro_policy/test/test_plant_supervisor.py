@@ -111,6 +111,30 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
     assert [HOW_TO_ARM in sentence for sentence in heard.said[1:]] == ([] if rearm else [True])
 
 
+def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:
+    heard = Heard()
+    watch = PlantSupervisor(heard, rearm=False)
+    run(watch, 0, 0.0, 1.0)
+    watch.arm_now(1.0)
+    run(watch, STALE, 1.0, 5.0)
+    run(watch, 0, 5.0, 9.0)
+    assert heard.armings == [False]
+    assert sum(HOW_TO_ARM in sentence for sentence in heard.said) == 2, "asked anew"
+
+
+def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it() -> None:
+    heard = Heard()
+    watch = PlantSupervisor(heard, rearm=False)
+    run(watch, 0, 0.0, 1.0)
+    watch.arm_now(1.0)
+    run(watch, 0, 1.0, 1.15)
+    run(watch, STALE, 1.15, 1.2)
+    run(watch, STALE | ARMED, 1.2, 1.3)
+    assert heard.armings == [False, True] and not watch.may_begin(1.3)
+    run(watch, ARMED, 1.3, 1.4)
+    assert heard.armings == [False, True] and watch.may_begin(1.4)
+
+
 @pytest.mark.parametrize("rearm", [True, False])
 def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: bool) -> None:
     heard = Heard()
@@ -151,6 +175,18 @@ def test_a_controller_that_acts_keeps_the_plant_armed_whatever_is_missing() -> N
     assert heard.armings == []
 
 
+def test_under_gains_that_a_person_holds_a_plant_is_not_idle_but_after_them_it_is() -> None:
+    heard, override = Heard(), GainOverride()
+    watch = armed_watch(heard, rearm=True, override=override)
+    override.hold(60.0, 10.0, 0.0, 1.1)
+    run(watch, ARMED, 1.1, 9.0)
+    assert heard.armings == []
+    override.release()
+    assert watch.unready(9.0), "nothing acts between the release and the next tick"
+    run(watch, ARMED, 9.0, 9.1)
+    assert heard.armings == [False]
+
+
 @pytest.mark.parametrize(
     ("flags", "seconds", "sentence"),
     [(None, 601.0, "no samples on /hydro/state"), (0, 301.0, "the learner never came")],
@@ -162,6 +198,20 @@ def test_every_wait_ends(flags: int | None, seconds: float, sentence: str) -> No
             if flags is not None:
                 watch.on_sample(flags, tick / 20)
             watch.on_tick(tick / 20)
+
+
+def test_a_watch_goes_on_where_another_sessions_ends() -> None:
+    heard = Heard()
+    before = armed_watch(heard, rearm=False)
+    before.acted(2.0)
+    watch = PlantSupervisor(heard, False)
+    watch.take_over(before)
+    run(watch, ARMED, 2.5, 2.7)
+    assert watch.may_begin(2.7) and heard.armings == []
+    late = PlantSupervisor(heard, False)
+    late.take_over(before)
+    run(late, ARMED, 9.0, 9.1)
+    assert heard.armings == [False], "it has waited too long in between"
 
 
 @pytest.mark.parametrize("rearm", [True, False])

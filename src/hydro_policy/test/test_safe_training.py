@@ -207,8 +207,26 @@ def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_i
     assert session.current.overridden_steps == pytest.approx(50, abs=2)
 
 
+def test_gains_that_jump_where_the_reference_changes_are_no_chatter() -> None:
+    """8 mA within a sample, once in 0.1 s: RMS of u' over the window is 0.8 A/s."""
+    monitor = SafetyMonitor()
+    jump = np.repeat((0.0, 8e-3), 5)
+    for _ in range(10):
+        calm = [monitor.add(step(50.0, np.zeros(10))) for _ in range(9)]
+        assert {*calm, monitor.add(step(50.0, jump))} == {None}
+    assert monitor.chatter == 0.0
+
+
 def test_steps_for_which_the_box_held_other_gains_are_not_charged_to_the_policy() -> None:
     monitor = SafetyMonitor()
     wild = replace(step(400.0, np.tile((0.0, 0.05), 5)), held=int(Flag.FILTER_STALE))
     assert all(monitor.add(wild) is None for _ in range(60))
     assert monitor.add(replace(wild, held=0)) is not None
+
+
+def test_the_current_is_judged_again_once_the_force_is_back_from_base_gains() -> None:
+    monitor = SafetyMonitor(MonitorSettings())
+    wild = step(0.0, np.tile((0.0, 0.05), 5))
+    assert monitor.add(replace(wild, held=int(Flag.FILTER_STALE))) is None
+    *spared, judged = (monitor.add(wild) for _ in range(30))  # 0.2 s of return, and a window of 0.1 s
+    assert spared == [None] * 29 and judged is not None and "chattering" in judged

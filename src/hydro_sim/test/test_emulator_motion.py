@@ -60,6 +60,16 @@ def test_viscous_friction_damps_a_swing_at_the_closed_form_rate() -> None:
     assert energy[200:300].mean() / energy[100:200].mean() == pytest.approx(np.exp(-20.0 / MASS * 0.1), rel=0.02)
 
 
+@pytest.mark.parametrize("form", ["static", "smooth", "lugre"])
+@pytest.mark.parametrize(("sign", "force"), [(1.0, 15.0), (-1.0, 9.0)])
+def test_sliding_friction_is_coulomb_in_each_direction(form: str, sign: float, force: float) -> None:
+    coulomb = {"force_positive": 15.0, "force_negative": 9.0, "form": form}
+    log = held(truth(friction_coulomb=coulomb), sign * 0.003, 0.15)
+    dry = column(log, "friction_force") - 60.0 * column(log, "piston_velocity")
+    assert np.abs(column(log, "piston_velocity")[-30:]).min() > 0.02
+    assert dry[-30:] == pytest.approx(np.full(30, sign * force), rel=2e-3)
+
+
 @pytest.mark.parametrize(("push", "breaks_away"), [(13.0, False), (17.0, True), (-7.0, False), (-11.0, True)])
 def test_static_friction_holds_by_the_level_of_the_direction_that_it_opposes(push: float, breaks_away: bool) -> None:
     coulomb = {"force_positive": 15.0, "force_negative": 9.0}
@@ -98,6 +108,33 @@ def test_friction_takes_energy_out_at_every_instant() -> None:
     log = plant.run(0.003 * np.sin(2 * np.pi * 2.0 * np.arange(1000) * 1e-3))[2]
     power = column(log, "friction_force") * column(log, "piston_velocity")
     assert power.min() > -1e-6
+
+
+@pytest.mark.parametrize(
+    ("effects", "position", "expected"),
+    [
+        ({}, 0.05, 200.0),
+        ({"spring_stiffness": {"ratio": 1.2}}, 0.05, 240.0),
+        ({"spring_rest": {"position": 0.045}}, 0.05, 100.0),
+        ({"spring_hardening": {"coefficient": 5e7}}, 0.05, 250.0),
+        ({"spring_hardening": {"coefficient": 5e7}}, 0.03, -250.0),
+        ({"backlash": {"width": 2e-3}}, 0.0409, 0.0),
+        ({"backlash": {"width": 2e-3}}, 0.042, 20.0),
+        ({"backlash": {"width": 2e-3}}, 0.038, -20.0),
+    ],
+)
+def test_load_force_over_position(effects: dict[str, Any], position: float, expected: float) -> None:
+    p = truth(**effects).parameters[0]
+    assert dynamics.load_force(p, position, REST, 0.0) == pytest.approx(expected, abs=1e-6)
+
+
+def test_play_drags_the_springs_end_and_loses_its_width_at_each_reversal() -> None:
+    p = truth(backlash={"width": 2e-3, "form": "play"}).parameters[0]
+    end, forces = REST, []
+    for position in (0.05, 0.0485, 0.047):
+        end = dynamics.dragged(p, position, end)
+        forces.append(dynamics.load_force(p, position, end, 0.0))
+    assert forces == pytest.approx([180.0, 180.0, 160.0])
 
 
 def test_bouc_wen_spring_saturates_and_loses_energy_round_a_cycle() -> None:

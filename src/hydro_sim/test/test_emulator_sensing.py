@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth.config import truth_from_mapping
@@ -62,6 +63,18 @@ def test_gain_and_bias_touch_their_own_sensor_only(
         if not other.endswith(("_rate", "_velocity")):
             expected = gain * physical + bias if other == name else physical
             assert clean == pytest.approx(expected, abs=1e-9 * np.abs(physical).max())
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_sensor_lag_is_the_low_pass_that_it_says(order: int) -> None:
+    """Against scipy's exact response of the same filter to the physical force."""
+    lag = {"bandwidth": 30.0, "order": order, "damping": 0.6}
+    _, clean, physical = logs(sensor_lag=lag)["load_force"]
+    w = 2 * np.pi * 30.0
+    system = ([w], [1.0, w]) if order == 1 else ([w * w], [1.0, 1.2 * w, w * w])
+    _, expected, _ = signal.lsim(system, physical, np.arange(len(physical)) * 1e-3)
+    assert clean == pytest.approx(expected, abs=1e-3 * np.abs(physical).max())
+    assert np.abs(clean - physical).max() > 0.02 * np.abs(physical).max()
 
 
 def test_rates_are_differences_of_what_was_measured_and_follow_the_truth() -> None:
