@@ -213,7 +213,10 @@ def _limit(word: str) -> tuple[str, float]:
     name, _, value = word.partition("=")
     if name not in KNOWN:
         raise argparse.ArgumentTypeError(f"{word}: no number {name}, as leakage_internal.coefficient")
-    return name, float(value)
+    try:
+        return name, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{word}: {value!r} is not a number") from None
 
 
 @command(ValueError)

@@ -14,7 +14,7 @@ from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, eq
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.kernels import limited
+from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag, limited
 from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -24,7 +24,7 @@ from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import Law, Signals, edge_losses, shifted
+from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
 
 BENCH = Bench.nominal()
 
@@ -57,6 +57,40 @@ def test_a_lag_of_limited_rate_is_that_of_its_differential_equation() -> None:
     assert slow[2] == pytest.approx(1.0 - rising / step * (1.0 - np.exp(-step / rising)))
 
 
+def test_a_lag_that_turns_follows_a_ramp_by_its_time_late() -> None:
+    """Closed form: w = m (t - T (1 - exp(-t / T))), with the T of the direction."""
+    step, rising, falling, slope = 1e-3, 3e-3, 5e-4, 40.0
+    seconds = step * np.arange(50)
+    for sign, time in ((1.0, rising), (-1.0, falling)):
+        wanted = sign * slope * (seconds - time * (1.0 - np.exp(-seconds / time)))
+        np.testing.assert_allclose(asymmetric_lag(sign * slope * seconds, step, rising, falling), wanted, atol=1e-12)
+
+
+def test_a_held_lag_of_two_times_is_that_of_its_differential_equation() -> None:
+    signal = np.concatenate([np.zeros(2), np.ones(12), np.full(12, -0.4), np.full(12, -0.3)])
+    step, rising, falling, parts = 1e-3, 7e-4, 2e-3, 4000
+    now, wanted = 0.3, []
+    for held in signal:
+        course = np.empty(parts)
+        for k in range(parts):
+            now += step / parts * (held - now) / (rising if held > now else falling)
+            course[k] = now
+        wanted.append((course[0], course.mean()))
+    begins, means = held_lag(signal, step, rising, 0.3, falling)
+    np.testing.assert_allclose(np.column_stack([begins, means]), wanted, atol=4e-4)
+    one_way = held_lag(signal, step, rising, 0.3, rising)
+    np.testing.assert_allclose(one_way, held_lag(signal, step, rising, 0.3), atol=1e-15)
+
+
+def test_a_path_element_follows_direction_and_distance_alone() -> None:
+    back_and_forth = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, 0.5, 20)])
+    force = along(back_and_forth, 10.0, np.ones(70))
+    assert force[49] == pytest.approx(1.0 - np.exp(-10.0))
+    assert force[-1] == pytest.approx(-1.0 + (force[49] + 1.0) * np.exp(-5.0))
+    slow = np.repeat(back_and_forth, 3)
+    np.testing.assert_allclose(along(slow, 10.0, np.ones(210))[2::3], force)
+
+
 def test_a_pocket_takes_what_its_pressure_rises_by_and_gives_it_back() -> None:
     """Flow is the rate of what follows the pressure, so that over a rise and a fall nothing is lost."""
     effect, step = closure(law("pressure_a", "pocket"), BENCH), 1e-3
@@ -66,6 +100,22 @@ def test_a_pocket_takes_what_its_pressure_rises_by_and_gives_it_back() -> None:
     taken = step * np.cumsum(flow)
     assert taken[409] == pytest.approx(2e-14 * 1e6, rel=1e-6)
     assert taken[-1] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_waves_are_the_square_of_a_sine() -> None:
+    at = Signals(position=np.linspace(0.0, 0.07, 50), velocity=0.1)
+    found = law("motion", "drag, in waves").value(at, BENCH, [250.0, 8e-3, 1.5 * np.pi])
+    np.testing.assert_allclose(found, 25.0 * np.sin(np.pi * at.position / 8e-3) ** 2, atol=1e-12)
+
+
+def test_what_motion_warms_begins_cold_and_settles_at_speed_times_time_over_path() -> None:
+    effect = closure(law("motion", "warming drag"), BENCH)
+    speed, path, time = 0.2, 0.5, 3.0
+    seconds = 1e-3 * np.arange(4000)
+    memory, values = RecordMemory(1e-3), {"coefficient": 1.0, "path": path, "time": time}
+    at = Signals(velocity=np.full(4000, -speed))
+    warm = -np.log(effect.given(effect._remembering(at, memory, values), values) / -speed)
+    np.testing.assert_allclose(warm, speed / path * time * (1.0 - np.exp(-(seconds + 5e-4) / time)), atol=1e-6)
 
 
 def test_laminar_edges_pass_what_is_proportional_to_a_small_drop_and_the_root_of_a_large_one() -> None:
@@ -80,6 +130,36 @@ def test_laminar_edges_pass_what_is_proportional_to_a_small_drop_and_the_root_of
     np.testing.assert_allclose(opened * np.sqrt(fed) - lost_a, opened * fed / np.sqrt(fed + transition), rtol=1e-3)
     left = -opened * np.sqrt(drained) - lost_b
     np.testing.assert_allclose(left, -opened * drained / np.sqrt(drained + transition), rtol=1e-3)
+
+
+def test_a_gate_is_open_in_one_direction_alone() -> None:
+    at = Signals(velocity=np.array([-0.05, 0.0, 0.05]), pressure_a=6e6, pressure_b=5e6)
+    given = [law("pressure", f"leak while moving {way}").value(at, BENCH, [1e-13]) for way in ("in", "out")]
+    np.testing.assert_allclose(given, [[1e-7, 0.0, 0.0], [0.0, 0.0, 1e-7]], atol=1e-15)
+
+
+def test_a_law_reverses_over_a_millimetre_a_second_or_over_its_own_number() -> None:
+    at = Signals(velocity=np.array([-0.05, -5e-3, 0.0, 1e-3, 5e-3]), pressure_a=6e6, pressure_b=5e6)
+    plain, own = law("motion", "friction by pressure of A"), law("motion", f"friction by pressure of A, {REVERSING}")
+    np.testing.assert_allclose(plain.value(at, BENCH, [1e-6]), 6.0 * np.tanh(at.velocity / 1e-3))
+    np.testing.assert_allclose(own.value(at, BENCH, [1e-6, 5e-3]), 6.0 * np.tanh(at.velocity / 5e-3))
+    film = law("load", f"rubbing, at a place, {REVERSING}")
+    assert film.names == ("coefficient", "centre", "width", "turn")
+    there = film.value(replace(at, position=0.04), BENCH, [8.0, 0.03, 0.01, 5e-3])
+    np.testing.assert_allclose(there, 8.0 * np.exp(-1.0) * np.tanh(at.velocity / 5e-3))
+
+
+def test_what_a_reversal_opens_is_open_again_after_a_path_of_ln_2_over_2() -> None:
+    """From w = -1, w = 1 - 2 exp(-s / path): 1 - w^2 is 0 at a reversal, 1 after path ln 2, and fades then."""
+    effect = closure(law("pressure", "leak, since a reversal"), BENCH)
+    path, travelled = 5e-4, 1e-6 * np.arange(4000)
+    values, there = {"coefficient": 1.0, "path": path}, 0.03 - travelled
+    position = np.concatenate([there, there[-1] + travelled])
+    at = Signals(position=position, pressure_a=1.0 + 0.0 * position)
+    open_ = effect.given(effect._remembering(at, RecordMemory(1e-3), values), values)[4000:]
+    w = 1.0 - 2.0 * np.exp(-travelled / path)
+    np.testing.assert_allclose(open_, 1.0 - w * w, atol=2e-3)
+    assert travelled[np.argmax(open_)] == pytest.approx(path * np.log(2.0), abs=2e-6)
 
 
 def test_a_spool_that_is_shifted_changes_the_flow_by_its_gain_even_across_null() -> None:

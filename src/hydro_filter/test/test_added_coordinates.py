@@ -18,15 +18,16 @@ from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model import force_law
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.displacement import displace
-from hydro_filter.model.linearization import CLOSED
+from hydro_filter.model.linearization import CLOSED, linearize
 from hydro_filter.model.loop import (
     SUBSTEPS,
     coordinates_of,
     loop_of,
     memories,
     rest_measurement,
+    step_of,
 )
-from hydro_filter.model.observer import follow, model_state, settle
+from hydro_filter.model.observer import follow, hydraulic_slopes, model_state, settle
 from hydro_filter.model.parts import NONE, Loop
 from hydro_filter.model.state import STATES
 from hydro_sim.box.box import Box
@@ -149,6 +150,62 @@ def run(
 LAW = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
 
 
+def nudge(loop: Loop, slopes: tuple[float, ...], first: Run, second: Run, k: int) -> FloatArray:
+    """Difference of two runs at a sample in the loop's coordinates; `slopes`: see `slopes_of`."""
+    p, dy, dx = loop.model, second.y[k] - first.y[k], second.x[k] - first.x[k]
+    n, q, (gain, *shares) = len(p.rest), np.zeros(len(loop.scale)), slopes
+    q[0] = p.area * (dy[0] - p.ratio * dy[1])
+    q[1], q[2] = gain * dy[p.spool], gain * dy[p.spool_rate]
+    q[3], q[4], q[5], q[6], q[7] = dy[p.cell], dy[p.cell_rate], dy[2], dy[3], dx[7]
+    for i, (signal, rate, chamber) in enumerate(p.lagging):
+        q[LOOP + 2 * i], q[LOOP + 2 * i + 1] = shares[chamber] * q[0] + dy[signal] - dy[chamber], dy[rate]
+    first_current = LOOP + 2 * len(p.lagging)
+    q[first_current:] = gain * dy[n - p.past : n - p.past + p.on_their_way]
+    return np.asarray(q / loop.scale)
+
+
+def slopes_of(loop: Loop, memory: Any, x: FloatArray) -> tuple[float, ...]:
+    """g [N/s/A] at a sample, and the change of either pressure [Pa] for 1 N of f_h."""
+    p = loop.model
+    y = np.empty(len(p.rest))
+    model_state(p, memory["hidden"], x, y, True)
+    gain, _, _, soft_a, soft_b = hydraulic_slopes(p, y[p.from_whole], float(memory["hidden"][len(p.rest)]))
+    total = p.area * (soft_a + p.ratio * soft_b)
+    return gain, soft_a / total, -soft_b / total
+
+
+@pytest.mark.parametrize("case", ["1 ms", "both sensors 200 Hz", "a sensor 80 Hz", "all of it"])
+def test_the_certificate_predicts_how_twin_runs_of_the_whole_bench_part(case: str) -> None:
+    """Same sign of M_c, and the same next difference, as the simulated bench under the box's law has.
+
+    What a lagging sensor shows is 2 to 4 % of the difference off: it sees the sum of the pressures move, too.
+    """
+    bench, loop, gain = having(*CASES[case]), of(case), 60.0
+    metric = ScheduledMetric.designed(loop, MetricDesign(gain_low=40.0, gain_high=80.0))
+    first, second = run(bench, gain), run(bench, gain, pulse=2e-5)
+    step, memory = step_of(loop), memories()[0]
+    told, found, errors = [], [], []
+    for k in range(650):
+        nominal, current, _, rate, _ = first.law[k]
+        settle(loop, memory, first.x[k], current, rate)
+        if k >= 510:
+            linearize(loop, memory["hidden"], first.x[k], nominal, current, gain, (1.0, 1.0), step)
+            matrix = metric.matrix(gain)
+            slopes = slopes_of(loop, memory, first.x[k])
+            now, then = (nudge(loop, slopes, first, second, at) for at in (k, k + 1))
+            moved = (step.transition + np.outer(step.push, step.feedback)) @ now
+            size = now @ matrix @ now
+            told.append((moved @ matrix @ moved - size) / size)
+            found.append((then @ matrix @ then - size) / size)
+            errors.append(np.abs(then - moved) / np.linalg.norm(now))
+        follow(loop, memory, first.x[k], current, rate)
+    told_, found_ = np.array(told), np.array(found)
+    clear = np.abs(told_) > 2e-3
+    off, shown = np.median(errors, axis=0), slice(LOOP, LOOP + 2 * len(loop.model.lagging))
+    assert np.delete(off, shown).max() < 0.002 and off[shown].max(initial=0.0) < 0.05
+    assert clear.mean() > 0.5 and (np.sign(told_[clear]) == np.sign(found_[clear])).mean() > 0.95
+
+
 @pytest.mark.parametrize("bandwidth", [200.0, 80.0])
 def test_the_pressure_behind_a_slow_sensor_is_estimated(bandwidth: float) -> None:
     """Without noise nearly without an error; with it, better than the reading."""
@@ -198,6 +255,22 @@ def test_a_metric_of_other_coordinates_is_refused_in_a_sentence(tmp_path: Path, 
 def test_a_second_lag_of_a_pressure_sensor_is_refused_in_a_sentence(bench: Bench) -> None:
     with pytest.raises(ValueError, match="a place for one lag of the pressure sensor of a, the bench file has more"):
         loop_of(having(slow_sensor("a", 80.0), slow_sensor("a", 200.0)), bench)
+
+
+@pytest.mark.parametrize("case", ["1 ms", "both sensors 200 Hz"])
+def test_a_bench_that_follows_its_reference_is_not_displaced(case: str) -> None:
+    """Without noise, at a gain that follows well: no added coordinate stands out."""
+    bench, loop = having(*CASES[case]), of(case)
+    seen, memory, v = run(bench, 80.0), memories()[0], np.empty(len(loop.scale))
+    sizes = []
+    for k, x in enumerate(seen.x):
+        _, current, reference, rate, _ = seen.law[k]
+        settle(loop, memory, x, current, rate)
+        displace(loop, memory, x, reference, rate, v)
+        sizes.append(np.abs(v))
+        follow(loop, memory, x, current, rate)
+    typical = np.median(np.array(sizes)[300:], axis=0)
+    assert typical[LOOP:].max() < 2.0 * typical[:LOOP].max() and typical[LOOP:].max() < 0.1, typical
 
 
 def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None:

@@ -12,9 +12,11 @@ import pytest
 
 from hydro_bridge.serial.frames import LawState
 from hydro_bridge.signals import (
+    PLANT_FIELDS,
     SAMPLE_PERIOD,
     Command,
     CorrectionStatus,
+    FloatArray,
     Law,
     LawCommand,
     ReferenceSignal,
@@ -97,6 +99,39 @@ def test_gains_are_certified_by_the_loop_that_they_make(
     """C_2 = 2 halves K_p and C_1."""
     parts = loop_parts(metric.certificates[1], model, bench)._replace(velocity_compensation=0.3)
     assert certified_gain(parts, 200.0, (0.0, 0.0, c_1, c_2)) == gain
+
+
+def twins(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> tuple[FloatArray, FloatArray]:
+    """f_l of two noiseless runs under the law, the second with a pulse of current at 1 s."""
+    runs = []
+    for size in (0.0, pulse):
+        box, x, forces = Box(bench), plant.reset(0), []
+        box.receive(Command(law=Law.COMPENSATED), 0.0)
+        for k in range(1400):
+            command = Command(
+                arm=True, delta_kp=gain - LAW.base_kp, delta_ki=LAW.delta_ki_min,
+                delta_u=size if 1000 <= k < 1005 else 0.0, **vars(SHAPED),
+            )  # fmt: skip
+            box.receive(command, k * SAMPLE_PERIOD)
+            record = box.tick(x, k * SAMPLE_PERIOD)
+            forces.append([float(record[name]) for name in PLANT_FIELDS])
+            x = plant.step(float(record["valve_current"]))
+        runs.append(np.array(forces))
+    return runs[0], runs[1]
+
+
+@pytest.mark.parametrize("gain", [100.0, 300.0])
+def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(bench: Bench, gain: float) -> None:
+    """Plant and box know nothing of the linearized loop; K_i at its least, it moves the eigenvalue by K_i / K_p."""
+    smooth = replace(bench, effects=tuple(each for each in FOUND if each["id"] != "friction_coulomb"))
+    free, push, feedback = rest_loop(loop_of(smooth, bench), gain, C_1)
+    values = np.linalg.eigvals(free + np.outer(push, feedback))
+    slowest = -float(np.log(np.abs(values).max())) / SAMPLE_PERIOD
+    first, second = twins(bench, AnalyticPlant(smooth, noise=0.0), gain, 1e-4)
+    apart = np.abs(second - first)[:, 2]  # f_l: in f_h the oil still rings
+    begin, span = 1100, min(200, round(1.5e3 / slowest))
+    decay = np.log(apart[begin] / apart[begin + span]) / (span * SAMPLE_PERIOD)
+    assert decay == pytest.approx(slowest, rel=0.15, abs=0.3)
 
 
 def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Bench, metric: ScheduledMetric) -> None:

@@ -10,10 +10,10 @@ import pytest
 
 from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, Waveform
 from hydro_filter.controller import loop_decision
-from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import memories, overlap_of, without_overlap
-from hydro_filter.model.overlap import Overlap, change_for, lost
+from hydro_filter.model.overlap import Overlap, change_for, lost, passed_change
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
 from hydro_filter.validation.trial import Run, Trial, run
@@ -41,6 +41,17 @@ def closed(made: LoopFilter, bench: Bench, plant: AnalyticPlant, gains: tuple[fl
 def error_of(done: Run) -> float:
     """RMSE [N] after the first second."""
     return float(np.sqrt(np.mean((done.states["reference_force"] - done.states["load_force"])[1000:] ** 2)))
+
+
+def test_the_change_is_the_smallest_after_which_that_much_more_passes() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(2000):
+        overlap = Overlap(rng.uniform(-1.0, 1.0), *rng.uniform(0.0, 1.0, 2))
+        current, passing = rng.uniform(-3.0, 3.0), rng.uniform(-2.0, 2.0)
+        change = change_for(overlap, current, passing)
+        assert passed_change(overlap, current, change) == pytest.approx(passing, abs=1e-12)
+        assert abs(passed_change(overlap, current, 0.999 * change)) < abs(passing), "nothing smaller does"
+        assert change * passing > 0.0
 
 
 def test_a_half_width_is_lost_on_either_side_and_all_within() -> None:
@@ -97,6 +108,18 @@ def test_a_filter_that_counts_with_the_overlap_follows_closer_than_one_that_take
     runs = [closed(each, bench, plant, (250.0, 15.0)) for each in (made, blind_to_it(made))]
     assert all(each.bounded for each in runs)
     assert error_of(runs[0]) < 0.5 * error_of(runs[1])
+
+
+def test_corrections_that_do_not_leap_over_the_overlap_do_nothing(
+    bench: Bench, overlapped: Bench, made: LoopFilter
+) -> None:
+    """Under a certified gain, which leaves the force standing within it: there B = 0."""
+    bypass = LoopFilter(made.parts, LoopFilterSettings(bypass=True))
+    plant = AnalyticPlant(overlapped)
+    runs = [closed(each, bench, plant, (60.0, 10.0)) for each in (made, blind_to_it(made), bypass)]
+    leaping, still, none = map(error_of, runs)
+    assert leaping < 0.75 * none < 0.75 / 0.95 * still
+    assert any(each.status is CorrectionStatus.MODIFIED for each in runs[1].results), "not for lack of corrections"
 
 
 def blind_to_it(made: LoopFilter) -> LoopFilter:

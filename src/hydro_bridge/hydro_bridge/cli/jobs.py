@@ -143,7 +143,8 @@ def _side_by_side(
     import dask
     from distributed import CancelledError, Client, KilledWorker, LocalCluster, as_completed
 
-    local = {"n_workers": at_once, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": CRITICAL}
+    local = {"n_workers": at_once, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0",
+             "silence_logs": CRITICAL}  # fmt: skip
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(SETTINGS))
         try:
@@ -179,7 +180,9 @@ def _side_by_side(
                 send()
                 yield name, value, failure
         except (OSError, CancelledError) as error:
-            raise UserError(f"the scheduler at {address} went away: the same command does what is missing") from error
+            if scheduler is None:
+                raise
+            raise UserError(f"the scheduler at {scheduler} went away: the same command does what is missing") from error
 
 
 def _told(error: Exception) -> str:
