@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -88,13 +89,13 @@ class Source:
         matched = self.states.get_subscription_count() > 0 and self._answers.get_publisher_count() > 0
         return matched and len(self.diagnostics) > 0
 
-    def publish(self, sequence: int, sample: Sample, age: float = 0.0) -> None:
+    def publish(self, sequence: int, sample: Sample, age: float = 0.0, flags: int = 1) -> None:
         values = dict(zip(PLANT_FIELDS, sample.state, strict=True))
         values |= {"nominal_valve_current": sample.nominal_current, "reference_force": sample.reference_force}
         values |= {"proportional_gain": sample.proportional_gain, "valve_current": sample.valve_current}
         values |= {"reference_force_rate": sample.reference_rate}
         numbers = [float(values.get(name, 0.0)) for name in STATE_FIELDS]
-        self.states.publish(self._message.fill(time.time_ns() - round(1e9 * age), sequence, numbers, 1))
+        self.states.publish(self._message.fill(time.time_ns() - round(1e9 * age), sequence, numbers, flags))
 
     def no_plant(self) -> None:
         """Leave the states to another: those of two are not answered."""
@@ -269,6 +270,43 @@ def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
     statuses = {message.status for message in source.corrections}
     assert CorrectionStatus.MODIFIED in statuses and CorrectionStatus.BYPASSED not in statuses
     assert [message.delta_u for message in source.corrections] == pytest.approx(expected, abs=1e-9)
+
+
+def test_new_files_are_taken_over_while_disarmed_and_not_before(
+    started: Callable[..., Source], model: Bench, metric: ScheduledMetric, tmp_path: Path
+) -> None:
+    """The filter is of another spring: MISMATCH, until model and metric of this bench are there and it is disarmed."""
+    bench, file, of = Bench.nominal(), tmp_path / "metric.safetensors", tmp_path / "model.yaml"
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+    schedule = Schedule(reference=signal, gains=(75.0, 10.0), seconds=1.0)
+    records = simulate(AnalyticPlant(model), bench, schedule, seed=1)
+
+    def write(own: Bench) -> None:
+        of.write_text(yaml.safe_dump(own.to_mapping()))
+        replace(metric, made=MadeFor(box=bench.digest, model=digest_of(of))).save(file)
+
+    def play(flags: int = 1) -> CorrectionStatus:
+        for record in records:
+            sequence = next(number)
+            source.publish(sequence, Sample.of(record), flags=flags)
+            source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
+        return CorrectionStatus(source.corrections[-1].status)
+
+    write(replace(model, spring_stiffness=1.5 * model.spring_stiffness))
+    source, number = started("--metric", str(file), "--model", str(of), *PATIENT), itertools.count()
+    before = dict_of(source.diagnostics[-1])["model"]
+    assert play() == CorrectionStatus.MISMATCH
+    write(model)
+    for _ in range(4):
+        assert play() == CorrectionStatus.MISMATCH, "it is armed"
+    assert dict_of(source.diagnostics[-1])["model"] == before
+    source.wait(lambda: play(flags=0) is not None and dict_of(source.diagnostics[-1])["model"] != before)
+    assert play() != CorrectionStatus.MISMATCH
+    taken = dict_of(source.diagnostics[-1])["model"]
+    of.write_text(yaml.safe_dump(replace(model, moving_mass=2.0 * model.moving_mass).to_mapping()))  # no metric of it
+    for _ in range(4):
+        play(flags=0)
+    assert dict_of(source.diagnostics[-1])["model"] == taken
 
 
 def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still: FloatArray) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from hydro_bridge.signals import Flag, ReferenceSignal, StateArray, Waveform
@@ -72,6 +73,16 @@ def test_a_sign_is_told(mistake: Callable[[StateArray], None], sentence: str) ->
     mistake(states)
     with pytest.raises(GateError, match=sentence):
         checks.signs(states, BENCH)
+
+
+def test_a_force_that_an_overlap_holds_back_still_follows_and_a_valve_that_hangs_is_told() -> None:
+    states = MOTION[1000:].copy()
+    states["load_force"] = 0.6 * np.roll(states["reference_force"], 300)
+    assert checks.signs(MOTION[1000:], BENCH)["load force and its reference"] > checks.FOLLOWS
+    checks.tracking(states, 0.5)
+    states["load_force"] *= 0.1
+    with pytest.raises(GateError, match="times the swing"):
+        checks.tracking(states, 0.5)
 
 
 def test_lost_samples_and_late_commands_count() -> None:

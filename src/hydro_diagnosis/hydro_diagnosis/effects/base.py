@@ -25,14 +25,20 @@ PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """The blocks of residuals that an effect can touch; only those are recomputed when its parameters change."""
 
 
+TANK_MAX = 0.99
+"""Largest pressure of the tank over that of the supply."""
+
+
 def changed(bench: Bench, **values: float | None) -> Bench:
-    """A bench with values replaced, kept within the ranges that `Bench` allows."""
+    """A bench with values replaced, kept within the ranges that `Bench` allows, and the tank below the supply."""
     limits = {one.name: one.metadata for one in fields(bench)}
-    inside = {
+    inside: dict[str, Any] = {
         name: value if value is None else min(max(value, limits[name]["low"]), limits[name]["high"])
         for name, value in values.items()
     }
-    return replace(bench, **inside)  # type: ignore[arg-type]
+    supply = inside.get("supply_pressure", bench.supply_pressure)
+    tank = min(inside.get("tank_pressure", bench.tank_pressure), TANK_MAX * supply)
+    return replace(bench, **{**inside, "tank_pressure": tank})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from hydro_filter.model.loop import effects_to_compile
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import rest_state
@@ -45,6 +45,22 @@ class FilterChoice:
         """Files by kind."""
         metric = shipped() if self.metric == LEARNED else Path(self.metric)
         return {"metric": metric, "model": self.model or learned_bench.shipped()}
+
+    @property
+    def written(self) -> tuple[int, ...]:
+        """Return when each of its files was written, ns; 0 for one that is not there."""
+        files = [*self.files.values(), *([self.bench_file] if self.bench_file else [])]
+        return tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
+
+    def read_again(self) -> FilterChoice:
+        """Return the choice of the same files as they are now.
+
+        Raises PairingError: they do not belong together; ValueError, OSError: one cannot be read.
+        """
+        bench = Bench.load(self.bench_file) if self.bench_file else self.bench
+        choice = replace(self, bench=bench)
+        raise_if_mismatched(choice.trouble())
+        return choice
 
     def describe(self) -> dict[str, str]:
         """Return its description with the files' digests and certified gains, for logs and /diagnostics."""

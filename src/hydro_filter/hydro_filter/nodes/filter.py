@@ -12,6 +12,9 @@ Where the model is not this bench's every answer is MISMATCH: nothing is correct
 Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
 the filter was started for (/hydro/box).
 
+New files of metric, model and bench take the place of the old ones while the plant is disarmed, once they belong
+together; as at its start, nothing is answered for a second or two.
+
 While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
 without. Where the metric is not made for the law that runs, every answer is BYPASSED.
 
@@ -31,7 +34,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
-from hydro_bridge.cli.console import command
+from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.files.site import ANEW
 from hydro_bridge.process import endings
 from hydro_bridge.ros.diagnostics import (
@@ -78,6 +81,9 @@ WORTH_A_LINE = 0.01
 
 BUSY = "stale ones came too late to act upon: the machine is busy; end what else runs"
 
+LOOK = 1.0
+"""s between looks at the files. They are read once they have not changed for as long."""
+
 BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
 MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
@@ -98,6 +104,10 @@ class FilterNode(Node):
         self.tally = FilterStatistics()
         self.foreign = ""
         """Why its files do not fit this bench, by the plant's description; empty: they do."""
+        self._box: KnownBox | None = None
+        self._armed = False
+        self._read = self._seen = choice.written
+        """When its files were written: those that it has read, or refused, and those of the last look."""
         self._identity: object = None
         """The box's description and assumed bench, once received."""
         self._mismatch = ""
@@ -118,6 +128,7 @@ class FilterNode(Node):
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
         self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(LOOK, self._look_for_new_files, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._law: LawState | None = None  # the last one, while another law than the paper's acts
         self._waiting: BenchState | None = None  # for its law
         self._laws = create_subscription(self, LAW_STATE, self._on_law_state)
@@ -161,7 +172,27 @@ class FilterNode(Node):
             say(f"compiled in {taken:.0f} s")
         return made
 
+    def _look_for_new_files(self) -> None:
+        """Take new files over, if the plant is disarmed or silent and they have been written."""
+        armed, self._armed = self._armed, False  # the next sample tells
+        before, self._seen = self._seen, self._choice.written
+        if armed or self._seen == self._read or self._seen != before:
+            return
+        self._read = self._seen
+        try:
+            choice = self._choice.read_again()
+            told, made = choice.describe(), self._compiled(choice)
+        except (ValueError, OSError, UserError) as error:
+            self.get_logger().warning(f"the new files are not taken over: {error}")
+            return
+        self._choice, self._told, self.filter = choice, told, made
+        self._unknown, self._mismatch = made.unknown(compensated=True), ""
+        self.foreign = choice.foreign(self._box) if self._box else ""
+        words = "; ".join(f"{name}: {value}" for name, value in told.items())
+        self.get_logger().info(f"new files are taken over: {words}")
+
     def _on_state(self, message: BenchState) -> None:
+        self._armed = bool(message.flags & Flag.ARMED)
         if self._states.get_publisher_count() > 1:
             return  # which of them is the plant's? The plant holds its base gains, and disarms
         if self._waiting is not None:  # its law never came
@@ -218,7 +249,7 @@ class FilterNode(Node):
 
     def _on_box(self, box: KnownBox) -> None:
         """Process a box's description, which may announce another bench from now on."""
-        self.foreign = self._choice.foreign(box)
+        self._box, self.foreign = box, self._choice.foreign(box)
         if self._boxes.get_publisher_count() > 1:  # one of them is foreign, or has just died
             return
         identity = box.info, box.bench_digest

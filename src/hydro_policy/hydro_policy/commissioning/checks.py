@@ -16,6 +16,10 @@ LOST_MAX = 0.01
 """Share of lost samples, and of those for which commands were late, in a recording."""
 FOLLOWS = 0.8
 """Least correlation of two readings of the same motion."""
+SWING = (0.4, 1.5)
+"""Least and largest swing of the load force over that of its reference."""
+SLOW = 0.5
+"""Hz, of the motion by which signs are checked."""
 _LONGEST_GAP = 1000
 """Samples missing in a row beyond which the recording was interrupted on purpose."""
 
@@ -59,19 +63,40 @@ def sensors(states: StateArray, bench: Bench) -> tuple[dict[str, float], float]:
 
 
 def signs(states: StateArray, bench: Bench) -> dict[str, float]:
-    """Return the correlations of readings that follow one another in a slow motion."""
+    """Return the correlations of readings that follow one another in a motion at `SLOW` Hz.
+
+    The load force may come up to a quarter of a cycle after its reference: overlap and dry friction hold it.
+    """
     speed = np.gradient(states["piston_position"], SAMPLE_PERIOD)
     pairs: dict[str, tuple[FloatArray, FloatArray]] = {
-        "load force and its reference": (states["load_force"], states["reference_force"]),
         "hydraulic force and pressures": (states["hydraulic_force"], _pressure_force(states, bench)),
         "position and load force": (states["piston_position"], states["load_force"]),
         "velocity and position": (_smooth(states["piston_velocity"]), _smooth(speed)),
     }
-    found = {name: float(np.corrcoef(*pair)[0, 1]) for name, pair in pairs.items()}
+    found = {"load force and its reference": _follows(states, SLOW)}
+    found |= {name: float(np.corrcoef(*pair)[0, 1]) for name, pair in pairs.items()}
     wrong = [f"{name} ({value:.2f})" for name, value in found.items() if not value > FOLLOWS]
     if wrong:
         raise GateError(f"these do not follow each other, a sign or two channels are exchanged: {', '.join(wrong)}")
     return found
+
+
+def tracking(states: StateArray, frequency: float) -> None:
+    """Raise GateError unless the load force follows a sine: of `SWING` of its size, within a quarter of a cycle.
+
+    An overlap of the valve and dry friction may hold it far off: they are found later, by what the valve moves.
+    """
+    size, found = swing(states), _follows(states, frequency)
+    if not (SWING[0] <= size <= SWING[1] and found > FOLLOWS):
+        raise GateError(
+            f"under the compensated law the load force has {size:.2f} times the swing of its reference, correlation "
+            f"{found:.2f}: see valve and supply"
+        )
+
+
+def swing(states: StateArray) -> float:
+    """Return the load force's standard deviation over that of its reference."""
+    return float(np.std(states["load_force"]) / np.std(states["reference_force"]))
 
 
 def unusable(armed: StateArray) -> float:
@@ -104,6 +129,13 @@ def fits(states: StateArray, loop_filter: LoopFilter) -> None:
                 "diagnosis did not explain is too large for it; see reports/diagnosis, then try larger sines "
                 "(--amplitude), a truer bench file, or less friction"
             )
+
+
+def _follows(states: StateArray, frequency: float) -> float:
+    """Return the largest correlation of load force and reference over delays of up to a quarter of a cycle."""
+    force, reference = states["load_force"], states["reference_force"]
+    delays = range(0, min(round(0.25 / (frequency * SAMPLE_PERIOD)), len(force) // 2), 25)
+    return max(float(np.corrcoef(force[delay:], reference[: len(force) - delay])[0, 1]) for delay in delays)
 
 
 def _smooth(values: FloatArray, samples: int = 50) -> FloatArray:
