@@ -86,7 +86,8 @@ def tracking(states: StateArray, frequency: float) -> None:
 
     An overlap of the valve and dry friction may hold it far off: they are found later, by what the valve moves.
     """
-    size, found = swing(states), _follows(states, frequency)
+    size = float(np.std(states["load_force"]) / np.std(states["reference_force"]))
+    found = _follows(states, frequency)
     if not (SWING[0] <= size <= SWING[1] and found > FOLLOWS):
         raise GateError(
             f"under the compensated law the load force has {size:.2f} times the swing of its reference, correlation "
@@ -94,9 +95,9 @@ def tracking(states: StateArray, frequency: float) -> None:
         )
 
 
-def swing(states: StateArray) -> float:
-    """Return the load force's standard deviation over that of its reference."""
-    return float(np.std(states["load_force"]) / np.std(states["reference_force"]))
+def held(states: StateArray) -> bool:
+    """Return whether overlap and dry friction hold the load force back in a motion at `SLOW` Hz: try a larger one."""
+    return 0.0 < _follows(states, SLOW) <= FOLLOWS
 
 
 def unusable(armed: StateArray) -> float:

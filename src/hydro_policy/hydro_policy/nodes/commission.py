@@ -19,7 +19,7 @@ from hydro_bridge.cli.console import UserError, command, writable_folder
 from hydro_bridge.files import bench_file, site
 from hydro_bridge.ros.companion import CompanionError
 from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
-from hydro_policy.nodes.commissioning import GATES, NAMES, Gate, Site, start_emulator
+from hydro_policy.nodes.commissioning import GATES, NAMES, TRUTH, Gate, Site, start_emulator
 
 AGAIN = "gains"
 """Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
@@ -36,7 +36,9 @@ def parser() -> argparse.ArgumentParser:
     plant.add_argument("--port", metavar="PATH", help="serial port of the box; a site keeps it")
     plant.add_argument("--plant", choices=("emulator",), help="commission an emulated bench in its place")
     result.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; a site keeps it")
-    result.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
+    result.add_argument(
+        "--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of; a site keeps it"
+    )
     result.add_argument("--seed", type=int, default=0, metavar="N", help="of the emulated bench's noise")
     result.add_argument(
         "--arm",
@@ -80,7 +82,7 @@ def main() -> int:
         arm = "auto" if (options.arm or ("auto" if emulated else "person")) == "auto" else "ask"
         at = Site(folder=folder, record=record, port=port, arm=arm, again=options.again, policy=options.policy, log=log)
         if emulated and any(gate.plant for gate in GATES[first:]):
-            start_emulator(stack, at, options.truth, options.seed)
+            start_emulator(stack, at, options.seed)
         passed = all(_pass(at, gate) for gate in GATES[first:])
     print(f"\n{record.table().text()}\n")
     if record.comparison:
@@ -111,6 +113,10 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
         bench_file.read_numbers(given)
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(given, own)
+    if options.truth:
+        if not options.truth.is_file():
+            raise UserError(f"--truth {options.truth}: there is no such file")
+        shutil.copyfile(options.truth, folder / TRUTH)
     (folder / site.REPORTS).mkdir(exist_ok=True)
     before, record.plant, record.amplitude = record.amplitude, plant, options.amplitude or record.amplitude
     return record.amplitude != before

@@ -130,11 +130,17 @@ class Site:
         return read_json(self.folder / site.REPORTS / name / "evaluation.json")
 
 
-def start_emulator(stack: ExitStack, at: Site, truth: Path | None, seed: int) -> None:
+TRUTH = "truth.yaml"
+"""What the emulated bench of a site is made of; where there is none, the emulator's own."""
+
+
+def start_emulator(stack: ExitStack, at: Site, seed: int) -> None:
     """Start the emulator on the site's port for as long as `stack` holds (raises UserError where it does not start)."""
     port = Path(at.port)
     port.unlink(missing_ok=True)  # of one that was killed
-    words = ["--link", at.port, "--bench", at.bench, "--seed", str(seed), *(["--truth", str(truth)] if truth else [])]
+    truth = at.folder / TRUTH
+    known = ["--truth", str(truth)] if truth.is_file() else []
+    words = ["--link", at.port, "--bench", at.bench, "--seed", str(seed), *known]
     emulator = at.start(stack, "hydro_sim", "emulator", *words)
     end = time.monotonic() + PORT_WITHIN
     while not port.exists():
@@ -256,7 +262,7 @@ def signs(at: Site) -> str:
     """See the module."""
     for share in (0.2, 0.5, 1.0):
         _moved(at, "signs", "--frequencies", str(checks.SLOW), amplitude=share * at.record.amplitude)
-        if checks.swing(_armed(at.recording("signs"))) > checks.SWING[0]:
+        if not checks.held(_armed(at.recording("signs"))):
             break
     found = checks.signs(_armed(at.recording("signs")), Bench.load(at.bench))
     return "correlations " + ", ".join(f"{name} {value:.2f}" for name, value in found.items())
