@@ -95,11 +95,12 @@ def test_a_foreign_bench_is_commissioned_without_a_word_typed(foreign: list[str]
 def test_a_site_stands_for_the_options_of_each_executable(tmp_path: Path) -> None:
     for name in (site.BENCH, site.MODEL, site.METRIC):
         (tmp_path / name).touch()
+    (tmp_path / site.RECORD).write_text('{"base_gains": [20.0, 4.0]}')
     words = ["--site", str(tmp_path)]
     for plant, model in (("sim", tmp_path / site.MODEL), ("bench", None)):
         asked = evaluate.parser().parse_args(["--plant", plant, *words])
         take_site(asked)
-        assert (asked.bench, asked.model) == (tmp_path / site.BENCH, model)
+        assert (asked.bench, asked.model, asked.base_gains) == (tmp_path / site.BENCH, model, [20.0, 4.0])
         assert asked.filter == f"--model {tmp_path / site.MODEL} --metric {tmp_path / site.METRIC}"
     settings, _ = sim.arguments(words)
     assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH), str(tmp_path / site.MODEL))

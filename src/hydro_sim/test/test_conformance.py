@@ -35,9 +35,10 @@ from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth import plant as truth
-from hydro_sim.emulator.truth.config import profile
+from hydro_sim.emulator.truth.config import TruthBench, profile
 from hydro_sim.model.bench import Bench
 
+NOMINAL = Bench.nominal()
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 
 
@@ -91,9 +92,10 @@ class Corrupt(InStep):
         )
 
 
-def python_box(memory: Any, **settings: Any) -> InStep:
-    bench, config = Bench.nominal(), BoxConfig(**settings)
-    machine = Machine(profile("nominal"), bench, config)
+def python_box(memory: Any, bench: Bench = NOMINAL, **settings: Any) -> InStep:
+    config = BoxConfig(**settings).of_size(bench.size)
+    own = {name: value for name, value in bench.to_mapping().items() if hasattr(TruthBench, name)}
+    machine = Machine(replace(profile("nominal"), bench=TruthBench(**own)), bench, config)
     details = box_details(bench, config, machine.sensors, epoch=3)
     info = box_info(bench, config, "in step")
     told = (lambda: machine.refused, config.compensated, lambda: machine.law_state)
@@ -106,9 +108,8 @@ def c_box(memory: Any, precision: firmware.Precision = "double", **settings: Any
     return InStep(machine, FirmwareLink(memory, machine.firmware, box_info(bench, config, ""), LinkFaults()), memory)
 
 
-def outcomes(line: InStep, *, moving: bool = True) -> dict[str, tuple[str, str]]:
-    numbers = Bench.nominal().to_mapping()
-    results = run(shipped(), lambda: Host(line, line.clock), numbers, moving=moving)
+def outcomes(line: InStep, *, moving: bool = True, bench: Bench = NOMINAL) -> dict[str, tuple[str, str]]:
+    results = run(shipped(), lambda: Host(line, line.clock), bench.to_mapping(), moving=moving)
     return {result.case.id: (result.outcome, result.found) for result in results}
 
 
@@ -128,6 +129,16 @@ def test_both_boxes_pass_every_case(memory: Any, name: str) -> None:
     found = outcomes(BOXES[name](memory))
     assert {case: result for case, result in found.items() if result[0] != PASS} == {}
     assert len(found) >= 40
+
+
+@pytest.mark.parametrize("times", [0.2, 10.0])
+def test_a_box_of_a_smaller_and_of_a_larger_bench_passes_every_case(memory: Any, times: float) -> None:
+    extensive = ("piston_area", "valve_nominal_flow", "dead_volume_a", "dead_volume_b", "moving_mass",
+                 "viscous_friction", "spring_stiffness")  # fmt: skip
+    values = NOMINAL.to_mapping()
+    bench = Bench.from_mapping(values | {name: times * values[name] for name in extensive})
+    found = outcomes(python_box(memory, bench), bench=bench)
+    assert {case: result for case, result in found.items() if result[0] != PASS} == {}
 
 
 @pytest.mark.parametrize("samples", [1, 16])

@@ -279,12 +279,12 @@ def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) 
 
 def reference(host: Host, bench: Bench, tolerance: float = 0.01, rate_tolerance: float = 0.5) -> str:
     """Check f_r and f_r' against the definition of the accepted references, cross-fades included."""
-    return compare(host, followed(host), tolerance, rate_tolerance)
+    return compare(host, followed(host), host.size * tolerance, host.size * rate_tolerance)
 
 
 def follows(host: Host, bench: Bench, by: float) -> str:
-    """Check that the followed force moved with the reference, by a least number of N: the signs are right."""
-    states, force = settled(host), followed(host)
+    """Check that the followed force moved with the reference, by so many N in the box's size: the signs are right."""
+    states, force, by = settled(host), followed(host), host.size * by
     moved = value(states[-1], force) - value(states[0], force)
     asked = value(states[-1], "reference_force") - value(states[0], force)
     return "" if moved * asked > 0.0 and abs(moved) >= by else f"asked for {asked:g} N, the force went by {moved:g} N"
@@ -314,8 +314,11 @@ def rates(host: Host, bench: Bench) -> str:
     return ""
 
 
-def units(host: Host, bench: Bench, force: float = 150.0) -> str:
-    """Check that readings are in Pa, m and N: within the bench's ranges, with f_h equal to that of the pressures."""
+def units(host: Host, bench: Bench, share: float = 0.05) -> str:
+    """Check that readings are in Pa, m and N: within the bench's ranges, with f_h equal to that of the pressures.
+
+    `share`: of piston area times supply pressure, by which f_h may differ.
+    """
     assert bench is not None
     for state in host.new_states:
         a, b, position = (value(state, name) for name in ("pressure_a", "pressure_b", "piston_position"))
@@ -324,7 +327,7 @@ def units(host: Host, bench: Bench, force: float = 150.0) -> str:
         if not -0.1 * bench["stroke"] <= position <= 1.1 * bench["stroke"]:
             return f"a position of {position:g} m"
         wanted = bench["piston_area"] * (a - bench["area_ratio"] * b)
-        if not abs(value(state, "hydraulic_force") - wanted) <= force:
+        if not abs(value(state, "hydraulic_force") - wanted) <= share * bench["piston_area"] * bench["supply_pressure"]:
             return f"hydraulic_force is {value(state, 'hydraulic_force'):g} N, the pressures give {wanted:g} N"
         if not all(map(isfinite, state.values)):
             return "a value is not finite"
@@ -362,6 +365,8 @@ def law_told(host: Host, bench: Bench) -> str:
 def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
     """Check gains, shaping and f_c of each armed sample against the one before and the command in force.
 
+    `tolerance` is of f_c [N], in the box's size, and 50 times as much of f_c' [N/s].
+
     The shaping goes to the one that was commanded, within its limits, no faster than LAW says; to the safe one where
     the command is late or for the paper's law. f_r'' is the difference of f_r': within an allowance where that jumps,
     which goes as the jump comes into f_c. There and everywhere f_c goes where f_c' says. At arming f_r'' begins at 0.
@@ -385,7 +390,7 @@ def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
             right = old + min(max(new - old, -step), step)
             if not abs(number - right) <= room or not least - room <= number <= most + room:
                 return f"{number:g} acts in STATE {state.sequence}, {right:g} is right: {old:g} before, {new:g} wanted"
-        if sentence := _reference(law, before, state, rates, jump, tolerance):
+        if sentence := _reference(law, before, state, rates, jump, host.size * tolerance):
             return sentence
         seen += 1
     return "" if seen else "it was not armed"
@@ -408,7 +413,7 @@ def _reference(law: BoxLaw, before: State, state: State, rates: Sequence[float],
         return f"f_c is {acting.compensated_reference:g} N in STATE {state.sequence}, {right:g} N is right"
     moved = sum(change * term for change, term in zip(changes, terms, strict=True)) / SAMPLE_PERIOD
     right = a[0] * rates[1] + a[1] * second + moved
-    allowed = 1.0 + (abs(a[1]) + 2.0 * abs(a[2]) / SAMPLE_PERIOD) * jump
+    allowed = 50.0 * tolerance + (abs(a[1]) + 2.0 * abs(a[2]) / SAMPLE_PERIOD) * jump
     if not abs(acting.compensated_reference_rate - right) <= allowed:
         return f"f_c' is {acting.compensated_reference_rate:g} N/s in STATE {state.sequence}, {right:g} N/s is right"
     moved = acting.compensated_reference - last.compensated_reference

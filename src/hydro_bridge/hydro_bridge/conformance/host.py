@@ -108,6 +108,12 @@ class Host:
         return replace(self, states=states, arrived=arrived, hellos=hellos, sent=sent, notes=[])
 
     @property
+    def size(self) -> float:
+        """Forces of the cases are for a box of the nominal load force limit: those of this box over them."""
+        told = self.details.details.load_force_limit if self.details else 0.0
+        return told / _LOAD_FORCE_LIMIT if told > 0.0 else 1.0
+
+    @property
     def new_states(self) -> list[State]:
         """States since the step began."""
         return self.states[self.marked :]
@@ -185,6 +191,11 @@ class Host:
         )
 
 
+_LOAD_FORCE_LIMIT = 700.0
+"""N, of the nominal bench's box."""
+_UNPLAYABLE = 1e6
+"""N, from which a number in a case is meant for any box."""
+_FORCES = ("amplitude", "offset")
 _SHAPE = ("amplitude", "offset", "frequency", "phase")
 
 
@@ -371,11 +382,16 @@ def _damaged(host: Host, words: dict[str, Any]) -> None:
 
 
 def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
-    """Return the words that change a command; a number may be given by the name of an entry of DETAILS."""
+    """Return the words that change a command, forces in this box's size.
+
+    A number may be given by the name of an entry of DETAILS.
+    """
     changes = {key: value for key, value in words.items() if key not in others}
     for key, value in changes.items():
         if key not in ("waveform", "law") and isinstance(value, str):
             changes[key] = getattr(host.details.details, value) if host.details else 0.0
+        elif key in _FORCES and abs(value) < _UNPLAYABLE:
+            changes[key] = host.size * value
     return changes
 
 

@@ -11,13 +11,14 @@ commission.json         which gates passed, causes, comparison; report.html besi
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 from pathlib import Path
 
 from hydro_bridge.errors import UserError
 
 BENCH, MODEL, METRIC = "bench.yaml", "corrected.yaml", "metric.safetensors"
-RECORDINGS, REPORTS = "recordings", "reports"
+RECORDINGS, REPORTS, RECORD = "recordings", "reports", "commission.json"
 
 ANEW = (
     "after a change of spring, supply, oil or valve `ros2 run hydro_policy commission --again --site DIR` makes model "
@@ -29,6 +30,15 @@ ANEW = (
 def add_site_option(parser: argparse._ActionsContainer, taken: str) -> None:
     """Add --site, which takes the place of the options `taken`, for help texts."""
     parser.add_argument("--site", type=Path, metavar="DIR", help=f"folder of `commission`, in place of {taken}")
+
+
+def base_gains(folder: Path) -> list[float] | None:
+    """Return K_p [1/s] and K_i [1/s^2] that the box of a site told; None: it has not told them yet."""
+    try:
+        found = json.loads((folder / RECORD).read_text(encoding="utf-8"))["base_gains"]
+        return [float(value) for value in found] or None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def take_site(options: argparse.Namespace, **files: str) -> None:

@@ -17,9 +17,10 @@ import numpy as np
 
 from hydro_bridge.cli.console import Table, UserError
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.site import RECORD
 from hydro_bridge.pages import Section, results_page
 
-RECORD, PAGE = "commission.json", "report.html"
+PAGE = "report.html"
 PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
 
 

@@ -121,9 +121,11 @@ class Site:
         for old in (self.recording(name), self.folder / site.REPORTS / name):
             shutil.rmtree(old, ignore_errors=True)
         given = [f"amplitude:={amplitude:.1f}", *parameters]
+        base = (f"{value:g}" for value in self.record.base_gains)
         self.run(
             "hydro_policy", "evaluate", "--plant", "bench", "--port", self.port, "--bench", self.bench,
-            "--law", "compensated", "--rearm", self.arm, "--no-dashboard", "--record", str(self.recording(name)),
+            "--base-gains", *base, "--law", "compensated", "--rearm", self.arm, "--no-dashboard",
+            "--record", str(self.recording(name)),
             "--runs", str(self.folder / site.REPORTS), "--name", name, *words,
             "--ros-args", *(word for each in given for word in ("-p", each)),
         )  # fmt: skip
@@ -327,9 +329,7 @@ def policy(at: Site) -> str:
     shutil.rmtree(at.folder / POLICY, ignore_errors=True)
     if not at.policy:
         raise GateSkipped("--policy trains one in simulation")
-    kp, ki = at.record.base_gains
-    words = ("--box", at.bench, "--model", str(at.folder / site.MODEL), "--base-gains", f"{kp:g}", f"{ki:g}")
-    at.run("hydro_policy", "pretrain", *words, "--out", str(at.folder / POLICY))
+    at.run("hydro_policy", "pretrain", "--site", str(at.folder), "--out", str(at.folder / POLICY))
     return f"pretrained on {site.MODEL}: {POLICY}/report.html"
 
 

@@ -3,7 +3,7 @@
 
 ros2 run hydro_policy pretrain --out runs/pretrained
 ros2 run hydro_policy pretrain --out runs/wide --configuration wide
-ros2 run hydro_policy pretrain --out runs/corrected --bench corrected.yaml
+ros2 run hydro_policy pretrain --out runs/own --site own
 ros2 run hydro_policy trainer --plant emulator --from runs/pretrained
 """
 
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import get_args
 
 from hydro_bridge.cli.console import add_json_argument, command, writable_folder
+from hydro_bridge.files import site
 from hydro_policy.envs import FILTERS
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_sim.box.box import Integral
@@ -49,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box (default: 15 5, the paper's)"
     )
+    site.add_site_option(what, "--model, --box and --base-gains")
     what.add_argument(
         "--randomise", action="store_true", help="another bench every episode: docs/manual/how-to/pretrain.md"
     )
@@ -76,6 +78,9 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Entry point."""
     options = parser().parse_args()
+    site.take_site(options, model=site.MODEL, box=site.BENCH)
+    if options.site and not options.base_gains:
+        options.base_gains = site.base_gains(options.site)
     from hydro_policy.pretraining.run import pretrain  # with torch, which takes seconds: not for --help or a slip
 
     return pretrain(options)

@@ -58,7 +58,7 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
-    site.add_site_option(group, "--bench and --filter, of --model where --plant is sim")
+    site.add_site_option(group, "--bench, --base-gains and --filter, of --model where --plant is sim")
     group.add_argument(
         "--load-cell",
         type=Path,
@@ -126,6 +126,8 @@ def take_site(options: argparse.Namespace) -> None:
     """Set the options that --site takes the place of (raises UserError)."""
     files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL} --metric {site.METRIC}"}
     site.take_site(options, bench=site.BENCH, **files, **({"model": site.MODEL} if options.plant == "sim" else {}))
+    if options.site and not options.base_gains and options.plant in _NEEDS["base_gains"]:
+        options.base_gains = site.base_gains(options.site)
 
 
 def load_cell(options: argparse.Namespace) -> LoadCell | None:
