@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The learned residual on the compensated law: trained on drawn benches, scored on others.
 
-    python -m benchmarks.residual --truths 40 --seed 4242 --json residual.json      scores the shipped one: minutes
+    python -m benchmarks.residual --truths 40 --seed 4242 --json residual.json      scores the shipped one: 10 s a truth
     python -m benchmarks.residual --train residual.safetensors --minutes 15         trains another
 
 Each truth tracks each of nine references, none of them among those of the training, once under the compensated law
-alone and once with the residual. Training runs new benches and references under the network of the round before, and
-fits the corrections that turn out to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
+alone and once with the residual; with --fixed also under the paper's law at its best gains in hindsight (another 15 s).
+What was run by this version is kept in the .rows beside the file of --json, and not run again.
+
+Training runs new benches and references under the network of the round before, and fits the corrections that turn out
+to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
 
 Interquartile means over all pairs, with 95 % bootstrap intervals over the truths; u' is the current's rate.
 """
 
 from __future__ import annotations
 
+import argparse
+import hashlib
+import math
 import shlex
 import sys
 import time
@@ -29,7 +35,9 @@ import torch
 from benchmarks import _truth_fleet  # noqa: F401 - registers the truth plant
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._report import parser
-from benchmarks.controllers import interquartile_mean
+from benchmarks.controllers import best_gains, interquartile_mean
+from hydro_bridge.bags.writer import code_version
+from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
@@ -69,6 +77,9 @@ EVERY = 8
 HIDDEN, BATCH, RATE = 64, 2048, 3e-3
 SKIPPED = 100
 """Policy steps at the begin of a run on which nothing is trained."""
+CONTROLLERS = ("compensated", "learned", "fixed")
+Scores = dict[str, list[float]]
+"""Of a controller on each of `REFERENCES`: rmse [N], rate (RMS of u', A/s), tripped (0 or 1)."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +107,12 @@ def run(
     seed: int,
     delays: Sequence[int] = (LATENCY,),
     settle: float = 2.0,
+    gains: tuple[float, float] | None = None,
 ) -> Run:
     """Run bench i with reference i under the compensated law, with the residual or without one.
 
-    `delays`: samples from a decision to where it acts, by turns; `settle` [s] at the begin do not count.
+    `delays`: samples from a decision to where it acts, by turns; `settle` [s] at the begin do not count. `gains`: the
+    paper's law at this (K_p, K_i) instead.
     """
     count, settings = len(configs), EvaluationSettings(settle=settle, measure=6.0)
     fleet = VectorBench([Bench.nominal()] * count, [TruthPlant(config) for config in configs], BoxConfig())
@@ -109,8 +122,9 @@ def run(
     parts: dict[str, list[npt.NDArray[Any]]] = {name: [] for name in names}
     tripped = np.zeros(count, bool)
     for step in vector_runs.run(
-        fleet, cases, vector_runs.fixed(np.array(BASE)), settings, seed, Compensator(count), residual
-    ):
+        fleet, cases, vector_runs.fixed(np.array(gains or BASE)), settings, seed,
+        None if gains else Compensator(count), residual,
+    ):  # fmt: skip
         tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
         parts["error"].append(step.samples["reference_force"] - step.samples["load_force"])
         parts["current"].append(step.samples["valve_current"].copy())
@@ -210,34 +224,69 @@ def scores(found: Run) -> tuple[FloatArray, FloatArray]:
     return rms(found.error, found.counted), rms(rates, found.counted[:, 1:])
 
 
-def compare(count: int, seed: int, network: Network, settle: float, json: Path | None) -> None:
-    """Score a network on truths of a seed."""
-    truths = [truth_from_mapping(one) for one in drawn_truths(count, seed).values()]
-    configs, signals = [one for one in truths for _ in REFERENCES], list(REFERENCES.values()) * count
-    alone = run(configs, signals, None, seed, settle=settle)
-    both = run(configs, signals, Residual(len(configs), network), seed, settle=settle)
-    (law, law_rate), (with_it, rate) = scores(alone), scores(both)
-    ratio = (with_it / law).reshape(count, -1)
+def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float) -> Scores:
+    """RMSE [N], RMS of u' [A/s] and whether it tripped, of a controller of `CONTROLLERS` on each of `REFERENCES`."""
+    residual = Residual(len(REFERENCES), Network.load(weights_file)) if controller == "learned" else None
+    gains = best_gains(config) if controller == "fixed" else None
+    found = run([config] * len(REFERENCES), list(REFERENCES.values()), residual, seed, settle=settle, gains=gains)
+    rmse, rate = scores(found)
+    return {"rmse": rmse.tolist(), "rate": rate.tolist(), "tripped": found.tripped.astype(float).tolist()}
+
+
+def compare(asked: argparse.Namespace) -> None:
+    """Score a network on truths of a seed, as many as the time allows."""
+    names = CONTROLLERS if asked.fixed else CONTROLLERS[:2]
+    used = b"" if asked.weights is None else asked.weights.read_bytes()
+    version = hashlib.sha256(repr((used, asked.settle, code_version())).encode()).hexdigest()[:12]
+    jobs_of = {
+        f"{version} {asked.seed} {truth} {name}":
+            (truth_from_mapping(content), name, asked.seed, asked.weights, asked.settle)
+        for truth, content in drawn_truths(asked.truths, asked.seed).items() for name in names
+    }  # fmt: skip
+    until = time.monotonic() + 60.0 * asked.minutes if asked.minutes else math.inf
+    kept = asked.json.with_suffix(".rows") if asked.json else None
+    found = jobs.complete(score, jobs_of, kept=kept, until=until, label="runs", unit="run", **jobs.where(asked))
+    keys = [list(jobs_of)[k : k + len(names)] for k in range(0, len(jobs_of), len(names))]
+    rows = [[found[key] for key in own] for own in keys if all(key in found for key in own)]
+    if not rows:
+        raise SystemExit("no truth was done in this time")
+    table(rows, f"Learned residual, {len(rows)} truths of seed {asked.seed}, after {asked.settle:g} s").show(asked.json)
+
+
+def table(rows: Sequence[Sequence[Scores]], title: str) -> Table:
+    """Interquartile means over the truths; `rows`: of each truth the scores of the controllers in their order."""
+    rmse, rate, tripped = (np.array([[one[key] for one in own] for own in rows]) for key in ("rmse", "rate", "tripped"))
+    law, learned, fixed = rmse[:, 0], rmse[:, 1], rmse[:, 2] if rmse.shape[1] > 2 else None
+    ratio, worse = learned / law, learned > 1.1 * law + 0.3
     columns = {"reference": "", "compensated": "RMSE, N", "with the residual": "RMSE, N", "ratio": "of the two",
                "low": "95 % interval of the ratio", "high": "", "largest": "ratio", "worse": "above 1.1 times + 0.3 N",
                "trips": "with the residual (without)", "u' ratio": "RMS of u' over the law's"}  # fmt: skip
-    table = Table(columns, title=f"Learned residual, {count} truths of seed {seed}, after {settle:g} s")
-    generator = np.random.default_rng(0)
-    picks = generator.integers(count, size=(1000, count))
-    shaped = [one.reshape(count, -1) for one in (law, with_it, rate / law_rate, with_it > 1.1 * law + 0.3)]
-    trips = [one.tripped.reshape(count, -1) for one in (both, alone)]
+    if fixed is not None:
+        columns |= {"best fixed": "RMSE, N; its trips", "over it": "RMSE with the residual over it, 95 % interval"}
+    made = Table(columns, title=title)
+    picks = np.random.default_rng(0).integers(len(rows), size=(1000, len(rows)))
+
+    def spread(values: FloatArray) -> tuple[float, float]:
+        low, high = np.percentile([interquartile_mean(values[pick].ravel()) for pick in picks], (2.5, 97.5))
+        return float(low), float(high)
+
     for name, chosen in (*((name, [k]) for k, name in enumerate(REFERENCES)), ("all", list(range(len(REFERENCES))))):
-        spread = [interquartile_mean(ratio[pick][:, chosen].ravel()) for pick in picks]
-        table.add(
-            reference=name, compensated=interquartile_mean(shaped[0][:, chosen].ravel()),
-            **{"with the residual": interquartile_mean(shaped[1][:, chosen].ravel())},
-            ratio=interquartile_mean(ratio[:, chosen].ravel()), low=float(np.percentile(spread, 2.5)),
-            high=float(np.percentile(spread, 97.5)), largest=float(ratio[:, chosen].max()),
-            worse=f"{int(shaped[3][:, chosen].sum())} of {count * len(chosen)}",
-            trips=f"{int(trips[0][:, chosen].sum())} ({int(trips[1][:, chosen].sum())})",
-            **{"u' ratio": interquartile_mean(shaped[2][:, chosen].ravel())},
+        own = ratio[:, chosen]
+        low, high = spread(own)
+        cells = {}
+        if fixed is not None:
+            over = learned[:, chosen] / fixed[:, chosen]
+            cells["best fixed"] = f"{interquartile_mean(fixed[:, chosen].ravel()):.1f}; {tripped[:, 2, chosen].sum():g}"
+            cells["over it"] = "{:.3f} ({:.3f} to {:.3f})".format(interquartile_mean(over.ravel()), *spread(over))
+        made.add(
+            reference=name, compensated=interquartile_mean(law[:, chosen].ravel()),
+            **{"with the residual": interquartile_mean(learned[:, chosen].ravel())},
+            ratio=interquartile_mean(own.ravel()), low=low, high=high, largest=float(own.max()),
+            worse=f"{int(worse[:, chosen].sum())} of {own.size}",
+            trips=f"{tripped[:, 1, chosen].sum():g} ({tripped[:, 0, chosen].sum():g})",
+            **{"u' ratio": interquartile_mean((rate[:, 1] / rate[:, 0])[:, chosen].ravel())}, **cells,
         )  # fmt: skip
-    table.show(json)
+    return made
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -249,13 +298,17 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument(
         "--train", type=Path, metavar="FILE", help="train in place of scoring, and write these weights"
     )
-    options.add_argument("--minutes", type=float, default=15.0, metavar="M", help="of fitting, default %(default)s")
+    options.add_argument(
+        "--minutes", type=float, metavar="M", help="of fitting, default 15; of scoring, then no more begins"
+    )
+    options.add_argument("--fixed", action="store_true", help="the best fixed gains on each truth in hindsight as well")
     options.add_argument("--settle", type=float, default=2.0, metavar="S", help="not scored, default %(default)s s")
+    jobs.add_arguments(options)
     asked = options.parse_args(arguments)
     if asked.train:
-        train(asked.train, asked.minutes, asked.seed)
-        return 0
-    compare(asked.truths, asked.seed, Network.load(asked.weights), asked.settle, asked.json)
+        train(asked.train, asked.minutes or 15.0, asked.seed)
+    else:
+        compare(asked)
     return 0
 
 
