@@ -152,9 +152,9 @@ def _say(found: Diagnosis, folder: Path) -> None:
             bounds = (
                 "not identifiable"
                 if estimate.ci95 is None
-                else f"95 % {estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}"
+                else f"95 % {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g}"
             )
-            print(f"    {name} = {estimate.value:.4g} {estimate.unit} ({bounds})")
+            print(f"    {name} = {estimate.value:.5g} {estimate.unit} ({bounds})")
     for number in report.estimated:
         print(f"  {number.sentence}")
     for closure in report.closures:
