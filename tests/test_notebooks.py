@@ -39,7 +39,7 @@ def ran(code: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return names
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path) -> None:
     ignored = shutil.ignore_patterns("__pycache__", "*.egg-info", "build")
     sources = [shutil.copytree(ROOT / "src" / name, tmp_path / name, ignore=ignored) for name in RECORDINGS_ONLY]

@@ -180,7 +180,7 @@ def test_held_out_error_that_diverges_is_not_forgotten() -> None:
     assert rows["held-out error over noise floor, 95th percentile"]["met"] == "no"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_proof_goes_on_after_time_was_up_and_opens_its_own_seal(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,7 +154,8 @@ def _say(found: Diagnosis, folder: Path) -> None:
                 if estimate.ci95 is None
                 else f"95 % {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g}"
             )
-            print(f"    {name} = {estimate.value:.5g} {estimate.unit} ({bounds})")
+            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
+            print(f"    {name} = {estimate.value:.5g}{unit} ({bounds})")
     for number in report.estimated:
         print(f"  {number.sentence}")
     for closure in report.closures:
@@ -163,7 +164,7 @@ def _say(found: Diagnosis, folder: Path) -> None:
     if report.remainder:
         places = ", ".join(place["equation"] for place in report.remainder["location"])
         depends = ", ".join(report.remainder["depends_on"]) or "none of the variables tried"
-        print(f"  something remains in {places}; it depends on {depends}")
+        print(f"  unexplained: part of {places}; it depends on {depends}")
         for likeness in report.remainder["looks_like"]:
             print(f"  {likeness}")
     for note in found.notes:

@@ -40,8 +40,10 @@ _QUANTITY_OF = {
 }  # fmt: skip
 _PRESSURE = r"(p|press\w*|druck\w*)"
 _WORDS: Mapping[str, str] = {
-    "hydraulic_force": r"hydraulic_?force|f_?h(yd\w*)?|zylinderkraft|kolbenkraft|(piston|actuator)_?force|f_?cyl\w*",
-    "load_force": r"load_?(cell|force)?|f_?l(oad)?|kraft(mess\w*|aufn\w*|sensor)?|last|lastkraft|force|f|f_?mess",
+    "hydraulic_force": r"hydraulic_?force|f_?h(yd\w*)?|zylinderkraft|kolbenkraft|(piston|actuator)_?force|f_?cyl\w*|"
+    r"f_?piston",
+    "load_force": r"load_?(cell|force)?|f_?l(oad)?|kraft(mess\w*|aufn\w*|sensor)|last|lastkraft|f_?mess|f_?spring|"
+    r"federkraft|kraft|force|f",
     "pressure_a": rf"{_PRESSURE}_?(a|1)|(a_?side|bore_?side|cap_?(side|end)|kolbenseit\w*|kammer_?a|"
     rf"chamber_?a)(_?{_PRESSURE})?",
     "pressure_b": rf"{_PRESSURE}_?(b|2)|(b_?side|rod_?(side|end)|ringseit\w*|stangenseit\w*|kammer_?b|chamber_?b)"
@@ -53,6 +55,13 @@ _WORDS: Mapping[str, str] = {
     "reference_force": r"(\w*_)?(ref\w*|set_?point|soll\w*|desired)|(f|force)_?(ref|set|des)\w*|soll\w*",
 }
 """Names of columns, or words in them, that stand for a field."""
+_ANY_FORCE = re.compile(r"kraft|force|f", re.IGNORECASE)
+"""Words that say which force it is only where there is one."""
+_ACTS_ON = {
+    "hydraulic_force": re.compile(r"zylinder|kolben|cyl(inder)?|piston|actuator|hyd\w*", re.IGNORECASE),
+    "load_force": re.compile(r"feder|spring|last|load|probe|specimen", re.IGNORECASE),
+}
+"""Words that say of a force which it is."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
 """Units that are tried where none is stated."""
 _SIZES = ("piston_area", "area_ratio", "supply_pressure", "stroke", "valve_current_max")
@@ -160,17 +169,32 @@ def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
     own = re.sub(r"\W+", "_", _own_name(name))
     if _NEVER.search(own):
         return 0.0
-    score = 0.0
+    score, words = 0.0, [word for word in own.split("_") if word]
+    if field in _ACTS_ON and _is_force(name, found):
+        words = [word for word in words if not _ANY_FORCE.fullmatch(word)] if _forces(found) > 1 else words
+        own = "_".join(words)
+        score += 2.5 * any(_ACTS_ON[field].fullmatch(word) for word in words)
     pattern = re.compile(_WORDS[field], re.IGNORECASE)
-    if pattern.fullmatch(own):
-        score += 2.5
-    elif any(pattern.fullmatch(word) for word in own.split("_") if word):
-        score += 2.0
+    if score == 0.0 and own:
+        score += 2.5 if pattern.fullmatch(own) else 2.0 if any(map(pattern.fullmatch, words)) else 0.0
     unit = found.units.get(name) or in_name(name)
     if unit:
         score += 1.5 if QUANTITY[unit] == _QUANTITY_OF[field] else -3.0
     scale = UNITS.get(_unit(field, name, found, bench), 1.0)
     return score + (1.0 if _fits(field, scale * found.series[name], bench) else -0.5)
+
+
+def _is_force(name: str, found: Columns) -> bool:
+    unit = found.units.get(name) or in_name(name)
+    words = re.split(r"[\W_]+", _own_name(name))
+    return QUANTITY[unit] == "force" if unit else any(_ANY_FORCE.fullmatch(word) for word in words)
+
+
+def _forces(found: Columns) -> int:
+    """How many columns are forces, the reference's left out."""
+    reference = re.compile(_WORDS["reference_force"], re.IGNORECASE)
+    named = [name for name in found.series if _is_force(name, found)]
+    return sum(not any(map(reference.fullmatch, re.split(r"[\W_]+", _own_name(name)))) for name in named)
 
 
 def _own_name(name: str) -> str:
@@ -227,7 +251,7 @@ def _time_unit(name: str, found: Columns) -> str:
 COSTS = {
     "pressure equations": "leaks, valve, oil and volumes",
     "motion equation": "friction, mass and end stops",
-    "load equation": "the load's spring, damping and play, and the load cell",
+    "load equation": "the load's damping and play, and the load cell",
     "force of the pressures": "the pressure sensors and the hydraulic force's scale",
 }
 """What each equation is for."""
@@ -259,7 +283,7 @@ COLUMNS = {
     "low": "smallest",
     "high": "largest",
     "shape": "over the recording, from the smallest to the largest",
-    "used": "the field that it becomes; `?`: a field that it may be, map it by --columns",
+    "used": "the field that it becomes; `?`: proposed, to be confirmed by --columns",
 }
 
 
@@ -284,7 +308,7 @@ def listed(path: Path, columns: ColumnMap | None, table: Table, bench: Bench) ->
             used=field if sure or not field else f"{field}?",
         )
     for name, number in found.constants.items():
-        _add_plain(table, path, name, 1, number, "a number for --columns")
+        _add_plain(table, path, name, 1, number, "one number: a factor or offset in --columns")
     for name in found.other:
         _add_plain(table, path, name, 0, np.nan, "not numbers, or another length")
     return chosen
@@ -353,7 +377,7 @@ def main() -> int:
     if columns is None:
         for path, proposal in zip(chosen.recordings, maps, strict=True):
             print(_advice(path, proposal))
-            for sentence in (*missing(proposal), *_spare_pressures(path, proposal)):
+            for sentence in (*columns_of(path).notes, *missing(proposal), *_spare_pressures(path, proposal)):
                 print(f"{path.name}: {sentence}")
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
@@ -367,6 +391,11 @@ def _advice(path: Path, proposal: ColumnMap) -> str:
         return f"{path.name}: no column looks like a field: map them by --columns time=NAME,piston_position=NAME,..."
     if not proposal.corrections().sources:
         return f"{path.name}: its columns carry the fields' own names: no map is needed"
+    if set(proposal.sources) == {"time"}:
+        return (
+            f"{path.name}: names and units say nothing of its columns: map them by --columns {proposal},"
+            "piston_position=NAME[mm],pressure_a=NAME[bar],..."
+        )
     return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
 
 
@@ -390,7 +419,7 @@ def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:
     except InputError:
         return []
     return [
-        f"{doubt[0].field} has numbers that this bench cannot have; it may be that "
+        f"{doubt[0].field} has numbers that this bench cannot have: perhaps "
         + ", or ".join(one.sentence for one in doubt)
         for doubt in doubts
     ]
@@ -403,7 +432,7 @@ def missing(proposal: ColumnMap) -> list[str]:
     for one in CONNECTIONS:
         lacking.setdefault(one.equation, []).append(", ".join(sorted(one.channels - there)))
     return [
-        f"{COSTS[equation]} cannot be told without {' or '.join(ways)}"
+        f"{COSTS[equation]} cannot be identified without {' or '.join(ways)}"
         for equation, ways in lacking.items()
         if all(ways)
     ]

@@ -14,8 +14,9 @@ from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import RawTable, read_table
-from hydro_diagnosis.listing import improbable
+from hydro_diagnosis.listing import improbable, proposed
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
@@ -149,3 +150,25 @@ def same(table: RawTable, true: dict[str, list[float]]) -> None:
         np.testing.assert_allclose(
             table.time if name == "time" else table.columns[name], values, rtol=1e-12, atol=1e-15
         )
+
+
+@pytest.mark.parametrize(
+    ("hydraulic", "load"),
+    [("Kraft Zylinder [N]", "Kraft Feder [kN]"), ("Fcyl", "Fspring"), ("Kolbenkraft [N]", "Kraft [N]")],
+)
+def test_two_forces_are_told_apart_by_what_they_act_on(hydraulic: str, load: str) -> None:
+    time = np.arange(500) * 1e-3
+    force = 200.0 * np.sin(6.0 * time)
+    series = {"t": time, load: force / (1e3 if "kN" in load else 1.0), hydraulic: 1.1 * force}
+    sources = proposed(Columns(series), Bench.nominal()).sources
+    assert (sources["hydraulic_force"].column, sources["load_force"].column) == (hydraulic, load)
+
+
+def test_forces_whose_names_say_nothing_are_told_apart_by_the_pressures() -> None:
+    bench, time = Bench.nominal(), np.arange(2000) * 1e-3
+    load = 200.0 * np.sin(6.0 * time)
+    hydraulic = load + 40.0 * np.sign(np.cos(6.0 * time))
+    series = {"t": time, "F1 [N]": load, "F2 [N]": hydraulic, "x [mm]": 40.0 + load / 20.0}
+    pressures = {"p_a [bar]": 80.0 + 1e-5 * hydraulic / bench.piston_area, "p_b [bar]": np.full(2000, 80.0)}
+    sources = proposed(Columns(series | pressures), bench).sources
+    assert (sources["hydraulic_force"].column, sources["load_force"].column) == ("F2 [N]", "F1 [N]")

@@ -97,6 +97,7 @@ def test_wrong_bulk_modulus_is_no_hoses(problem_of: Callable[..., Problem]) -> N
     assert alike.distinguishable and alike.delta_bic > 100.0
 
 
+@pytest.mark.study
 def test_other_causes_beside_hoses_keep_name_and_size(problem_of: Callable[..., Problem]) -> None:
     problem = problem_of(**hoses(3e-14), spring_stiffness=19000.0)
     outcome = searched(problem)

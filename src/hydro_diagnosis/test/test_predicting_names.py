@@ -57,7 +57,7 @@ def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_pre
     assert predicted or "(motion)" in note
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_are_not_claimed(
     record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

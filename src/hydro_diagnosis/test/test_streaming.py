@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_diagnosis.io.table import read_table
+from hydro_diagnosis.io.table import columns_of, read_table
 from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.preprocessing.streaming import read_bag_within
@@ -50,6 +50,13 @@ def test_bag_read_in_stretches_is_the_bag(minute: tuple[Path, Recording], monkey
     for one, other in zip(again.segments, whole.segments, strict=True):
         for name, values in other.channels.items():
             np.testing.assert_array_equal(one.channels[name], values)
+
+
+def test_a_bag_that_was_cut_off_says_so(minute: tuple[Path, Recording], tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(next(minute[0].glob("*.mcap")).read_bytes()[:2_000_000])
+    assert "cut.mcap was not finished" in read_bag_within(cut, BENCH).quality[0]
+    assert "cut.mcap was not finished" in columns_of(cut).notes[0]
 
 
 def test_windows_of_a_long_bag_are_what_it_holds(

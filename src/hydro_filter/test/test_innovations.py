@@ -83,9 +83,14 @@ def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilt
         assert not len(mismatches(done)) and done.bounded
 
 
-@pytest.mark.slow
-def test_minutes_on_the_learned_bench_raise_no_alarm(contraction_filter: LoopFilter) -> None:
-    for seed, case in enumerate(("wide", "wide-slow", "switched-slow", "high", "unstable-slow", "base")):
+STUDIED = ("wide", "switched-slow", "high")
+
+
+@pytest.mark.parametrize(
+    "cases", [("wide-slow", "unstable-slow", "base"), pytest.param(STUDIED, marks=pytest.mark.study)]
+)
+def test_minutes_on_the_learned_bench_raise_no_alarm(contraction_filter: LoopFilter, cases: tuple[str, ...]) -> None:
+    for seed, case in enumerate(cases):
         done = played(contraction_filter, becoming(at=()), 30.0, CASES[case].draw(seed, 30.0), seed)
         assert not len(mismatches(done)) and done.bounded, case
 

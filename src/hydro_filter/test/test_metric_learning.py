@@ -27,7 +27,7 @@ from hydro_filter.training.data import (
     roll_out,
     windows_of,
 )
-from hydro_filter.training.metric_learning import free_plant, require_held_out
+from hydro_filter.training.metric_learning import free_plant, refine, require_held_out
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -86,6 +86,21 @@ def test_a_solved_metric_decays_with_its_loop(loop: Loop, bench: Bench) -> None:
     for gain in metric.gains:
         free, push, feedback = rest_loop(loop, float(gain))
         assert decay_rate(free + np.outer(push, feedback), metric.matrix(float(gain))) > 0.1
+
+
+def test_descent_makes_one_metric_decay_along_loops_that_differ(loop: Loop) -> None:
+    metric = ScheduledMetric.designed(loop, MetricDesign())
+    loops = [rest_loop(loop, gain) for gain in np.linspace(40.0, 60.0, 40)]
+    closed = np.array([free + np.outer(push, feedback) for free, push, feedback in loops])
+    row = int(np.searchsorted(metric.gains, 50.0))
+
+    def slowest(one: ScheduledMetric) -> float:
+        return min(decay_rate(each, one.matrix(50.0)) for each in closed)
+
+    table = metric.table.copy()
+    table[row] = refine(table[row], closed, 0.4)
+    assert slowest(metric) < -2.0
+    assert slowest(replace(metric, table=table)) > 0.4
 
 
 def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: Loop, bench: Bench) -> None:

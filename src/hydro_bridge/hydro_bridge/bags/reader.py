@@ -104,8 +104,11 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
     )
 
 
-def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
-    """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`."""
+def stream_bag(path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | None = None) -> Iterator[Table]:
+    """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`.
+
+    `notes` gets what was tolerated (`Recording.notes`) once all is read.
+    """
     source = BagSource(Path(path))
     found = False
     for scan, channel, block, span in source.spans():
@@ -116,6 +119,8 @@ def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
             found = True
             piece = decode_span(scan.path, topic, layout, block, span)
             yield as_states(piece, scan.path) if topic == STATE_TOPIC else piece
+    if notes is not None:
+        notes += source.notes
     if not found:
         raise source.without(topic, {channel.topic for scan in source.scans for channel in scan.channels.values()})
 

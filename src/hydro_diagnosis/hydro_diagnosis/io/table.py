@@ -272,7 +272,7 @@ def columns_of(path: Path) -> Columns:
         if not has_states(path):
             return topic_columns(path)
         raw = from_bag(path)
-        return Columns({"time": raw.time, **raw.columns}, units={"time": "s"})
+        return Columns({"time": raw.time, **raw.columns}, units={"time": "s"}, notes=raw.notes)
     if path.suffix.lower() in SUFFIXES:
         return read_columns(path)
     raise InputError(f"{path}: {unreadable(path)}")
@@ -280,7 +280,7 @@ def columns_of(path: Path) -> Columns:
 
 def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
     """Apply a column map to a bag's fields. Raises InputError: as `read_table`."""
-    turned = _from_columns(path, Columns({"time": raw.time, **raw.columns}), columns)
+    turned = _from_columns(path, Columns({"time": raw.time, **raw.columns}, notes=raw.notes), columns)
     same = turned.time is not None and len(turned.time) == len(raw.time)
     return replace(turned, name=raw.name, sample=raw.sample if same else None)
 
@@ -288,21 +288,26 @@ def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
 def from_bag(path: Path) -> RawTable:
     """Read a bag's whole /hydro/state. Raises InputError: as `read_table`."""
     try:
-        states = read_bag(path, topics=("/hydro/state",)).state
+        bag = read_bag(path, topics=("/hydro/state",))
+        states = bag.state
     except RecordingError as error:
         raise InputError(str(error)) from None
     if not len(states):
         raise InputError(f"{path}: the recording is empty")
     steps = np.diff(states["sequence"]).view(np.int32).astype(np.float64)
     columns = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
-    return RawTable(path.name, states["time"].copy(), np.concatenate([[0.0], np.cumsum(steps)]), columns)
+    samples = np.concatenate([[0.0], np.cumsum(steps)])
+    return RawTable(path.name, states["time"].copy(), samples, columns, tuple(bag.notes))
 
 
 def _from_columns(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
     chosen = (columns or ColumnMap({})).completed(found.series)
     there = ", ".join(list(found.series)[:40])
     if "time" not in chosen.sources and not found.clocks:
-        raise InputError(f"{path}: no column is the time: map one by --columns time=NAME,...; there are {there}")
+        raise InputError(
+            f"{path}: no column is the time: map one by --columns time=NAME,..., or let `inspect {path.name} --write "
+            f"map.yaml` propose a map; there are {there}"
+        )
     if not set(chosen.sources) - {"time"}:
         raise InputError(
             f"{path}: no column carries the name of a BenchState field, for instance piston_position: map them by "

@@ -3,7 +3,7 @@
 
 const PIECE = 1 << 20; // bytes of a file in one message
 const COLUMNS = ["column", "unit", "count", "rate", "low", "high", "shape"];
-const GIVEN = [["unit", "in"], ["scale", "times"], ["offset", "plus"]]; // of a map's entry, and their titles
+const GIVEN = [["unit", "in"], ["scale", "factor"], ["offset", "offset"]]; // of a map's entry, and their titles
 const $ = (id) => document.getElementById(id);
 const socket = new WebSocket(`ws://${location.host}/socket`);
 const recordings = new Map(); // name: "fit" or "check"
@@ -32,7 +32,7 @@ function list() {
   $("list").replaceChildren(...[...recordings].map(([name, use]) => {
     const row = document.createElement("tr");
     const choice = document.createElement("select");
-    for (const [value, text] of [["fit", "fit"], ["check", "check on"], ["", "leave out"]]) {
+    for (const [value, text] of [["fit", "fit"], ["check", "hold out"], ["", "leave out"]]) {
       choice.add(new Option(text, value, false, value === use));
     }
     choice.onchange = () => recordings.set(name, choice.value);
@@ -55,7 +55,7 @@ function columns() {
 
 function table(proposed) {
   const head = document.createElement("tr");
-  for (const name of [...COLUMNS, "is", ...GIVEN.map(([, title]) => title)]) cell(head, name, "th");
+  for (const name of [...COLUMNS, "signal", ...GIVEN.map(([, title]) => title)]) cell(head, name, "th");
   const becomes = Object.fromEntries(Object.entries(proposed).map(([field, source]) => [source.column, [field, source]]));
   $("columns").replaceChildren(head, ...rows.map((entry) => {
     const row = document.createElement("tr");

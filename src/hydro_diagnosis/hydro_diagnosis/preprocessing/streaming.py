@@ -125,15 +125,18 @@ def read_bag_within(
 
     Raises InputError: in one sentence that names the path.
     """
+    notes: list[str] = []
     try:
-        stretches = _stretches(path, columns)
+        stretches = _stretches(path, columns, notes)
         head = list(islice(stretches, WHOLE + 1))
         if len(head) <= WHOLE:
-            return checked(inspected(_joined(path, head)), bench)
+            table = _joined(path, head)
+            return checked(inspected(replace(table, notes=(*notes, *table.notes))), bench)
         first = head[0].table
         inspected(first)
         del head, stretches, first
-        return _telling(path.name, bench, lambda: _stretches(path, columns))
+        found = _telling(path.name, bench, lambda: _stretches(path, columns, notes))
+        return replace(found, quality=(*(f"{path.name}: {note}" for note in dict.fromkeys(notes)), *found.quality))
     except RecordingError as error:
         raise InputError(str(error)) from None
 
@@ -162,10 +165,10 @@ def _slices(table: RawTable, rows: int) -> Iterator[Stretch]:
         yield Stretch(start, RawTable(table.name, table.time[part], sample, columns, notes))
 
 
-def _stretches(path: Path, columns: ColumnMap | None) -> Iterator[Stretch]:
+def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Iterator[Stretch]:
     """The recording in stretches; samples are numbered on from one to the next."""
     first = last = number = None
-    for states in _pieces(path):
+    for states in _pieces(path, notes):
         first = float(states["time"][0]) if first is None else first
         counter = states["sequence"] if last is None else np.concatenate([last, states["sequence"]])
         steps = np.diff(counter).view(np.int32).astype(np.float64)
@@ -177,10 +180,10 @@ def _stretches(path: Path, columns: ColumnMap | None) -> Iterator[Stretch]:
         yield Stretch(float(states["time"][0]) - first, turned)
 
 
-def _pieces(path: Path) -> Iterator[StateArray]:
+def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
     """`STRETCH` samples at a time; what is left comes last."""
     parts: list[StateArray] = []
-    for block in stream_bag(path):
+    for block in stream_bag(path, notes=notes):
         parts.append(block)
         while sum(map(len, parts)) >= STRETCH:
             states = np.concatenate(parts)

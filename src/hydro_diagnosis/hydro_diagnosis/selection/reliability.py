@@ -199,7 +199,8 @@ def objections(
     if off:
         worst = max(off, key=lambda point: abs(point.measured - point.model))
         said.append(
-            f"force over steady speed is missed at {len(off)} of {len(points)} speeds, by "
-            f"{abs(worst.measured - worst.model):.3g} N of {abs(worst.measured):.3g} N at {worst.at * 1e3:.3g} mm/s"
+            f"the model misses the measured force at {len(off)} of {len(points)} steady speeds; worst: "
+            f"{abs(worst.measured - worst.model):.3g} N off at {worst.at * 1e3:.3g} mm/s, measured "
+            f"{abs(worst.measured):.3g} N"
         )
     return said

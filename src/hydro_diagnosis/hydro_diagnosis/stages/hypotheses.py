@@ -296,7 +296,7 @@ def _other_zero(problem: Problem, claims: Sequence[Claim]) -> tuple[Repair, ...]
     if not found.keys() >= {"spring_rest", "dead_volume"}:
         return ()
     offset = problem.bench.spring_rest_position - found["spring_rest"]["position"]
-    said = "piston_position has its zero elsewhere (judged by the spring: write what was measured)"
+    said = "piston_position has its zero elsewhere (offset estimated from the spring force: better measure it)"
     return (Scale("piston_position", said, offset=float(f"{offset:.5g}")),)
 
 
@@ -403,8 +403,8 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
     simpler = there.numbers + sum(_fitted(repair) for repair in repairs) < here.numbers
     if clearer >= CLEAR or (clearer > -ALIKE and simpler):
         beside = (
-            f"as recorded, the best causes leave {times(here.held):.3g} times the noise on what was held out, "
-            f"repaired {times(there.held):.3g} times"
+            f"held-out residual of the best causes: {times(here.held):.3g} times the noise as recorded, "
+            f"{times(there.held):.3g} times repaired"
         )
         return replace(other, wiring=_told(repairs, other.question, beside))
     note = (

@@ -222,7 +222,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
     effects = describe(problem, found.holdout, found.outcome, assessment, found.bounds)
     read_off = curves(problem, assessment.fit.claims)
     doubts = objections(assessment.fit, found.bounds, found.proof, read_off.get(FRICTION, ()))
-    refused = [f"{label} fits and is not claimed: {reason}" for label, reason in found.refused.items()]
+    refused = [f"{label} fits, but is rejected: {reason}" for label, reason in found.refused.items()]
     notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden), *refused, *doubts)
     report = Report(
         verdict=doubted(assessment.verdict, doubts, named=bool(effects)),

@@ -36,7 +36,7 @@ class MetricDesign:
     gain_share: Annotated[float, quantity("-", 0.1, 1.0)] = 0.8
     """The upper end is at most this share of the gain at which the loop at rest decays no more."""
     gain_step: Annotated[float, quantity("1/s", 0.5, 50.0)] = 5.0
-    """Step between the table's gains."""
+    """Least step between the table's gains."""
     velocity_compensation: Annotated[float, quantity("-", 0.0, 1.0)] = 1.0
     """C_1 of the law, at C_2 = 1."""
     own_decay: Annotated[float, quantity("-", 0.0, 0.95)] = 0.3
@@ -53,6 +53,8 @@ class MetricDesign:
     """Smallest eigenvalue of M, over its largest entry."""
 
 
+MOST_STEPS = 17
+"""Of the table: a bench whose range is wider than the nominal one's has wider steps."""
 ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
 """K_p [1/s] of `require_decay`."""
 
@@ -159,8 +161,8 @@ def _foreign_weights(loop: Loop, design: MetricDesign) -> FloatArray:
 
 def _gains(design: MetricDesign) -> FloatArray:
     """K_p [1/s] of the table."""
-    last = design.gain_high + 0.5 * design.gain_step
-    return np.asarray(np.arange(design.gain_low, last, design.gain_step), np.float64)
+    step = max(design.gain_step, (design.gain_high - design.gain_low) / MOST_STEPS)
+    return np.asarray(np.arange(design.gain_low, design.gain_high + 0.5 * step, step), np.float64)
 
 
 def _closed(loop: Loop, proportional_gain: float, velocity_compensation: float) -> FloatArray:

@@ -79,7 +79,7 @@ ANOTHER_LAW = 50
 WORTH_A_LINE = 0.01
 """Share of late, stale or failed corrections from which a warning is logged; /diagnostics has each of them."""
 
-BUSY = "stale ones came too late to act upon: the machine is busy; end what else runs"
+BUSY = "stale ones came too late to be applied: the machine is busy; close other programs"
 
 LOOK = 1.0
 """s between looks at the files. They are read once they have not changed for as long."""

@@ -17,7 +17,7 @@ from hydro_sim.files.weights import WeightsError
 def main() -> None:
     """Entry point."""
     options = arguments()
-    from hydro_filter.training.metric_learning import learn  # with torch, which takes seconds: not for --help or a slip
+    from hydro_filter.training.metric_learning import learn  # with compiled code: not for --help or a slip
 
     learn(options)
 
@@ -37,9 +37,8 @@ def arguments() -> argparse.Namespace:
     result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
     result.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
     result.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
-    result.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
     add_json_argument(result)
     asked = result.parse_args()
-    if asked.seed < 0 or asked.threads < 0:
-        result.error("--seed and --threads need 0 or more")
+    if asked.seed < 0:
+        result.error("--seed needs 0 or more")
     return asked

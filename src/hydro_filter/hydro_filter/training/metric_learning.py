@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-import torch
 
 from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.settings import check, quantity
@@ -202,29 +201,37 @@ def refined_rows(
 
 
 def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
-    """The factor's entries, shape (36,), after descent on samples F + G K, shape (n, 8, 8); scaled as they came."""
+    """The factor's entries, shape (36,), after descent on samples F + G K, shape (n, 8, 8); scaled as they came.
+
+    Adam (Kingma & Ba 2015) on X of L = L_0 (I + X). With H = L^-1 (F + G K)' L the growth is g, the largest eigenvalue
+    of H H', at its unit eigenvector u; v = H'u. As dH = H E - E H for E = L^-1 dL, dg = 2 tr((v v' - g u u') E').
+    """
     width = closed.shape[-1]
-    lower = np.zeros((width, width))
-    lower[np.tril_indices(width)] = entries
-    start, moved, eye = torch.from_numpy(lower), torch.from_numpy(closed), torch.eye(width, dtype=torch.float64)
-    change = torch.zeros((width, width), dtype=torch.float64, requires_grad=True)
-    optimizer = torch.optim.Adam([change], lr=STEP)
+    start, eye = np.zeros((width, width)), np.eye(width)
+    start[np.tril_indices(width)] = entries
     limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(LEFT_OUT * len(closed))
-    best, found = np.inf, lower
+    moved, change, mean, square = closed.transpose(0, 2, 1), 0.0 * eye, 0.0 * eye, 0.0 * eye
+    best, found = np.inf, start
     for step in range(STEPS):
-        optimizer.param_groups[0]["lr"] = STEP * (1.0 - step / STEPS) + 1e-4
-        factor = start @ (eye + torch.tril(change))
-        half = torch.linalg.solve_triangular(factor.expand_as(moved), moved.transpose(1, 2) @ factor, upper=False)
-        grown = (torch.linalg.eigvalsh(half @ half.transpose(1, 2))[:, -1] - limit) / SAMPLE_PERIOD
-        worst = torch.sort(torch.relu(grown)).values[:kept]
-        value = worst.mean() + 0.3 * worst[-1] + 1e-3 * (change**2).sum()
-        if float(value.detach()) < best:
-            best, found = float(value.detach()), factor.detach().numpy().copy()
+        factor = start @ (eye + change)
+        half = np.linalg.inv(factor) @ moved @ factor
+        grown, vectors = np.linalg.eigh(half @ half.transpose(0, 2, 1))
+        asked = np.argsort(grown[:, -1])[:kept]
+        excess = np.maximum(grown[asked, -1] - limit, 0.0) / SAMPLE_PERIOD
+        value = excess.mean() + 0.3 * excess[-1] + 1e-3 * (change**2).sum()
+        if value < best:
+            best, found = value, factor
         if best == 0.0:
             break
-        optimizer.zero_grad()
-        value.backward()
-        optimizer.step()
+        weights = (excess > 0.0) / kept
+        weights[-1] += 0.3 * (excess[-1] > 0.0)
+        u = vectors[asked, :, -1]
+        v = (u[:, None, :] @ half[asked])[:, 0]
+        slope = (v.T * weights) @ v - (u.T * (weights * grown[asked, -1])) @ u
+        slope = np.tril(np.linalg.inv(eye + change).T @ slope) * (2.0 / SAMPLE_PERIOD) + 2e-3 * change
+        mean, square = 0.9 * mean + 0.1 * slope, 0.999 * square + 0.001 * slope**2
+        pace = (STEP * (1.0 - step / STEPS) + 1e-4) / (1.0 - 0.9 ** (step + 1))
+        change = change - pace * mean / (np.sqrt(square / (1.0 - 0.999 ** (step + 1))) + 1e-8)
     weight = found @ found.T
     return factor_entries(weight / weight[3, 3])
 
@@ -254,7 +261,6 @@ def learn(options: argparse.Namespace) -> None:
     data, rates = DataSettings(rollouts=options.rollouts, seed=options.seed), DecayRates(rate=options.contraction_rate)
     for each in (data, rates):
         check(each)
-    torch.set_num_threads(options.threads or torch.get_num_threads())
     out, began = Path(options.out), time.monotonic()
     model = learned_bench.load_model(options.model)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()

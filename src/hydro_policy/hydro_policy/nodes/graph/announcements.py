@@ -34,7 +34,7 @@ class RepeatFilter:
         if now - since > self._period:
             self._said[kind] = (now, 1)
             left_out = count - self._most
-            return f"{sentence} (and {left_out} times before this)" if left_out > 0 else sentence
+            return f"{sentence} ({left_out} more since the last one)" if left_out > 0 else sentence
         self._said[kind] = (since, count + 1)
         return sentence if count < self._most else ""
 
