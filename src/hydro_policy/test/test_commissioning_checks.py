@@ -103,3 +103,11 @@ def test_a_model_that_is_not_this_bench_is_told_before_the_valve_moves_behind_it
     other["load_force"] *= 1.3
     with pytest.raises(GateError, match="spring or its load cell"):
         checks.fits(other, default_filter(BENCH))
+
+
+def test_a_piston_that_stands_is_no_exchanged_channel_and_is_moved_further() -> None:
+    states = MOTION[1000:].copy()
+    states["piston_position"], states["load_force"] = 0.05, 0.0
+    assert checks.held(states)
+    with pytest.raises(GateError, match="the piston did not move under currents up to"):
+        checks.signs(states, BENCH)

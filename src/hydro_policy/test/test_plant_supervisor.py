@@ -81,7 +81,7 @@ def test_arming_waits_for_the_filter() -> None:
     watch = PlantSupervisor(heard, rearm=True)
     run(watch, STALE, 0.0, 20.0)
     assert heard.armings == []
-    assert heard.said == [f"waiting for the filter, 45 s at most: {HOW_TO_GET_A_FILTER}"]
+    assert heard.said == [f"waiting for the filter, 90 s at most: {HOW_TO_GET_A_FILTER}"]
     run(watch, 0, 20.0, 20.5)
     assert heard.armings == [False, True]
     run(watch, ARMED, 20.5, 20.6)
@@ -91,11 +91,11 @@ def test_arming_waits_for_the_filter() -> None:
 def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
     heard = Heard()
     watch = PlantSupervisor(heard, rearm=True)
-    run(watch, STALE, 0.0, 47.0)
+    run(watch, STALE, 0.0, 92.0)
     assert heard.armings[:2] == [False, True]
     assert heard.said.count(NO_FILTER) == 1
-    run(watch, STALE | ARMED, 47.0, 47.1)
-    assert watch.may_begin(47.1)
+    run(watch, STALE | ARMED, 92.0, 92.1)
+    assert watch.may_begin(92.1)
 
 
 @pytest.mark.parametrize("rearm", [True, False])

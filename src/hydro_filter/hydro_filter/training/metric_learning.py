@@ -207,7 +207,8 @@ def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
     of H H', at its unit eigenvector u; v = H'u. As dH = H E - E H for E = L^-1 dL, dg = 2 tr((v v' - g u u') E').
     """
     width = closed.shape[-1]
-    start, eye = np.zeros((width, width)), np.eye(width)
+    start: FloatArray = np.zeros((width, width))
+    eye: FloatArray = np.eye(width)
     start[np.tril_indices(width)] = entries
     limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(LEFT_OUT * len(closed))
     moved, change, mean, square = closed.transpose(0, 2, 1), 0.0 * eye, 0.0 * eye, 0.0 * eye

@@ -67,6 +67,11 @@ def signs(states: StateArray, bench: Bench) -> dict[str, float]:
 
     The load force may come up to a quarter of a cycle after its reference: overlap and dry friction hold it.
     """
+    if not np.ptp(states["piston_position"]):
+        raise GateError(
+            f"the piston did not move under currents up to {1e3 * np.abs(states['valve_current']).max():.3g} mA: see "
+            "supply and overlap of the valve, or the box's base_kp of the compensated law is too low for this bench"
+        )
     speed = np.gradient(states["piston_position"], SAMPLE_PERIOD)
     pairs: dict[str, tuple[FloatArray, FloatArray]] = {
         "hydraulic force and pressures": (states["hydraulic_force"], _pressure_force(states, bench)),
@@ -97,7 +102,7 @@ def tracking(states: StateArray, frequency: float) -> None:
 
 def held(states: StateArray) -> bool:
     """Return whether overlap and dry friction hold the load force back in a motion at `SLOW` Hz: try a larger one."""
-    return 0.0 < _follows(states, SLOW) <= FOLLOWS
+    return not np.ptp(states["piston_position"]) or 0.0 < _follows(states, SLOW) <= FOLLOWS
 
 
 def unusable(armed: StateArray) -> float:

@@ -49,7 +49,7 @@ from hydro_policy.nodes.startup.options import load_cell, may_rearm, plant_optio
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor, corrections
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
@@ -206,6 +206,9 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         node.box_fault = partial(box_mismatch, box)
         if options.plant != "external":
             start_plant(stack, node, options, wanted, run)
+            if options.law == "compensated" and options.filter.split() != list(NO_FILTER):
+                # the plant's flags tell nothing of the filter under a law that needs none
+                node.requirements.append(corrections(lambda: node.corrected))
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())
         if not node.wait_for_plant(law=options.law != "paper") or node.box is None:

@@ -40,7 +40,7 @@ def plant(ready: Callable[[], bool]) -> Requirement:
 def corrections(ready: Callable[[], bool]) -> Requirement:
     """The filter's corrections reach the plant; without them it continues at base gains."""
     hint = HOW_TO_GET_A_FILTER
-    return Requirement(name="the filter", ready=ready, hint=hint, within=45.0, missing=NO_FILTER, essential=False)
+    return Requirement(name="the filter", ready=ready, hint=hint, within=90.0, missing=NO_FILTER, essential=False)
 
 
 def fitting_filter(ready: Callable[[], bool]) -> Requirement:

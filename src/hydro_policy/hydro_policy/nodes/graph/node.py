@@ -157,6 +157,8 @@ class GraphNode(Node):
         self._realtime = realtime
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
+        self.corrected = False
+        """Whether a correction has arrived, of those that are listened to."""
         """Requirements of this node's sessions before arming, besides those of every session."""
         self.timing = GainTiming()
         self.override = GainOverride(say=self.warn)
@@ -361,6 +363,7 @@ class GraphNode(Node):
             self._finish()
 
     def _on_correction(self, message: Correction) -> None:
+        self.corrected = True
         if self._session is not None:
             self._session.on_correction(message.certificate_after, message.status)
 
