@@ -156,6 +156,10 @@ def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
     assert stated(r"\| base_kp, base_ki \| (\S+) 1/s, (\S+) 1/s\^2") == [box.base_kp, box.base_ki]
     law, safe = box.compensated, r"\| compensated law: C_1, C_2 \| (\S+) \((\S+) to (\S+)\), (\S+) \((\S+) to (\S+)\)"
     assert stated(r"law: base_kp, base_ki \| (\S+) 1/s, (\S+) 1/s\^2") == [law.base_kp, law.base_ki]
+    changes = r"law: delta_kp, delta_ki \| (\S+) to (\S+) 1/s, (\S+) to (\S+) 1/s"
+    assert stated(changes) == [law.delta_kp_min, law.delta_kp_max, law.delta_ki_min, law.delta_ki_max]
+    fastest = r"limit of f_c \| (\S+) 1/s, (\S+), (\S+) s, (\S+) N/s, (\S+) 1/s; (\S+) N"
+    assert stated(fastest) == [*law.coefficient_rate, law.scale_rate, law.reference_max]
     scales = law.velocity_compensation, law.velocity_compensation_min, law.velocity_compensation_max
     assert stated(safe) == [*scales, law.valve_gain_scale, law.valve_gain_scale_min, law.valve_gain_scale_max]
     assert stated(r"valve_current_max \| (\S+) A, (\S+) A") == [box.delta_u_max, bench.valve_current_max]

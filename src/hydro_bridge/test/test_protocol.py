@@ -163,6 +163,16 @@ def test_a_stream_without_delimiter_is_counted_once_and_not_kept():
     assert [frame.sequence for frame in decoder.feed(wire(5))] == [5]
 
 
+@pytest.mark.parametrize("cut", [0, 1, 20, -1])
+def test_a_piece_that_the_opening_of_the_port_cut_is_no_error(cut):
+    decoder = Decoder()
+    for _ in range(2):
+        assert [frame.sequence for frame in decoder.feed(wire(3)[cut:] + wire(4))] == ([3, 4] if cut == 0 else [4])
+        decoder.reset()
+    decoder.feed(wire(5)[:-9] + wire(6))
+    assert decoder.counts.crc_errors + decoder.counts.malformed == 1, "a piece between delimiters is"
+
+
 @given(st.lists(st.integers(0, 30), max_size=60))
 def test_tracker_delivers_each_number_once_and_in_order(arrivals):
     tracker = SequenceTracker()

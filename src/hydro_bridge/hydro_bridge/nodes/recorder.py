@@ -27,7 +27,7 @@ from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import GRAPH
 
 _QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
-_PRIORITY = 5  # of SCHED_FIFO, below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
+_NICE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
 
 
 class RecorderNode(Node):
@@ -39,7 +39,7 @@ class RecorderNode(Node):
 
     def __init__(self, make_run: Callable[[], RecordingRun], *, realtime: bool) -> None:
         super().__init__("recorder")
-        scheduling = request_realtime(realtime=realtime, priority=_PRIORITY)  # before samples arrive
+        scheduling = request_realtime(realtime=realtime, nice=_NICE)  # before samples arrive
         self._run = make_run()
         self.failed = False
         self.done: Future = Future()
@@ -113,7 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--attach", nargs="+", action="extend", default=[], type=Path, metavar="FILE", help="kept too, e.g. bench.yaml"
     )
-    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
+    parser.add_argument("--realtime", action="store_true", help="run before ordinary processes, if this user may")
     return parser
 
 

@@ -51,10 +51,11 @@ def exact_timers() -> None:
 
 
 def drop_realtime() -> None:
-    """Leave SCHED_FIFO before work that must not delay others (plots, files)."""
+    """Leave SCHED_FIFO, or a precedence among ordinary processes, before work that must not delay others."""
     with suppress(OSError):
-        for thread in os.listdir("/proc/self/task"):
-            os.sched_setscheduler(int(thread), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
+        for thread in map(int, os.listdir("/proc/self/task")):
+            os.sched_setscheduler(thread, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
+            os.setpriority(os.PRIO_PROCESS, thread, max(os.getpriority(os.PRIO_PROCESS, thread), 0))
 
 
 def _end(number: int, _: FrameType | None) -> None:

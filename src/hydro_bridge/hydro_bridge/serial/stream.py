@@ -50,7 +50,10 @@ class LinkCounts:
 
 @dataclass
 class Decoder:
-    """Splits bytes into frames, in bounded memory: at most `MAX_ENCODED` bytes are kept without a delimiter."""
+    """Splits bytes into frames, in bounded memory: at most `MAX_ENCODED` bytes are kept without a delimiter.
+
+    What comes before the first delimiter was cut by the opening of the port: no frame, and no error.
+    """
 
     counts: LinkCounts = field(default_factory=LinkCounts)
     foreign_version: int | None = None
@@ -58,13 +61,14 @@ class Decoder:
     _pending: bytes = b""
     _overlong: bool = False
     _in_sync: bool = True
+    _opening: bool = True
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that end within `data`, in order; chunk borders may fall anywhere."""
         self.counts.bytes += len(data)
         *pieces, self._pending = (self._pending + data).split(b"\0")
-        if self._overlong and pieces:
-            pieces[0], self._overlong = b"", False
+        if pieces and (self._overlong or self._opening):
+            pieces[0], self._overlong, self._opening = b"", False, False
         if len(self._pending) > MAX_ENCODED:
             if not self._overlong:
                 self._bad(crc=False)
@@ -79,7 +83,7 @@ class Decoder:
 
     def reset(self) -> None:
         """Discard the partial piece (the port was reopened); counts are kept."""
-        self._pending, self._overlong, self._in_sync = b"", False, True
+        self._pending, self._overlong, self._in_sync, self._opening = b"", False, True, True
 
     def _check(self, piece: bytes) -> Frame | None:
         try:

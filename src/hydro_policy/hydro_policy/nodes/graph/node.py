@@ -134,8 +134,8 @@ class PolicySteps:
 
 
 TICK = 0.05  # s
-PRIORITY = 10
-"""Priority under SCHED_FIFO: below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
+NICE = -15
+"""Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
 REMINDER = 30.0  # s, that a person disarmed the plant
 DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
 
@@ -231,7 +231,7 @@ class GraphNode(Node):
         """
         self._refuse()
         self._session, self._each_tick, self._done = session, each_tick, Future()
-        scheduling = request_realtime(realtime=self._realtime, priority=PRIORITY, inherited=False)
+        scheduling = request_realtime(realtime=self._realtime, nice=NICE)
         self.say(f"gains are sent under {scheduling}")
         try:
             broken = spin(self, self._done)
