@@ -129,17 +129,6 @@ def test_monitor_tells_chatter_from_noise_and_a_cycle_from_one_sick_sample() -> 
     assert "nan" in str(monitor.add(step(math.nan)))
 
 
-def test_monitor_blames_no_policy_for_corrections_that_came_too_late() -> None:
-    spikes = np.where(np.arange(10) == 5, 1e-2, 0.0)
-    for late in (True, False):
-        monitor, said = SafetyMonitor(MonitorSettings()), []
-        for _ in range(20):
-            monitor.on_correction(math.nan, CorrectionStatus.STALE if late else CorrectionStatus.PASS)
-            said.append(monitor.add(step(0.0, spikes)))
-        assert (said[-1] is None) == late
-        assert monitor.add(step(301.0)) == "error of 301 N, limit 300 N"
-
-
 def test_monitor_counts_the_certificates_that_fail_although_the_filter_corrected() -> None:
     monitor = SafetyMonitor(MonitorSettings(violations_window=0.05))
     for share, stops in ((4, False), (6, True)):

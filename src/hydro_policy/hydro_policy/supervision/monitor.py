@@ -8,8 +8,7 @@ violations    share of a window's samples whose certificate fails although the f
 NaN           a sample, or the policy's action for it, is not finite
 
 It assesses a policy, not a person: overridden steps do not reach it, and steps for which the box held other gains than
-the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) are not counted. Nor is u' around a correction
-that came too late: the box held it for some samples, then none, and each change is an impulse of u'.
+the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) are not counted.
 """
 
 from __future__ import annotations
@@ -33,8 +32,6 @@ _EVALUATED = frozenset(
 _TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.trial.gammas`
 _RECOVERY = 20
 """Steps after a held one whose u' is not due to the policy: the force recovers from the base gains' error."""
-_LATE = 2
-"""Steps whose u' is not due to the policy, from the one in which a correction was late: its sample is in either."""
 _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 
@@ -65,7 +62,7 @@ class SafetyMonitor:
         squares, violated = (max(round(length / _STEP), 1) for length in lengths)
         self._squares: deque[float | None] = deque(maxlen=squares)  # mean of u'^2 [A^2/s^2] per step; None: no rate
         self._violated: deque[tuple[int, int]] = deque(maxlen=violated)
-        self._failed = self._answered = self._recovering = self._late = 0
+        self._failed = self._answered = self._recovering = 0
         self.peak = 0.0
         """Largest |e| of a step since the reset [N]."""
 
@@ -90,8 +87,6 @@ class SafetyMonitor:
 
     def on_correction(self, after: float, status: int) -> None:
         """Add a correction: M_c [1/s] under it, and its status."""
-        if status == CorrectionStatus.STALE:
-            self._late = _LATE
         if status in _EVALUATED:
             self._answered += 1
             self._failed += after > _TOLERANCE
@@ -109,8 +104,7 @@ class SafetyMonitor:
             self._failed = self._answered = 0
             return self._verdict(abs(float(step.error.mean())))
         slope = np.diff(step.current) / SAMPLE_PERIOD
-        self._squares.append(float(slope @ slope) / len(slope) if len(slope) and not self._late else None)
-        self._late = max(self._late - 1, 0)
+        self._squares.append(float(slope @ slope) / len(slope) if len(slope) else None)
         self._violated.append((self._failed, self._answered))
         self._failed = self._answered = 0
         error = abs(float(step.error.mean()))

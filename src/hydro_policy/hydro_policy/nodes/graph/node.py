@@ -157,9 +157,9 @@ class GraphNode(Node):
         self._realtime = realtime
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
+        """Requirements of this node's sessions before arming, besides those of every session."""
         self.corrected = False
         """Whether a correction has arrived, of those that are listened to."""
-        """Requirements of this node's sessions before arming, besides those of every session."""
         self.timing = GainTiming()
         self.override = GainOverride(say=self.warn)
         self.box: KnownBox | None = None
