@@ -5,7 +5,7 @@
 
     browser                              this process, one thread and one temporary folder per page
     upload {name, size}, bytes ...  ──>  saved; of the first recording: columns and the proposed map
-    check {columns}                 ──>  what is not checked for lack of fields, or why the map is wrong
+    check {columns}                 ──>  what the map leaves out, what looks wrong in it, or why it cannot be read
     diagnose {columns, fit, check}  ──>  stages as they begin, then report, corrected bench and map, as text
 
 Only pages of this machine are answered. What was uploaded is deleted when the page is closed; closing it ends a
@@ -37,7 +37,7 @@ from hydro_bridge.pages import environment
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import UNITS
-from hydro_diagnosis.listing import COLUMNS, as_yaml, listed, missing
+from hydro_diagnosis.listing import COLUMNS, as_yaml, improbable, listed, missing
 from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
@@ -88,6 +88,8 @@ class Import:
 
     def __init__(self, connection: ServerConnection, folder: Path, bench: Bench) -> None:
         self._connection, self._folder, self._bench = connection, folder, bench
+        self._first: Path | None = None
+        """The recording whose columns are shown."""
 
     def serve(self) -> None:
         """Answer until the page is closed."""
@@ -103,9 +105,14 @@ class Import:
         if isinstance(request, Upload):
             self._take(self._receive(request))
         elif isinstance(request, Check):
-            self._send("checked", missing=missing(_map(request.columns)))
+            self._send("checked", remarks=self._remarks(_map(request.columns)))
         else:
             self._diagnose(request)
+
+    def _remarks(self, columns: ColumnMap) -> list[str]:
+        """What looks wrong in the first recording with this map, and what the map leaves out."""
+        doubts = improbable(self._first, columns, self._bench) if self._first else []
+        return [*doubts, *missing(columns)]
 
     def _receive(self, upload: Upload) -> Path:
         """Read a file to its end; a name is only the last part of a path."""
@@ -129,7 +136,8 @@ class Import:
         proposal = listed(path, None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
         rows = [{key: _shown(value) for key, value in row.items()} for row in table.rows]
-        self._send("columns", name=path.name, rows=rows, proposed=sources, missing=missing(proposal))
+        self._first = self._first or path
+        self._send("columns", name=path.name, rows=rows, proposed=sources, remarks=self._remarks(proposal))
 
     def _diagnose(self, request: Diagnose) -> None:
         from hydro_diagnosis.pipeline import diagnose

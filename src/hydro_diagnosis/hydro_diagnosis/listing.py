@@ -413,15 +413,29 @@ def _spare_pressures(path: Path, proposal: ColumnMap) -> list[str]:
 
 
 def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:
-    """Return which fields of a map the bench cannot have, and what they may be."""
+    """Return which fields of a map the bench cannot have, else which it models far better if they are repaired."""
+    from hydro_diagnosis.stages.hypotheses import suspicions
+
     try:
-        doubts = inspect_table(read_table(path, columns), bench).doubts
+        table = read_table(path, columns)
     except InputError:
         return []
-    return [
+    doubts = inspect_table(table, bench).doubts
+    impossible = [
         f"{doubt[0].field} has numbers that this bench cannot have: perhaps "
         + ", or ".join(one.sentence for one in doubt)
         for doubt in doubts
+    ]
+    repairs = () if impossible else suspicions(table, bench)
+    if not repairs:
+        return impossible
+    repaired = columns
+    for repair in repairs:
+        repaired = repair.edit(repaired)
+    changed = {name: one for name, one in repaired.sources.items() if columns.sources.get(name) != one}
+    return [
+        f"perhaps {', and '.join(one.sentence for one in repairs)}: repaired, the recording fits the bench far better "
+        f"before any cause is sought (diagnose tries both): {ColumnMap(changed)}"
     ]
 
 

@@ -19,7 +19,8 @@ from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.table import InputError, RawTable
+from hydro_diagnosis.io.table import InputError, RawTable, columns_of
+from hydro_diagnosis.listing import improbable, proposed
 from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
 from hydro_diagnosis.wiring import inspect_table
@@ -117,6 +118,41 @@ def test_every_mistake_is_undone_and_told_with_its_repair(runs: list[Channels], 
         assert "diagnosed as repaired" in case.wiring and "\n" not in case.wiring
 
 
+INSPECTED = (
+    (scaled("valve_current", by=-1.0), "valve_current has the wrong sign", "valve_current=valve_current*-1"),
+    (scaled("load_force", by=-1.0), "load_force has the wrong sign", "load_force=load_force*-1"),
+    (scaled("hydraulic_force", by=-1.0), "hydraulic_force has the wrong sign", "hydraulic_force=hydraulic_force*-1"),
+    (
+        scaled("piston_position", by=-1.0, plus=BENCH.stroke),
+        "piston_position has the wrong sign",
+        "piston_position=piston_position*-1+0.08",
+    ),
+    (
+        exchanged("pressure_a", "pressure_b"),
+        "pressure_a and pressure_b are exchanged",
+        "pressure_a=pressure_b,pressure_b=pressure_a",
+    ),
+    (
+        exchanged("hydraulic_force", "load_force"),
+        "hydraulic_force and load_force are exchanged",
+        "hydraulic_force=load_force,load_force=hydraulic_force",
+    ),
+)
+"""What was done to a recording, what `inspect` must say, and the entries of the map that undo it."""
+
+
+def inspected(channels: Channels, path: Path) -> list[str]:
+    written(channels, path)
+    return improbable(path, proposed(columns_of(path), BENCH), BENCH)
+
+
+def test_inspect_names_signs_and_exchanges_before_anything_is_diagnosed(runs: list[Channels], tmp_path: Path) -> None:
+    for change, said, repair in INSPECTED:
+        (sentence,) = inspected(change(runs[0]), tmp_path / "run.csv")
+        assert said in sentence and sentence.endswith(repair), sentence
+    assert inspected(runs[0], tmp_path / "run.csv") == []
+
+
 def test_zero_within_the_stroke_is_told_from_a_spring_that_rests_elsewhere(tmp_path: Path) -> None:
     """Where the volumes tell the position: those of the hoses must not be much larger than the piston's."""
     short = replace(BENCH, dead_volume_a=2e-5, dead_volume_b=2e-5)
@@ -170,7 +206,8 @@ def test_benches_that_leak_are_wired_right(tmp_path: Path) -> None:
         for k, (seconds, waveform, rate) in enumerate(((8.0, "multisine", 0.7), (40.0, "sine", 0.5))):
             segment = Segment(seconds=seconds, waveform=waveform, amplitude=300.0, frequency=rate, kp=kp, ki=10.0)
             states = record_offline(truth, [segment], seed=10 * number + k).states
-            paths.append(written(fields(states), tmp_path / f"{number}.{k}.csv"))
+            paths.append(tmp_path / f"{number}.{k}.csv")
+            assert inspected(fields(states), paths[-1]) == []
         out = tmp_path / str(number)
         assert run([str(paths[0]), "--holdout", str(paths[1]), "--out", str(out), "--quiet"]) == 0
         report = json.loads((out / "report.json").read_text())

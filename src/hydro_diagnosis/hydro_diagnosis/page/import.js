@@ -77,8 +77,8 @@ function table(proposed) {
   $("mapping").hidden = false;
 }
 
-function tell(missing) {
-  $("missing").replaceChildren(...missing.map((sentence) => {
+function tell(remarks) {
+  $("remarks").replaceChildren(...remarks.map((sentence) => {
     const line = document.createElement("li");
     line.textContent = sentence;
     return line;
@@ -97,19 +97,19 @@ function running(now) {
 }
 
 const ANSWERS = {
-  columns({ name, rows: found, proposed, missing }) {
+  columns({ name, rows: found, proposed, remarks }) {
     recordings.set(name, recordings.get(name) ?? "fit");
     list();
     if (rows.length) return; // the map of the first recording holds for all
     rows = found;
     table(proposed);
-    tell(missing);
+    tell(remarks);
   },
   bench({ name }) {
     $("stage").textContent = `bench: ${name}`;
   },
-  checked({ missing }) {
-    tell(missing);
+  checked({ remarks }) {
+    tell(remarks);
   },
   progress({ text, done, stages }) {
     $("stage").textContent = text;
