@@ -4,7 +4,8 @@
 A column scores for words of its name that stand for a field, for a unit of the field's quantity, and for numbers of the
 bench's size. The best pairs are taken one by one. Columns whose names say nothing are told apart by their units and by
 what they are to each other: chamber A is the one whose pressure rises with the load, the hydraulic force is
-A_A p_A - A_B p_B. What scores too little stays unmapped. A person confirms the map.
+A_A p_A - A_B p_B. Where no name and no unit says anything, the bench's equations and numbers alone do. What scores too
+little stays unmapped. A person confirms the map.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import re
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +30,7 @@ from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
 from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward, without_unit
 from hydro_diagnosis.io.table import base_of, columns_of, read_table
 from hydro_diagnosis.recording import InputError
-from hydro_diagnosis.wiring import inspect_table
+from hydro_diagnosis.wiring import LOOKED_AT, MEAN, inspect_table, line, means
 from hydro_sim.model.bench import Bench
 
 ENOUGH = 3.0
@@ -64,10 +66,16 @@ _ACTS_ON = {
 """Words that say of a force which it is."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
 """Units that are tried where none is stated."""
-_SIZES = ("piston_area", "area_ratio", "supply_pressure", "stroke", "valve_current_max")
+_SIZES = ("piston_area", "area_ratio", "supply_pressure", "stroke", "valve_current_max", "spring_stiffness")
 """Numbers of a bench by which a column's numbers are likely or not."""
 _APART = 0.1
 """s, between rows at most where a time states no unit: a force loop that is logged at all is logged at 10 Hz."""
+ABOUT, EXACT = 0.05, 1e-3
+"""Shares of a force that the pressures may leave: of any force of the bench, of the hydraulic force."""
+MOST = 16
+"""Columns at most that are tried for every field."""
+SILENT = 1e-4
+"""White noise over the standard deviation below which a force was computed, not measured."""
 _NEVER = re.compile(r"temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
 
 
@@ -103,6 +111,8 @@ def _proposed(found: Columns, bench: Bench) -> ColumnMap:
             taken.add(name)
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
     _add_by_physics(sources, found, bench)
+    if sources.keys() == {"time"}:
+        _add_by_equations(sources, found, bench)
     if found.clocks and sources:
         clock = base_of(sources, found)
         unit = "" if clock in found.units else _time_unit(clock, found)
@@ -149,6 +159,80 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
         if len(a) == len(b):
             take("hydraulic_force", nearest("hydraulic_force", a - bench.area_ratio * b, unsure=2))
     take("load_force", only("load_force"))
+
+
+def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) -> None:
+    """Add columns of which neither a name nor a unit says anything, where they fulfil the bench's equations.
+
+    A_A p_A - A_B p_B is the hydraulic force, all forces are about the spring's, a reference has no noise, and the
+    velocity follows the current.
+    """
+    clock = sources["time"].column
+    free = {
+        name: values[:LOOKED_AT]
+        for name, values in found.series.items()
+        if name != clock and len(values) == len(found.series[clock]) and np.isfinite(values).all()
+        and np.ptp(values) > 0.0 and not _NEVER.search(name)
+    }  # fmt: skip
+    if len(free) > MOST or len(found.series[clock]) < 100 * MEAN:
+        return
+
+    def sized(field: str) -> dict[Source, FloatArray]:
+        """Means over `MEAN` rows [SI] of the columns in each unit in which their numbers are of the field's size."""
+        units = ("", *_LIKELY.get(_QUANTITY_OF[field], ()))
+        values = {Source(name, unit=unit): UNITS.get(unit, 1.0) * free[name] for name in free for unit in units}
+        return {source: means(one, MEAN) for source, one in values.items() if _fits(field, one, bench)}
+
+    def take(field: str, *fitting: Source) -> None:
+        if len(fitting) == 1:
+            sources[field] = fitting[0]
+            del free[fitting[0].column]
+
+    forces, pressures = sized("load_force"), sized("pressure_a")
+    triples = [
+        (_balance(forces[force], pressures[a], pressures[b], bench), force, a, b)
+        for a, b in permutations(pressures, 2)
+        for force in forces
+        if a.unit == b.unit and len({force.column, a.column, b.column}) == 3
+    ]
+    left, force, a, b = min(triples, key=lambda found: found[0], default=(1.0, Source(""), Source(""), Source("")))
+    if left > ABOUT:
+        return
+    take("pressure_a", a)
+    take("pressure_b", b)
+    if _balance(forces[force], pressures[a], pressures[b], bench, ABOUT) < EXACT:
+        take("hydraulic_force", force)
+    places = {place: one for place, one in sized("piston_position").items() if place.column != force.column}
+    springs = {place: line(one, forces[force], 1) for place, one in places.items()}
+    springs = {place: spring for place, spring in springs.items() if _like_spring(*spring, bench)}
+    if not springs:
+        return
+    place = min(springs, key=lambda one: springs[one][1])
+    take("piston_position", place)
+    travel = places[place]
+    alike = [one for one, values in sized("load_force").items() if _like_spring(*line(travel, values, 1), bench)]
+    silent = [one for one in alike if _noise(free[one.column]) < SILENT]
+    take("load_force", *(one for one in alike if one not in silent))
+    take("reference_force", *silent)
+    currents = {one: abs(_correlation(values[1:], np.diff(travel))) for one, values in sized("valve_current").items()}
+    take("valve_current", *(one for one, alike in currents.items() if alike > 0.5 and alike == max(currents.values())))
+
+
+def _balance(force: FloatArray, a: FloatArray, b: FloatArray, bench: Bench, within: float = 0.3) -> float:
+    """Share of a force that A_A p_A - A_B p_B leaves, with areas that are fitted; 1 if they are not the bench's."""
+    terms = np.column_stack([a, -b, np.ones(len(a))])
+    areas, *_ = np.linalg.lstsq(terms, force, rcond=None)
+    near = np.abs(areas[:2] / (bench.piston_area * np.array([1.0, bench.area_ratio])) - 1.0) < within
+    return float(np.var(force - terms @ areas) / np.var(force)) if near.all() else 1.0
+
+
+def _like_spring(slope: float, left: float, bench: Bench) -> bool:
+    return left < 0.1 and 0.5 < slope / bench.spring_stiffness < 2.0
+
+
+def _noise(values: FloatArray) -> float:
+    """White noise over the standard deviation, by the middle of the third differences: steps do not count."""
+    return float(np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0) / np.std(values))
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
@@ -393,8 +477,9 @@ def _advice(path: Path, proposal: ColumnMap) -> str:
         return f"{path.name}: its columns carry the fields' own names: no map is needed"
     if set(proposal.sources) == {"time"}:
         return (
-            f"{path.name}: names and units say nothing of its columns: map them by --columns {proposal},"
-            "piston_position=NAME[mm],pressure_a=NAME[bar],..."
+            f"{path.name}: names and units say nothing of its columns, and they do not fulfil the bench's equations: "
+            f"give the rig's numbers by --bench FILE, or map them by --columns {proposal},piston_position=NAME[mm],"
+            "pressure_a=NAME[bar],..."
         )
     return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
 

@@ -202,9 +202,9 @@ def _copies(channels: Channels) -> Iterator[Doubt]:
     """Two sensors never have the same noise."""
     sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
     for one, other in combinations(sensors, 2):
-        if _line(channels[one], channels[other], 1)[1] < 1e-12:
+        if line(channels[one], channels[other], 1)[1] < 1e-12:
             pairs = [(other, one), (one, other)]
-            if one == "pressure_a" and _line(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0:
+            if one == "pressure_a" and line(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0:
                 pairs.reverse()  # it falls as the force grows
             yield tuple(
                 Rename(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out")
@@ -254,7 +254,7 @@ def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
     if "load_force" not in channels:
         return 0.0, 0.0
     known = guarded(bench)
-    slope, left = _line(channels["piston_position"], channels["load_force"])
+    slope, left = line(channels["piston_position"], channels["load_force"])
     if left > 1.0 - TOGETHER**2:
         return 0.0, 0.0
     factor = slope / known.spring_stiffness
@@ -290,10 +290,15 @@ def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iter
         yield tuple(one for one in scales if one.factor * largest <= BEYOND * limit)
 
 
-def _line(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
+def means(values: FloatArray, samples: int) -> FloatArray:
+    """Means over so many samples each; what is left at the end is not used."""
+    averaged: FloatArray = values[: len(values) // samples * samples].reshape(-1, samples).mean(axis=1)
+    return averaged
+
+
+def line(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
     """Least-squares slope of means over so many samples, and the share of the variance that it leaves; else 0, 1."""
-    count = len(on) // samples * samples
-    one, other = (values[:count].reshape(-1, samples).mean(axis=1) for values in (on, dependent))
+    one, other = (means(values, samples) for values in (on, dependent))
     one, other = one - one.mean(), other - other.mean()
     size, power = float(one @ one), float(other @ other)
     if not size * power > 0.0:

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.io.columns import UNITS
@@ -96,6 +99,45 @@ def test_the_map_that_inspect_proposes_reads_an_export_as_the_bench_was(
     np.testing.assert_allclose(np.diff(found.time), 1e-3, atol=1e-9)
     for field in expected:
         np.testing.assert_allclose(found.columns[field], states[field], rtol=1e-9, atol=1e-12, err_msg=field)
+
+
+def test_a_matrix_without_names_and_units_is_mapped_by_the_equations_of_the_bench(
+    tmp_path: Path, nominal: StateArray
+) -> None:
+    """In MATLAB's two formats, in any order and with any sensor but the pressures left out."""
+    everything = ("load_force", "pressure_b", "valve_current", "hydraulic_force", "piston_position", "pressure_a",
+                  "reference_force")  # fmt: skip
+    cases = (
+        (everything, ["s", "N", "bar", "mA", "N", "mm", "bar", "N"]),
+        (everything[::-1], ["s", "N", "Pa", "m", "kN", "A", "Pa", "kN"]),
+        ([field for field in everything if field != "hydraulic_force"], ["ms", "N", "MPa", "mA", "mm", "MPa", "N"]),
+        ([field for field in everything if field != "load_force"], ["s", "bar", "mA", "N", "mm", "bar", "N"]),
+    )
+    for fields, units in cases:
+        matrix = np.column_stack(columns(nominal, units, fields))
+        savemat(tmp_path / "old.mat", {"data": matrix})
+        with h5py.File(tmp_path / "new.mat", "w", userblock_size=512) as file:
+            file.create_dataset("data", data=matrix.T)
+        for name in ("old.mat", "new.mat"):
+            path = tmp_path / name
+            found = read_table(path, proposed(columns_of(path), Bench.nominal()))
+            assert set(found.columns) == set(fields)
+            for field in fields:
+                np.testing.assert_allclose(found.columns[field], nominal[field], rtol=1e-9, atol=1e-12, err_msg=field)
+    larger = replace(Bench.nominal(), piston_area=2.0 * Bench.nominal().piston_area)
+    assert set(proposed(columns_of(path), larger).sources) == {"time"}, "another bench's numbers fulfil no equation"
+
+
+def test_texts_beside_a_matrix_name_its_columns(tmp_path: Path) -> None:
+    matrix, names = np.arange(15.0).reshape(5, 3) ** 2, np.array(["t", "x", "pA"], dtype=object)
+    signals = [{"values": matrix[:, k], "label": name, "dimensions": 1.0} for k, name in enumerate(names)]
+    path = tmp_path / "log.mat"
+    savemat(path, {"log": {"data": matrix, "colheaders": names, "units": np.array(["s", "mm", "bar"], dtype=object)},
+                   "out": {"signals": np.array(signals, dtype=object)}, "note": "cold"})  # fmt: skip
+    found = columns_of(path).series
+    log, out = ["log.data.t [s]", "log.data.x [mm]", "log.data.pA [bar]"], "out.signals.{}.values.{}"
+    assert list(found) == [*log, *(out.format(k, name) for k, name in enumerate(names))]
+    np.testing.assert_array_equal(np.column_stack(list(found.values())), np.hstack([matrix, matrix]))
 
 
 def test_milliseconds_without_a_unit_and_sensors_in_every_fifth_row_only(tmp_path: Path, nominal: StateArray) -> None:

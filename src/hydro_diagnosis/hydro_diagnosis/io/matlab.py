@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from hydro_diagnosis.io.columns import Columns, known, unique, with_clocks_of_eq
 
 def matlab_columns(path: Path) -> Columns:
     """Numbers of a .mat file; structs and cells are taken apart by dots, matrices into `name.0`, `name.1`.
+
+    Where texts beside a matrix name its columns, `name.text`.
 
     Raises ValueError, OSError if it cannot be read.
     """
@@ -63,9 +66,9 @@ def split(name: str, array: FloatArray) -> dict[str, FloatArray]:
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Structs and cells taken apart: `out.signals.0.values`."""
+    """Structs and cells taken apart: `out.signals.0.values`, `log.data.pA [bar]`."""
     if isinstance(value, Mapping):
-        parts = [(str(key), one) for key, one in value.items()]
+        parts = [(str(key), _by_texts(one, value)) for key, one in value.items()]
     elif isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.dtype == object):
         parts = [(str(k), one) for k, one in enumerate(value)]
     else:
@@ -73,6 +76,27 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         return
     for key, one in parts:
         yield from _leaves(one, f"{name}.{key}" if name else key)
+
+
+def _by_texts(array: Any, beside: Mapping[str, Any]) -> Any:
+    """An array by the texts beside it, one a column, names or units: `colheaders`, `label`; else the array itself."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
+        return array
+    columns = list(split("", array).values())
+    keys = beside if len(columns) > 1 else [key for key in beside if key.lower() in ("label", "name", "title")]
+    texts = [one for key in keys if len(one := _texts(beside[key])) == len(columns)]
+    units = next((one for one in texts if len(one) > 1 and all(map(known, one))), [""] * len(columns))
+    names = next((one for one in texts if one is not units and all(one) and len(set(one)) == len(one)), [])
+    if not names and not any(units):
+        return array
+    ends = [f" [{unit}]" if unit else "" for unit in units]
+    return {f"{name}{end}": one for name, end, one in zip(names or map(str, count()), ends, columns, strict=False)}
+
+
+def _texts(value: Any) -> list[str]:
+    """A text, or an array or a list of texts, as a list; empty for anything else."""
+    entries = [value] if isinstance(value, str) else list(value) if isinstance(value, (list, np.ndarray)) else []
+    return [one.strip() for one in entries] if all(isinstance(one, str) for one in entries) else []
 
 
 def _is_capture(value: Any) -> bool:
