@@ -106,11 +106,12 @@ def run(arguments: Sequence[str]) -> int:
         options.error("--seconds must be more than 0")
     if chosen.columns and not (chosen.bench or chosen.model):
         print(FOREIGN, file=sys.stderr)
-    from hydro_diagnosis.pipeline import diagnose
-    from hydro_diagnosis.report.page import write_files
-
     try:
         with nullcontext(silent) if chosen.quiet else StageBar() as told:
+            told("loading the program")
+            from hydro_diagnosis.pipeline import diagnose
+            from hydro_diagnosis.report.page import write_files
+
             found = diagnose(
                 chosen.recordings,
                 holdout=chosen.holdout,

@@ -40,8 +40,8 @@ class StageBar:
         self._bar.close()
 
     def __call__(self, text: str) -> None:
-        """Show a text; one of `STAGES` moves the bar."""
-        self._show(text, STAGES.index(text) if text in STAGES else int(self._bar.n))
+        """Show a text; one of `STAGES` moves the bar, never back: a stage may be repeated (`stages.hypotheses`)."""
+        self._show(text, max(STAGES.index(text) if text in STAGES else 0, int(self._bar.n)))
 
     def _show(self, text: str, done: int) -> None:
         self._bar.set_postfix_str(text, refresh=False)

@@ -114,7 +114,7 @@ const ANSWERS = {
   progress({ text, done, stages }) {
     $("stage").textContent = text;
     $("bar").max = stages;
-    if (done !== null) $("bar").value = done;
+    $("bar").value = Math.max($("bar").value, done ?? 0); // a stage may be repeated
   },
   report({ verdict, report, corrected, columns: map }) {
     running(false);
