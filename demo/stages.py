@@ -7,13 +7,13 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import UserError
 from hydro_sim.model.bench import Bench
 
@@ -71,7 +71,7 @@ def believe(plan: Plan) -> None:
 
 def pretrain(plan: Plan, name: str, bench: Path) -> None:
     """Policies trained in a simulation of `bench`."""
-    commands = []
+    commands = {}
     for seed, run in enumerate(plan.policies(name)):
         if (run / "curve.json").exists():
             continue
@@ -79,24 +79,23 @@ def pretrain(plan: Plan, name: str, bench: Path) -> None:
         simulated = ["--bench", str(bench), "--box", str(plan.believed), "--configuration", plan.configuration]
         how = ["--episodes", str(plan.episodes), "--seed", str(seed)]
         arguments = where if where[0] == "--resume" else [*where, *simulated, *how]
-        commands.append(["hydro_policy", "pretrain", *arguments, "--json", str(run / "curve.json")])
-    with ThreadPoolExecutor(plan.jobs) as pool:
-        list(pool.map(_run, commands))
+        commands[run.name] = (["hydro_policy", "pretrain", *arguments, "--json", str(run / "curve.json")],)
+    jobs.complete(_run, commands, at_once=plan.jobs, label=name, unit="training")
 
 
 def record(plan: Plan) -> list[Path]:
     """Recordings of the bench under careful fixed gains; the last one is to be held out."""
     folder = plan.folder / "recordings"
     folder.mkdir(exist_ok=True)
-    bags, jobs = [folder / f"run{k}" for k in range(len(DRIVES))], []
+    bags, missing = [folder / f"run{k}" for k in range(len(DRIVES))], []
     for k, drive in enumerate(DRIVES):
         schedule = folder / f"schedule{k}.yaml"
         schedule.write_text(yaml.safe_dump({"segments": [dict(drive)]}), encoding="utf-8")
         if not (bags[k] / "metadata.yaml").exists():
             job = {"out": str(bags[k]), "truth": str(plan.truth), "schedule": str(schedule)}
-            jobs.append({**job, "bench": str(plan.believed), "seed": 100 + k})
-    if jobs:
-        (folder / "batch.yaml").write_text(yaml.safe_dump({"jobs": jobs}), encoding="utf-8")
+            missing.append({**job, "bench": str(plan.believed), "seed": 100 + k})
+    if missing:
+        (folder / "batch.yaml").write_text(yaml.safe_dump({"jobs": missing}), encoding="utf-8")
         _run(["hydro_sim", "emulator", "--offline", "--batch", str(folder / "batch.yaml")])
     return bags
 
@@ -115,8 +114,6 @@ def diagnose(plan: Plan, bags: Sequence[Path]) -> dict[str, Any]:
 def _run(words: Sequence[str]) -> None:
     """`ros2 run` with its own words on the terminal; its table, which the story does not need, is swallowed."""
     ended = subprocess.run(["ros2", "run", *words], stdout=subprocess.DEVNULL, check=False)
-    if ended.returncode == 130:
-        raise KeyboardInterrupt
     if ended.returncode:
         raise UserError(
             f"`ros2 run {' '.join(words[:2])}` ended with status {ended.returncode}; run demo again to go on"

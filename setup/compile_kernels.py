@@ -56,7 +56,7 @@ def main() -> None:
 
 def run_all(steps: Sequence[tuple[str, str]]) -> None:
     """Run (module, step) side by side, and say how far it is."""
-    # Forked: the packages are imported once. Nothing runs yet that a fork would break.
+    # Forked, not by `jobs`, which spawns: the packages are imported once. Nothing runs yet that a fork would break.
     context = multiprocessing.get_context("fork")
     with (
         tempfile.NamedTemporaryFile() as lock,
