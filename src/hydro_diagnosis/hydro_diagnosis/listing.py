@@ -172,7 +172,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         name: values[:LOOKED_AT]
         for name, values in found.series.items()
         if name != clock and len(values) == len(found.series[clock]) and np.isfinite(values).all()
-        and np.ptp(values) > 0.0 and not _NEVER.search(name)
+        and np.ptp(values) > 0.0 and not (_NEVER.search(name) or found.units.get(name) or in_name(name))
     }  # fmt: skip
     if len(free) > MOST or len(found.series[clock]) < 100 * MEAN:
         return

@@ -14,6 +14,7 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
+from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import UNITS
 from hydro_diagnosis.io.table import columns_of, read_table
 from hydro_diagnosis.listing import proposed
@@ -126,6 +127,22 @@ def test_a_matrix_without_names_and_units_is_mapped_by_the_equations_of_the_benc
                 np.testing.assert_allclose(found.columns[field], nominal[field], rtol=1e-9, atol=1e-12, err_msg=field)
     larger = replace(Bench.nominal(), piston_area=2.0 * Bench.nominal().piston_area)
     assert set(proposed(columns_of(path), larger).sources) == {"time"}, "another bench's numbers fulfil no equation"
+
+
+def test_temperatures_and_flows_are_no_pressures_and_positions(tmp_path: Path, nominal: StateArray) -> None:
+    """Named and sized as if they were, in brackets behind the name or in a row of units."""
+    states = nominal[:3000]
+    names, units = ["t", "Chamber A", "q", "pB", "Kolbenweg"], ["s", "°C", "l/min", "bar", "Hz"]
+    values = [1e-3 * np.arange(len(states)), 40.0 + states["piston_position"], 1e3 * states["valve_current"],
+              1e-5 * states["pressure_b"], 1e3 * states["piston_position"]]  # fmt: skip
+    path = tmp_path / "run.csv"
+    brackets = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
+    for head in (brackets, names):
+        row = [] if head == brackets else [",".join(units)]
+        path.write_text("\n".join([",".join(head), *row, *rows(values, ",")]))
+        assert set(proposed(columns_of(path), Bench.nominal()).sources) == {"time", "pressure_b"}
+        with pytest.raises(InputError, match="is a temperature, in degC: no field is one"):
+            read_table(path, ColumnMap.load(f"time='{head[0]}',pressure_a='{head[1]}'"))
 
 
 def test_texts_beside_a_matrix_name_its_columns(tmp_path: Path) -> None:

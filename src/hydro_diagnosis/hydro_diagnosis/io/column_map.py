@@ -29,7 +29,7 @@ import numpy as np
 import yaml
 
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.io.columns import UNITS, known
+from hydro_diagnosis.io.columns import QUANTITY, UNITS, known
 from hydro_diagnosis.recording import InputError
 
 _SOURCE = re.compile(
@@ -79,8 +79,8 @@ class Source:
     def of(self, columns: Mapping[str, FloatArray], constants: Mapping[str, float], length: int) -> FloatArray:
         """The field in SI units, shape (length,).
 
-        Raises InputError if the file lacks the column or a number that the steps name; the sentence lists what there
-        is.
+        Raises InputError if the file lacks the column or a number that the steps name, the sentence lists what there
+        is; or if the column is what no field is.
         """
         if not self.column:
             values: FloatArray = np.zeros(length)
@@ -93,6 +93,8 @@ class Source:
                 raise InputError(f"there is no single number named {number!r}{_instead(number, constants)}")
             by = constants[number] if isinstance(number, str) else number
             values = _OPERATIONS[sign](values, by)
+        if self.unit and self.unit not in UNITS:
+            raise InputError(f"{self.column!r} is a {QUANTITY[self.unit]}, in {self.unit}: no field is one")
         if self.unit:
             values = values * UNITS[self.unit]
         return np.ascontiguousarray(values, dtype=np.float64)
@@ -164,7 +166,7 @@ def _number(text: Any) -> float | str:
 
 
 def _unit(field: str, unit: str) -> str:
-    if not known(unit):
+    if known(unit) not in UNITS:
         raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
     return known(unit)
 

@@ -26,8 +26,9 @@ _BY_QUANTITY: dict[str, dict[str, float]] = {
 
 UNITS = {unit: factor for units in _BY_QUANTITY.values() for unit, factor in units.items()}
 """Factor from a unit to SI."""
-QUANTITY = {unit: quantity for quantity, units in _BY_QUANTITY.items() for unit in units}
-"""Quantity that a unit measures."""
+_OTHERS = {"degC": "temperature", "degF": "temperature", "l/min": "flow", "rpm": "speed of rotation", "Hz": "frequency"}
+QUANTITY = {unit: quantity for quantity, units in _BY_QUANTITY.items() for unit in units} | _OTHERS
+"""Quantity that a unit measures; those that no field is have no factor in `UNITS`."""
 
 _SPELLINGS = {
     "sec": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms", "µs": "us", "μs": "us", "µm": "um", "μm": "um",
@@ -35,6 +36,7 @@ _SPELLINGS = {
     "n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "mpa": "MPa", "a": "A", "ma": "mA",
     "n/mm²": "N/mm2", "n/mm^2": "N/mm2",
     "m*s^-1": "m/s", "m s-1": "m/s", "inch": "in",
+    "°c": "degC", "degc": "degC", "deg c": "degC", "celsius": "degC", "°f": "degF", "lpm": "l/min", "hz": "Hz",
 }  # fmt: skip
 _IN_NAME = re.compile(r"[\[(]\s*([^\])]{1,12})\s*[\])]\s*$")
 _SUFFIX = re.compile(r"_(s|ms|us|ns|mm|cm|um|N|kN|kPa|MPa|mbar|bar|psi|mA)$")
@@ -42,15 +44,15 @@ _SUFFIX = re.compile(r"_(s|ms|us|ns|mm|cm|um|N|kN|kPa|MPa|mbar|bar|psi|mA)$")
 
 
 def known(text: str) -> str:
-    """The unit as `UNITS` spells it; empty where it is none of these."""
+    """The unit as `QUANTITY` spells it; empty where it is none of these."""
     bare = text.strip().strip("[](){}").strip()
-    if bare in UNITS:
+    if bare in QUANTITY:
         return bare
-    return _SPELLINGS.get(bare.lower(), bare.lower() if bare.lower() in UNITS else "")
+    return _SPELLINGS.get(bare.lower(), bare.lower() if bare.lower() in QUANTITY else "")
 
 
 def in_name(name: str) -> str:
-    """The unit at the end of a column's name (`pos [mm]`, `pos_mm`), as `UNITS` spells it; empty if there is none."""
+    """The unit at the end of a column's name (`pos [mm]`, `pos_mm`), as `QUANTITY` spells it, or empty."""
     found = _IN_NAME.search(name)
     suffix = _SUFFIX.search(name)
     return known(found[1]) if found else suffix[1] if suffix else ""
@@ -77,7 +79,7 @@ class Columns:
     other: tuple[str, ...] = ()
     """Names of what is neither: texts, columns of another length."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Units that the file states, as `UNITS` spells them; only those that are known."""
+    """Units that the file states, as `QUANTITY` spells them; only those that are known."""
     clocks: Mapping[str, str] = field(default_factory=dict)
     """By column, the name of the column that holds its times; none for a table in which every row is one instant."""
     notes: tuple[str, ...] = ()

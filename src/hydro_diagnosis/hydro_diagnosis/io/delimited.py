@@ -52,7 +52,7 @@ class Header:
     names: tuple[str, ...]
     """Names of the columns, each unique."""
     units: tuple[str, ...]
-    """Units as `columns.UNITS` spells them; empty where none is stated."""
+    """Units as `columns.QUANTITY` spells them; empty where none is stated."""
 
 
 def header_of(lines: list[str], separator: str, decimal: str) -> Header:

@@ -76,7 +76,7 @@ def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> So
     unit = found.units.get(source.column, "")
     if not source.plain or not unit:
         return source
-    if UNITS[unit] != 1.0:
+    if UNITS.get(unit) != 1.0:
         notes.append(f"{field} is in {unit}, as the file says of {source.column!r}")
     return replace(source, unit=unit)
 
