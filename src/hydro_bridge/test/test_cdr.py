@@ -5,10 +5,12 @@ import os
 
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import STATE_TYPE, encode_states, fixed_layout
 from hydro_bridge.bags.schema import PACKAGED, definition, installed_definition
+from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES
 from hydro_bridge.signals import STATE_FIELDS
 
 
@@ -65,3 +67,20 @@ def test_packaged_definitions_are_those_of_the_installed_messages(name):
 def test_packaged_hashes_agree_with_an_independent_computation(typestore):
     for name in PACKAGED:
         assert typestore.hash_rihs01(name) == definition(name).type_hash
+
+
+@pytest.mark.parametrize("codec", [STATES, CORRECTIONS, LAW_STATES], ids=lambda codec: codec.record.__name__)
+def test_messages_packed_one_by_one_are_those_of_rosidl(codec):
+    message, rng = codec.kind(), np.random.default_rng(1)
+    for name, kind in list(codec.kind.get_fields_and_field_types().items())[1:]:
+        drawn = rng.normal() if kind == "double" else True if kind == "boolean" else int(rng.integers(1, 256))
+        setattr(message, name, drawn)
+    message.header.stamp.sec, message.header.stamp.nanosec = 1_800_000_000, 999_999_999
+    message.header.frame_id = "bench"
+    data = serialize_message(message)
+    record = codec.unpack(data)
+    assert record.stamp == 1_800_000_000_999_999_999
+    assert all(getattr(record, name) == getattr(message, name) for name in record._fields[1:])
+    assert deserialize_message(codec.pack(*record), codec.kind) == message
+    message.header.frame_id = "another frame"
+    assert codec.unpack(serialize_message(message)) == record, "of another publisher"

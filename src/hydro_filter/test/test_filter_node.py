@@ -23,7 +23,7 @@ from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from hydro_bridge.ros.companion import Companion  # noqa: E402
-from hydro_bridge.ros.messages import StateMessage, fill_law_state  # noqa: E402
+from hydro_bridge.ros.messages import LAW_STATES, STATES, pack_law_state  # noqa: E402
 from hydro_bridge.ros.topics import (  # noqa: E402
     BOX,
     CORRECTION,
@@ -75,7 +75,6 @@ class Source:
         self.states = create_publisher(self.node, STATE)
         self._answers = create_subscription(self.node, CORRECTION, self.corrections.append)
         create_subscription(self.node, DIAGNOSTICS, lambda array: self.diagnostics.extend(array.status))
-        self._message = StateMessage()
 
     def wait(self, condition: Callable[[], bool], timeout: float = 150.0) -> None:
         """On a fresh machine the filter compiles first."""
@@ -95,7 +94,7 @@ class Source:
         values |= {"proportional_gain": sample.proportional_gain, "valve_current": sample.valve_current}
         values |= {"reference_force_rate": sample.reference_rate}
         numbers = [float(values.get(name, 0.0)) for name in STATE_FIELDS]
-        self.states.publish(self._message.fill(time.time_ns() - round(1e9 * age), sequence, numbers, flags))
+        self.states.publish(STATES.pack(time.time_ns() - round(1e9 * age), sequence, *numbers, flags))
 
     def no_plant(self) -> None:
         """Leave the states to another: those of two are not answered."""
@@ -214,7 +213,7 @@ def beside_the_law(started: Callable[..., Source], model: Bench, metric: Schedul
     return started("--metric", str(file), "--model", str(of), *PATIENT)
 
 
-def shaken(model: Bench, answer: Callable[[Sample, LawStateMessage], float]) -> tuple[list[Sample], bool]:
+def shaken(model: Bench, answer: Callable[[Sample, bytes], float]) -> tuple[list[Sample], bool]:
     """The compensated law at C_1 = 1 on a bench, K_p 150 to 300 drawn a hundred times a second; whether it tripped."""
     usual = BoxConfig()
     law = replace(usual.compensated, velocity_compensation=1.0, velocity_compensation_max=1.0)
@@ -224,7 +223,7 @@ def shaken(model: Bench, answer: Callable[[Sample, LawStateMessage], float]) -> 
         np.random.default_rng(1),
     )
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
-    x, delta_u, told = plant.reset(1), 0.0, LawStateMessage()
+    x, delta_u = plant.reset(1), 0.0
     box.receive(Command(law=Law.COMPENSATED), 0.0)
     samples = []
     for k in range(1500):
@@ -236,7 +235,7 @@ def shaken(model: Bench, answer: Callable[[Sample, LawStateMessage], float]) -> 
         samples.append(Sample.of(record, law_state(box.state[0])))
         if int(record["flags"]) & Flag.TRIPPED:
             return samples, True
-        delta_u = answer(samples[-1], fill_law_state(told, 0, k, law_state(box.state[0])))
+        delta_u = answer(samples[-1], pack_law_state(0, k, law_state(box.state[0])))
         x = plant.step(samples[-1].valve_current)
     return samples, False
 
@@ -250,9 +249,9 @@ def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
     assert shaken(model, lambda sample, told: 0.0)[1], "without a filter the box trips"
     expected: list[float] = []
 
-    def answer(sample: Sample, told: LawStateMessage) -> float:
+    def answer(sample: Sample, told: bytes) -> float:
         """The law before its sample, or behind it: the sample waits for it."""
-        sequence = told.sequence
+        sequence = LAW_STATES.unpack(told).sequence
         if sequence % 2:
             laws.publish(told)
             source.publish(sequence, sample)

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
@@ -32,6 +31,7 @@ from hydro_bridge.ros.topics import (
     REFERENCE,
     STATE,
     TRAINING,
+    Mailbox,
     create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
@@ -40,20 +40,12 @@ from hydro_msgs.msg import Authority, TrainingStatus
 QUEUE = 500
 """Messages per topic that wait for the next frame: half a second."""
 
-_NO_SERVICES = Parameter("start_type_description_service", value=False)
-
 
 class Samples:
-    """Takes the messages received since the last frame, through a separate node that is never spun."""
+    """Takes the messages received since the last frame."""
 
     def __init__(self) -> None:
-        self._listener = Node(
-            "dashboard_samples",
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[_NO_SERVICES],
-        )
+        self._mailbox = Mailbox("dashboard")
         self._states, self._corrections = self._queued(STATE), self._queued(CORRECTION)
         self._decode_states = series.Decoder(series.STATE_TYPE)
         self._decode_corrections = series.Decoder(series.CORRECTION_TYPE)
@@ -85,20 +77,28 @@ class Samples:
         """Take all queued messages at `now` [s, monotonic]."""
         self._take_states(now)
         self._take_corrections()
-        if (table := _decoded(self._decode_laws, _all(self._laws))) is not None:
+        if (table := self._fetched(self._decode_laws, self._laws)) is not None:
             self.compensated_at = now
             self.series[2].add(table["time"], series.values(series.LAW_COLUMNS, table))
 
     def close(self) -> None:
         """Leave the graph."""
-        self._listener.destroy_node()
+        self._mailbox.close()
 
     def _queued(self, topic: str) -> Subscription:
         qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
-        return self._listener.create_subscription(GRAPH[topic][0], topic, _never, qos, raw=True)
+        return self._mailbox.subscribe(topic, GRAPH[topic][0], qos)
+
+    def _fetched(self, decoder: series.Decoder, subscription: Subscription) -> npt.NDArray[np.void] | None:
+        """Return the queued messages as a table; None if there are none, or of a plant of another version."""
+        messages = [data for data, _ in self._mailbox.fetch(subscription, QUEUE)]
+        try:
+            return decoder.table(messages) if messages else None
+        except ValueError:  # unknown layout
+            return None
 
     def _take_states(self, now: float) -> None:
-        table = _decoded(self._decode_states, _all(self._states))
+        table = self._fetched(self._decode_states, self._states)
         if table is None:
             return
         sequence = table["sequence"].astype(np.int64)
@@ -109,32 +109,11 @@ class Samples:
         self.series[0].add(table["time"], series.state_values(table))
 
     def _take_corrections(self) -> None:
-        table = _decoded(self._decode_corrections, _all(self._corrections))
+        table = self._fetched(self._decode_corrections, self._corrections)
         if table is None:
             return
         self.decided.add(Counter(table["status"].tolist()))
         self.series[1].add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
-
-
-def _all(subscription: Subscription) -> list[bytes]:
-    """Return the queued messages, at most one queue of them."""
-    messages: list[bytes] = []
-    with subscription.handle:
-        while len(messages) < QUEUE and (taken := subscription.handle.take_message(subscription.msg_type, True)):
-            messages.append(taken[0])
-    return messages
-
-
-def _decoded(decoder: series.Decoder, messages: list[bytes]) -> npt.NDArray[np.void] | None:
-    """Return the messages as a table; None if there are none, or of a plant of another version."""
-    try:
-        return decoder.table(messages) if messages else None
-    except ValueError:  # unknown layout
-        return None
-
-
-def _never(_: object) -> None:
-    """Callback that is never called: the node of the samples is not spun."""
 
 
 PERIOD = 0.05

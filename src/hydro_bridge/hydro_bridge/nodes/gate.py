@@ -15,6 +15,7 @@ the time of its first message; commands on a topic with two are then ignored, an
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -124,13 +125,13 @@ class Gate:
         self._armed, self._crowd = False, ""
         self._disarmed_by_hand = 0  # claim of the holder at that time; 0: no person has
         self._heard: dict[str, Subscription] = {}
-        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._words = GateWords(node, self.authority)
         self._words.tell()
         node.create_service(SetBool, ARM_SERVICE, self._on_arm)
         node.create_service(Claim, CLAIM_SERVICE, self._on_claim)
-        node.create_timer(_LOOK, self._look, clock=self._clock)
-        node.create_timer(1.0, self._words.tell_refused, clock=self._clock)
+        node.create_timer(_LOOK, self._look, clock=steady)
+        node.create_timer(1.0, self._words.tell_refused, clock=steady)
 
     def listen(self, topic: str, subscription: Subscription) -> None:
         """Register `subscription` as the source of the commands of `topic`."""
@@ -143,7 +144,7 @@ class Gate:
             self._give_up(topic)
             return False
         self._follow()
-        now = self._now()
+        now = time.monotonic()
         admitted = self.authority.admits(topic, epoch, now)
         if admitted and topic != CORRECTION:  # the filter continues without the holder
             self.authority.renew(now)
@@ -162,7 +163,7 @@ class Gate:
         self._follow()
         held = self.authority.claim
         if request.act == Claim.Request.TAKE:
-            trouble = self.authority.take(request.name, request.claim, self._now())
+            trouble = self.authority.take(request.name, request.claim, time.monotonic())
             done = "taken"
         elif request.act == Claim.Request.ARM:
             trouble, done = (
@@ -219,7 +220,7 @@ class Gate:
         if not claim or claim != self.authority.claim:
             return f"{self.authority.holder or 'nobody'} commands this plant now"
         trouble = self._disarm(by_hand=False)
-        self.authority.give(claim, self._now(), heir)
+        self.authority.give(claim, time.monotonic(), heir)
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
@@ -239,7 +240,7 @@ class Gate:
         if self._armed:
             if self._crowd:
                 self._give_up(STATE)
-        elif self.authority.lapse(self._now()):
+        elif self.authority.lapse(time.monotonic()):
             self._begin_anew(succeeds=False)
             self._words.say("nobody commands this plant: its commander has stopped sending")
             self._words.tell()
@@ -248,7 +249,7 @@ class Gate:
         """End the session on a disarm, whoever requested it, and on a trip."""
         before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
         if before and not self._armed:
-            self.authority.end(self._now())
+            self.authority.end(time.monotonic())
             self._words.tell()
 
     def _give_up(self, topic: str) -> None:
@@ -259,6 +260,3 @@ class Gate:
             self._plant.guard.give_up(why)
         self._plant.send()
         self._follow()
-
-    def _now(self) -> float:
-        return 1e-9 * float(self._clock.now().nanoseconds)

@@ -23,11 +23,12 @@ from rclpy.node import Node
 from hydro_bridge.nodes.gate import Gate, PlantSide
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, with_publisher_conflicts
 from hydro_bridge.ros.messages import (
-    StateMessage,
+    CORRECTIONS,
+    STATES,
     box_to_message,
-    fill_law_state,
     law_command_from_message,
     law_to_message,
+    pack_law_state,
     reference_from_message,
 )
 from hydro_bridge.ros.topics import (
@@ -45,8 +46,7 @@ from hydro_bridge.ros.topics import (
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.serial.frames import BoxLaw, LawState
 from hydro_bridge.signals import Flag, Law, flag_names
-from hydro_msgs.msg import Correction, Gains, LawCommand, ReferenceSignal
-from hydro_msgs.msg import LawState as LawStateMessage
+from hydro_msgs.msg import Gains, LawCommand, ReferenceSignal
 
 
 class PlantNode(Node):
@@ -58,10 +58,7 @@ class PlantNode(Node):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._publisher = create_publisher(self, STATE)
-        self._state = StateMessage()
         self._law_publisher = create_publisher(self, LAW_STATE)
-        self._law_state = LawStateMessage()
-        self._law_state.header.frame_id = self._state.message.header.frame_id
         self._box_publisher = create_publisher(self, BOX)
         self._box_law_publisher = create_publisher(self, BOX_LAW)
         self._flags, self._tripped = 0, False
@@ -77,7 +74,7 @@ class PlantNode(Node):
         )
         self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         gains = create_subscription(self, GAINS, self._on_gains)
-        correction = create_subscription(self, CORRECTION, self._on_correction)
+        correction = create_subscription(self, CORRECTION, self._on_correction, raw=True)
         reference = create_subscription(self, REFERENCE, self._on_reference)
         law = create_subscription(self, LAW, self._on_law)
         for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference), (LAW, law)):
@@ -88,12 +85,12 @@ class PlantNode(Node):
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
         """Publish one sample; `values` in STATE_FIELDS order. Call from the plant's thread only."""
         self._flags = flags
-        self._publisher.publish(self._state.fill(stamp_ns, sequence, values, flags))
+        self._publisher.publish(STATES.pack(stamp_ns, sequence, *values, flags))
 
     def publish_law_state(self, stamp_ns: int, sequence: int, state: LawState | None) -> None:
         """Publish the force law of a sample, before the sample itself; the paper's law is not worth a message."""
         if state is not None and state.law is not Law.PAPER:
-            self._law_publisher.publish(fill_law_state(self._law_state, stamp_ns, sequence, state))
+            self._law_publisher.publish(pack_law_state(stamp_ns, sequence, state))
 
     def publish_box(self, box: KnownBox, law: BoxLaw | None) -> None:
         """Publish the box's identity, assumed bench and compensated law, None: it has none, and offer it to the guard.
@@ -126,7 +123,8 @@ class PlantNode(Node):
         with self.side.lock:
             self.side.guard.set_law(wanted, self._now())
 
-    def _on_correction(self, message: Correction) -> None:
+    def _on_correction(self, data: bytes) -> None:
+        message = CORRECTIONS.unpack(data)
         if not self.gate.admits(CORRECTION, message.epoch):
             return
         with self.side.lock:

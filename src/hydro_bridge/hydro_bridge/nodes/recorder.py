@@ -10,12 +10,14 @@ import argparse
 import sys
 from collections.abc import Callable
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.bags.recording import repair
@@ -24,14 +26,15 @@ from hydro_bridge.bags.writer import FLUSH_PERIOD, RecordingRun, parse_pairs, re
 from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import GRAPH
+from hydro_bridge.ros.topics import GRAPH, Mailbox
 
 _QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
+_PERIOD = 0.05  # s between two fetches
 _NICE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
 
 
 class RecorderNode(Node):
-    """Subscribes to serialized messages and writes them unchanged, until writing fails.
+    """Fetches serialized messages and writes them unchanged, until writing fails.
 
     A write error ends the recording with one sentence, `failed` set and `done` completed. The exit status differs from
     that of a wrong command line, by which the processes that wait for the recorder tell the two apart.
@@ -43,9 +46,11 @@ class RecorderNode(Node):
         self._run = make_run()
         self.failed = False
         self.done: Future = Future()
+        self._mailbox, self._heard = Mailbox("recorder"), dict[str, Subscription]()
         for topic, (kind, offered) in GRAPH.items():
             self._subscribe(topic, kind, offered)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_PERIOD, self._fetch, clock=steady)
         self.create_timer(FLUSH_PERIOD, partial(self._write, self._run.writer.flush), clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
@@ -53,6 +58,8 @@ class RecorderNode(Node):
 
     def close(self) -> None:
         """Finish the recording; a failed one is left unfinished, readable like that of a killed recorder."""
+        self._fetch()
+        self._mailbox.close()
         self._write(self._run.writer.close)
         self.get_logger().info(self._run.summary())
 
@@ -72,10 +79,17 @@ class RecorderNode(Node):
         )
         package, name = kind.__module__.split(".")[0], kind.__name__
         self._run.add_topic(topic, f"{package}/msg/{name}", recorded)
-        self.create_subscription(kind, topic, partial(self._take, topic), qos, raw=True)
+        self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
 
-    def _take(self, topic: str, data: bytes) -> None:
-        self._write(self._run.take, topic, data, self.get_clock().now().nanoseconds)
+    def _fetch(self) -> None:
+        """Write what has arrived, by its time of arrival."""
+        arrived = [
+            (time_ns, topic, data)
+            for topic, subscription in self._heard.items()
+            for data, time_ns in self._mailbox.fetch(subscription, _QUEUE)
+        ]
+        for time_ns, topic, data in sorted(arrived, key=itemgetter(0)):
+            self._write(self._run.take, topic, data, time_ns)
 
     def _write(self, write: Callable[..., None], *what: object) -> None:
         if self.failed:

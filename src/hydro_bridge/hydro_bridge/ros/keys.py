@@ -53,6 +53,7 @@ from hydro_bridge.ros.topics import (
     REFERENCE,
     STATE,
     TRAINING,
+    mailbox_name,
 )
 from hydro_bridge.settings import SettingsError
 
@@ -104,7 +105,7 @@ _PLANT = Rights(
 
 _CONTROLLER = Rights(
     publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
-    subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, CORRECTION, DIAGNOSTICS),
+    subscribes=(STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
     answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
     calls=(CLAIM_SERVICE,),
 )
@@ -119,7 +120,7 @@ _OWN = {
         publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
         calls=(CLAIM_SERVICE,),
     ),
-    "recorder": Rights(publishes=(DIAGNOSTICS,), subscribes=tuple(GRAPH)),
+    "recorder": Rights(publishes=(DIAGNOSTICS,)),
     "dashboard": Rights(
         publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
         calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
@@ -135,9 +136,13 @@ RIGHTS: Mapping[str, dict[str, Rights]] = {
     executable: {(name := _NODES.get(executable, executable)): node(name, rights)}
     for executable, rights in _OWN.items()
 }
-RIGHTS["dashboard"]["dashboard_samples"] = Rights(
-    publishes=(PARAMETER_EVENTS,), subscribes=(STATE, LAW_STATE, CORRECTION)
-)
+for _name, _topics in {
+    "recorder": tuple(GRAPH),
+    "dashboard": (STATE, LAW_STATE, CORRECTION),
+    "trainer": (LAW_STATE, CORRECTION),
+    "evaluate": (LAW_STATE, CORRECTION),
+}.items():
+    RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
 """Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""
 
 

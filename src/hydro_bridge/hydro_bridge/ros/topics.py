@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -87,10 +88,54 @@ def create_publisher(node: Node, topic: str) -> Publisher:
     return node.create_publisher(kind, topic, qos)
 
 
-def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
-    """Subscribe to a topic of `GRAPH`."""
+def create_subscription(node: Node, topic: str, callback: Callable[[Any], None], *, raw: bool = False) -> Subscription:
+    """Subscribe to a topic of `GRAPH`; `raw`: the callback gets serialized messages."""
     kind, qos = GRAPH[topic]
-    return node.create_subscription(kind, topic, callback, qos)
+    return node.create_subscription(kind, topic, callback, qos, raw=raw)
+
+
+def mailbox_name(name: str) -> str:
+    """Return the name of the hidden node of a `Mailbox` for node `name`."""
+    return f"_{name}_mailbox"
+
+
+class Mailbox:
+    """Subscriptions whose messages wait until they are fetched, on a hidden node of their own that is never spun.
+
+    An executor wakes for each message, which costs several times what fetching does.
+
+    `name`: of the node that fetches.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._node = Node(
+            mailbox_name(name),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+
+    def subscribe(self, topic: str, kind: type[Any], qos: QoSProfile) -> Subscription:
+        """Subscribe to the serialized messages of a topic; the depth of `qos` is that of the queue."""
+        return self._node.create_subscription(kind, topic, _never, qos, raw=True)
+
+    @staticmethod
+    def fetch(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
+        """Return at most so many of the serialized messages that wait, oldest first, each with its arrival [ns]."""
+        fetched: list[tuple[bytes, int]] = []
+        with subscription.handle:
+            while len(fetched) < most and (taken := subscription.handle.take_message(subscription.msg_type, True)):
+                fetched.append((taken[0], taken[1]["received_timestamp"]))
+        return fetched
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+
+
+def _never(_: object) -> None:
+    """Callback of a node that is not spun."""
 
 
 COMMANDS = (GAINS, REFERENCE, CORRECTION, LAW)

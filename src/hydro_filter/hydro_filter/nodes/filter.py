@@ -27,6 +27,7 @@ import signal
 import threading
 import time
 from math import nan
+from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -44,7 +45,7 @@ from hydro_bridge.ros.diagnostics import (
     publisher_conflicts,
     with_publisher_conflicts,
 )
-from hydro_bridge.ros.messages import law_state_from_message, seconds, subscribe_to_box
+from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, law_state_from_message, subscribe_to_box
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import (
     AUTHORITY,
@@ -62,7 +63,7 @@ from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, 
 from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
 from hydro_filter.model.sample import Sample
 from hydro_filter.nodes.options import arguments
-from hydro_msgs.msg import Authority, BenchState, Correction, LawState
+from hydro_msgs.msg import Authority
 
 PATIENCE = 2.0
 """s after which a wait is explained to the user."""
@@ -83,6 +84,8 @@ BUSY = "stale ones came too late to be applied: the machine is busy; close other
 
 LOOK = 1.0
 """s between looks at the files. They are read once they have not changed for as long."""
+
+_PLANT = slice(2, 2 + len(PLANT_FIELDS))  # of a state's record, behind stamp and sequence
 
 BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
 STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
@@ -113,7 +116,7 @@ class FilterNode(Node):
         self._mismatch = ""
         self._age = 0.0
         self._choice = choice
-        self._message = Correction()
+        self._epoch = 0
         self._publisher: Publisher | None = None  # as long as another filter answers
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
@@ -129,11 +132,11 @@ class FilterNode(Node):
         self._come_forward()
         self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(LOOK, self._look_for_new_files, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._law: LawState | None = None  # the last one, while another law than the paper's acts
-        self._waiting: BenchState | None = None  # for its law
-        self._laws = create_subscription(self, LAW_STATE, self._on_law_state)
+        self._law: Any = None  # record of the last one, while another law than the paper's acts
+        self._waiting: Any = None  # record of a state that waits for its law
+        self._laws = create_subscription(self, LAW_STATE, self._on_law_state, raw=True)
         # last: states are queued from now on
-        self._states = create_subscription(self, STATE, self._on_state)
+        self._states = create_subscription(self, STATE, self._on_state, raw=True)
 
     def _come_forward(self) -> None:
         """Start answering, unless another filter does."""
@@ -150,7 +153,7 @@ class FilterNode(Node):
 
     def _on_authority(self, message: Authority) -> None:
         if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone
-            self._message.epoch = message.epoch
+            self._epoch = message.epoch
 
     def _compiled(self, choice: FilterChoice) -> LoopFilter:
         """Compile now, not at the first sample, and report it: until then nothing is corrected."""
@@ -191,7 +194,8 @@ class FilterNode(Node):
         words = "; ".join(f"{name}: {value}" for name, value in told.items())
         self.get_logger().info(f"new files are taken over: {words}")
 
-    def _on_state(self, message: BenchState) -> None:
+    def _on_state(self, data: bytes) -> None:
+        message = STATES.unpack(data)
         self._armed = bool(message.flags & Flag.ARMED)
         if self._states.get_publisher_count() > 1:
             return  # which of them is the plant's? The plant holds its base gains, and disarms
@@ -204,11 +208,11 @@ class FilterNode(Node):
         else:
             self._waiting = message
 
-    def _answer(self, message: BenchState) -> None:
+    def _answer(self, message: Any) -> None:
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
             self.filter.skip()
-        stamp = seconds(message.header.stamp)
+        stamp = 1e-9 * message.stamp
         self._age = self._now() - stamp
         law = self._law_near(message.sequence)
         if law is not None and self._bypasses(law):
@@ -222,7 +226,8 @@ class FilterNode(Node):
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
 
-    def _on_law_state(self, message: LawState) -> None:
+    def _on_law_state(self, data: bytes) -> None:
+        message = LAW_STATES.unpack(data)
         if self._law is None:
             why = self._bypasses(message)
             if why:
@@ -234,11 +239,11 @@ class FilterNode(Node):
             waiting, self._waiting = self._waiting, None
             self._answer(waiting)
 
-    def _bypasses(self, law: LawState) -> str:
+    def _bypasses(self, law: Any) -> str:
         """Return why nothing is decided under this law; empty: the metric is made for it."""
         return self._unknown if law.law == Law.COMPENSATED else f"law {law.law} is unknown"
 
-    def _law_near(self, sequence: int) -> LawState | None:
+    def _law_near(self, sequence: int) -> Any:
         """Return the last law that is not the paper's; None if the paper's acts: the filter begins anew with it."""
         if self._law is None or (sequence - self._law.sequence + ANOTHER_LAW) & 0xFFFFFFFF < 2 * ANOTHER_LAW:
             return self._law
@@ -278,17 +283,13 @@ class FilterNode(Node):
             self.get_logger().warning(f"the model fits this bench again; before: {self._mismatch}")
         self._mismatch = reason
 
-    def _publish(self, state: BenchState, result: Result) -> None:
+    def _publish(self, state: Any, result: Result) -> None:
         if self._publisher is None:
             return
-        message = self._message
-        message.header = state.header
-        message.sequence = state.sequence
-        message.delta_u, message.certificate_before, message.certificate_after, _ = result
-        message.active = result.delta_u != 0.0
-        message.infeasible = result.status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
-        message.status = int(result.status)
-        self._publisher.publish(message)
+        delta_u, before, after, status = result
+        infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
+        numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status), self._epoch
+        self._publisher.publish(CORRECTIONS.pack(state.stamp, state.sequence, *numbers))
 
     def _now(self) -> float:
         return 1e-9 * float(self.get_clock().now().nanoseconds)
@@ -329,9 +330,9 @@ class FilterNode(Node):
         return with_publisher_conflicts(Status(level=level, message=told, values=values), crowd)
 
 
-def sample_of(message: BenchState, law: LawState | None = None) -> Sample:
-    """Convert a BenchState, and the law of the same sample, to the filter's input; None: the paper's."""
-    state = np.array([getattr(message, name) for name in PLANT_FIELDS])
+def sample_of(message: Any, law: Any = None) -> Sample:
+    """Convert a record of a BenchState, and of the law of the same sample, to the filter's input; None: the paper's."""
+    state = np.array(message[_PLANT])
     return Sample(
         state, message.nominal_valve_current, message.reference_force, message.proportional_gain,
         message.valve_current, message.reference_force_rate, bool(message.flags & Flag.ARMED),

@@ -16,6 +16,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.process import endings
@@ -24,17 +25,27 @@ from hydro_bridge.process.realtime import drop_realtime
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
-from hydro_bridge.ros.messages import law_from_message, seconds, state_from_message, subscribe_to_box
+from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, law_from_message, seconds, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
-from hydro_bridge.ros.topics import BOX_LAW, CORRECTION, LAW_STATE, POLICY, STATE, create_publisher, create_subscription
+from hydro_bridge.ros.topics import (
+    BOX_LAW,
+    CORRECTION,
+    GRAPH,
+    LAW_STATE,
+    POLICY,
+    STATE,
+    Mailbox,
+    create_publisher,
+    create_subscription,
+)
 from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, LawCommand, ReferenceSignal
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, LawCommand, ReferenceSignal
 from hydro_bridge.size import Size
-from hydro_msgs.msg import BenchState, Correction, Gains, LawState, PolicyStep
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
+from hydro_msgs.msg import Gains, PolicyStep
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.nodes.graph.announcements import Announcer, CompanionWatch
 from hydro_policy.nodes.graph.services import FreezeService, OverrideService
@@ -44,6 +55,7 @@ from hydro_policy.supervision.override import GainOverride
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
 
+_SAMPLE = slice(2, 2 + len(STATE_FIELDS))  # of a state's record, behind stamp and sequence
 _PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
 
 
@@ -188,7 +200,10 @@ class GraphNode(Node):
         self._wait = AuthorityWait(self, self._commander, self.warn)
         self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._states = create_subscription(self, STATE, self._on_state)
+        self._states = create_subscription(self, STATE, self._on_state, raw=True)
+        self._mailbox = Mailbox(name)
+        self._fetched: dict[str, tuple[Subscription, Callable[[bytes], None]]] = {}
+        """Topics of a thousand messages a second that need not be read at once, with what reads them."""
         subscribe_to_box(self, self._on_box)
         create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -262,17 +277,26 @@ class GraphNode(Node):
             )
 
     def listen_to_corrections(self) -> None:
-        """Subscribe to the filter's corrections, a thousand a second, and pass them to the session."""
-        create_subscription(self, CORRECTION, self._on_correction)
+        """Subscribe to the filter's corrections, and pass them to the session at each policy step."""
+        self._listen(CORRECTION, self._on_correction)
+
+    def _listen(self, topic: str, read: Callable[[bytes], None]) -> None:
+        self._fetched[topic] = self._mailbox.subscribe(topic, GRAPH[topic][0], GRAPH[STATE][1]), read
 
     def compensate(self, compensation: LiveCompensation) -> None:
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
 
-        def take(message: LawState) -> None:
+        def take(data: bytes) -> None:
+            message = LAW_STATES.unpack(data)
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
 
         FreezeService(self, compensation, self.warn)
-        create_subscription(self, LAW_STATE, take)
+        self._listen(LAW_STATE, take)
+
+    def destroy_node(self) -> None:
+        """Leave the graph."""
+        self._mailbox.close()
+        super().destroy_node()
 
     def tell_steps(self) -> None:
         """Publish the policy's result of each step on /hydro/policy from now on."""
@@ -344,31 +368,41 @@ class GraphNode(Node):
         if self._meeting is not None and self.box is not None:
             self._finish()
 
-    def _on_state(self, message: BenchState) -> None:
-        begin = time.monotonic()
+    def _on_state(self, data: bytes) -> None:
+        begin, message = time.monotonic(), STATES.unpack(data)
         if self._states.get_publisher_count() > 1:
             self._wait.note_two_plants()  # which of them is the plant's?
             return
         self._sampled = min(self._sampled, begin)
         if self._session is None or not self._commander.held:
             return
-        sample = np.array(state_from_message(message))
+        sample = np.array(message[_SAMPLE])
         try:
+            if message.sequence % SAMPLES_PER_STEP == 0:
+                self._fetch()
             if self._session.on_sample(message.sequence, sample, message.flags, begin):
-                age = seconds(self._gains.header.stamp) - seconds(message.header.stamp)
+                age = seconds(self._gains.header.stamp) - 1e-9 * message.stamp
                 self.timing.add(begin, self._gains_out, age)
         except Exception as error:
             self._fail(error)
         if self._session.finished:
             self._finish()
 
-    def _on_correction(self, message: Correction) -> None:
+    def _fetch(self) -> None:
+        """Read what has arrived of the topics that are read at each policy step."""
+        for subscription, read in self._fetched.values():
+            for data, _ in self._mailbox.fetch(subscription, subscription.qos_profile.depth):
+                read(data)
+
+    def _on_correction(self, data: bytes) -> None:
+        message = CORRECTIONS.unpack(data)
         self.corrected = True
         if self._session is not None:
             self._session.on_correction(message.certificate_after, message.status)
 
     def _on_tick(self) -> None:
         try:
+            self._fetch()
             self._tick(time.monotonic())
         except Exception as error:
             self._fail(error)
