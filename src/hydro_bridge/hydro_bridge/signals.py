@@ -11,7 +11,7 @@ One sample of the bench as a numpy record (`STATE_DTYPE`)::
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -59,8 +59,8 @@ STATE_DTYPE = np.dtype(
 """Record type of one sample, 136 bytes; padded so that every float is aligned, for numba and SIMD."""
 
 
-class Flag(IntFlag):
-    """Bits of `BenchState.flags`."""
+class Flag(IntEnum):
+    """Bits of `BenchState.flags`; several of them are an int."""
 
     ARMED = 1
     SATURATED = 2
@@ -73,7 +73,7 @@ class Flag(IntFlag):
 
 
 def flag_names(flags: int) -> str:
-    """Return the names of the flags that are set (`Flag.name` of several is None before Python 3.11)."""
+    """Return the names of the flags that are set."""
     return ", ".join(str(flag.name) for flag in Flag if flag & flags) or "no flags"
 
 

@@ -96,7 +96,7 @@ class SmallBox:
         self.law_state = LawState(Law.COMPENSATED, 0.5, 0.25, (1.0, 0.03125, 0.0, 0.0), 0.25, 1.0)
         self.cable, self.info, self.obeys, self.version = cable, info or BoxInfo(name="small box"), obeys, version
         self.commands: list[CommandFrame] = []
-        self.flags = Flag(0)
+        self.flags = 0
         self.sequence = first
         self.running = True
         self.thread = threading.Thread(target=self._run, daemon=True)
@@ -139,7 +139,7 @@ class SmallBox:
         elif isinstance(frame, CommandFrame):
             self.commands.append(frame)
             if self.obeys:
-                self.flags = Flag.ARMED if frame.command.arm else Flag(0)
+                self.flags = Flag.ARMED if frame.command.arm else 0
 
     def stop(self) -> None:
         self.running = False

@@ -31,7 +31,7 @@ class Bench:
     def __init__(self, cable, small_box, baud: int = 2_000_000, **box: object) -> None:
         self.cable = cable
         self.log: list[str] = []
-        self.states: list[tuple[int, int, Flag]] = []
+        self.states: list[tuple[int, int, int]] = []
         self.law_states: list[LawState | None] = []
         settings = PortSettings(path=str(cable.path), baud=baud, silence_max=0.3, backoff_first=0.02, backoff_max=0.1)
         self.link = Link(Port(settings), CommandGuard(), self._on_state, self.log.append)
@@ -40,7 +40,7 @@ class Bench:
         self.thread.start()
 
     def _on_state(self, state, stamp_ns: int, flags: int) -> None:
-        self.states.append((state.sequence, stamp_ns, Flag(flags)))
+        self.states.append((state.sequence, stamp_ns, flags))
         self.law_states.append(state.law_state)
 
     def connected(self) -> Bench:

@@ -37,11 +37,11 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> None:
     playback = Playback([Segment(seconds=0.002), Segment(seconds=0.002), Segment(seconds=0.001)])
-    for flags in (Flag.ARMED, Flag.TRIPPED, Flag(0)):  # met like that: not our doing
+    for flags in (Flag.ARMED, Flag.TRIPPED, 0):  # met like that: not our doing
         playback.on_sample(flags)
     assert playback.next() is not None and playback.next() is None
     assert (playback.elapsed, playback.trips) == (0.0, 0)
-    for flags in (Flag.ARMED, Flag.TRIPPED, Flag.TRIPPED, Flag(0), Flag.ARMED):
+    for flags in (Flag.ARMED, Flag.TRIPPED, Flag.TRIPPED, 0, Flag.ARMED):
         playback.on_sample(flags)
     assert playback.next() is not None
     assert playback.trips_in_a_row == 1  # the first segment was not played without one

@@ -191,7 +191,7 @@ class Link:
         self.refused: tuple[int | None, int | None] = (None, None)
         """Values and references that the box refused since its power-on; None: not reported by a box of version 1."""
         self.state = LinkState.CLOSED
-        self.flags = Flag(0)
+        self.flags = 0
         self._wanted_limits = guard.settings
         self._on_state, self._log, self._warn = on_state, log, warn or log
         self._on_box = on_box or (lambda info: None)
@@ -314,7 +314,7 @@ class Link:
             self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
         self._note_refused(frame)
         stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
-        self._note_flags(Flag(frame.flags | stale))
+        self._note_flags(frame.flags | stale)
         self._on_state(frame, self._stamp(frame), int(self.flags))
         if missed:  # no correction for the previous sample: a command is sent regardless
             self.report.heartbeats += 1
@@ -379,7 +379,7 @@ class Link:
             self._log(sentence)
         self._on_box(info)
 
-    def _note_flags(self, flags: Flag) -> None:
+    def _note_flags(self, flags: int) -> None:
         changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags
         if changed:
             with self._news:
@@ -411,7 +411,7 @@ class Link:
             self.guard.set_arm(False)
             self.guard.note_sample(None)
             self.report.times.forget()
-        self._note_flags(Flag(0))
+        self._note_flags(0)
         self._tracker.reset()
         self.clock.reset()
         self.refused = (None, None)

@@ -103,7 +103,7 @@ class Playback:
         self._ends = list(accumulate(segment.seconds for segment in schedule))
         self._index, self._samples = -1, 0
         self._clean = False
-        self.flags = Flag(0)
+        self.flags = 0
         """Flags of the last sample."""
         self.trips = 0
         self.trips_in_a_row = 0
@@ -126,7 +126,7 @@ class Playback:
 
     def on_sample(self, flags: int) -> None:
         """Process a sample's flags. Nothing before the first segment is counted."""
-        before, self.flags = self.flags, Flag(flags)
+        before, self.flags = self.flags, flags
         if self._index < 0:
             return
         self._samples += bool(self.flags & Flag.ARMED)

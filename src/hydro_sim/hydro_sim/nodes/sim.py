@@ -25,7 +25,7 @@ from hydro_bridge.ros.topics import CLOCK
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import Flag, flag_names
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity
@@ -51,7 +51,7 @@ class SimSide(Simulation):
         with self.lock:
             guard = asdict(self.guard.counts)
         values = {
-            "flags": self.flags.name or "none",
+            "flags": flag_names(self.flags),
             "require filter": self.guard.settings.require_filter,
             "samples": self.samples,
             "simulated seconds per second": self.speed_reached(),

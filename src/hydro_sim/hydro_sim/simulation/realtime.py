@@ -28,7 +28,7 @@ from hydro_bridge.process.realtime import Pacer, exact_timers
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.frames import LawState
 from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Command, Flag, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
 
@@ -171,7 +171,7 @@ class Simulation:
         self.pacer = Pacer(SAMPLE_PERIOD / settings.speed if settings.speed > 0.0 else SAMPLE_PERIOD)
         self.host_clock = HostClock()
         self.samples = 0
-        self.flags = Flag(0)
+        self.flags = 0
         self._box, self._plant = box, plant
         self._on_state, self._log = on_state, log
         self._stopping = threading.Event()
@@ -220,7 +220,7 @@ class Simulation:
                 self.guard.note_sample(fields[1], fields[_NOMINAL])
             self._on_state(stamp, fields)
             measurement = self._plant.step(fields[10])
-            self._note_flags(Flag(fields[-1]))
+            self._note_flags(fields[-1])
             self._wait(fields[1], partial(self._on_state, stamp, fields))
             self.samples += 1
 
@@ -243,7 +243,7 @@ class Simulation:
         """Arm or disarm and wait for the box to confirm; return why not, or nothing. Not for the thread of `run`."""
         with self.lock:
             if arm and self.flags & Flag.TRIPPED:
-                return f"the box has tripped ({self.flags.name}): disarm it, then arm it"
+                return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
         self.steps.release()
         with self._confirmed:
@@ -251,7 +251,7 @@ class Simulation:
                 return ""
         with self.lock:
             self.guard.set_arm(False)
-        return f"the box did not confirm within {timeout:g} s ({self.flags.name})"
+        return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
 
     def warm_up(self) -> FloatArray:
         """Compile everything before the deadlines begin; return the first measurement. Repeated calls cost nothing."""
@@ -281,10 +281,10 @@ class Simulation:
             self.steps.wait(sequence, bool(self.flags & Flag.ARMED), resend)
             self.pacer.restart()
 
-    def _note_flags(self, flags: Flag) -> None:
+    def _note_flags(self, flags: int) -> None:
         changed, self.flags = flags ^ self.flags, flags
         if changed & Flag.TRIPPED and flags & Flag.TRIPPED:
-            self._log(f"tripped: {flags.name}")
+            self._log(f"tripped: {flag_names(flags)}")
         if changed:
             with self._confirmed:
                 self._confirmed.notify_all()
