@@ -37,7 +37,8 @@ from hydro_bridge.pages import environment
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import UNITS
-from hydro_diagnosis.listing import COLUMNS, as_yaml, improbable, listed, missing
+from hydro_diagnosis.io.table import columns_of
+from hydro_diagnosis.listing import COLUMNS, ROWS, as_yaml, improbable, listed, missing
 from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
@@ -133,7 +134,7 @@ class Import:
         if path.suffix.lower() not in (".mcap", *SUFFIXES):
             raise InputError(f"{path.name}: {unreadable(path)}, nor a bench file")
         table = Table(COLUMNS)
-        proposal = listed(path, None, table, self._bench)
+        proposal = listed(path, columns_of(path, ROWS), None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
         rows = [{key: _shown(value) for key, value in row.items()} for row in table.rows]
         self._first = self._first or path

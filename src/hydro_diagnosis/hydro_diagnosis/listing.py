@@ -16,12 +16,15 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import permutations
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from hydro_bridge.bags.location import is_bag, parted
+from hydro_bridge.bags.recording import Extent, RecordingError, read_bag
 from hydro_bridge.cli.console import Table, add_json_argument, command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
@@ -339,6 +342,10 @@ COSTS = {
     "force of the pressures": "the pressure sensors and the hydraulic force's scale",
 }
 """What each equation is for."""
+ROWS = 100_000
+"""Rows of a longer bag that are listed, evenly taken; counts and ranges are those of all."""
+GLANCED = 300.0
+"""Seconds of a bag, from its begin, in which numbers are judged by the bench."""
 LEVELS = "▁▂▃▄▅▆▇█"
 WIDTH = 24
 """Width in characters."""
@@ -371,12 +378,8 @@ COLUMNS = {
 }
 
 
-def listed(path: Path, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
-    """Add a row per column; returns the map, proposed if none is given.
-
-    Raises InputError if the file cannot be read.
-    """
-    found = columns_of(path)
+def listed(path: Path, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
+    """Add a row per column that was `found` in a recording; returns the map, proposed if none is given."""
     chosen = proposed(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
     for name, values in found.series.items():
@@ -386,7 +389,7 @@ def listed(path: Path, columns: ColumnMap | None, table: Table, bench: Bench) ->
             recording=path.name,
             column=name,
             unit=found.units.get(name, ""),
-            **_range(values),
+            **_range(found.extents.get(name) or Extent(1).with_values(values)),
             rate=_rate(name, found, chosen),
             shape=sparkline(values),
             used=field if sure or not field else f"{field}?",
@@ -412,9 +415,8 @@ def _add_plain(table: Table, path: Path, name: str, count: int, number: float, u
     )
 
 
-def _range(values: FloatArray) -> Mapping[str, float]:
-    finite = values[np.isfinite(values)]
-    return {"count": len(finite), "low": float(finite.min(initial=np.inf)), "high": float(finite.max(initial=-np.inf))}
+def _range(extent: Extent) -> Mapping[str, float]:
+    return {"count": extent.count, "low": extent.low, "high": extent.high}
 
 
 def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
@@ -428,7 +430,8 @@ def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
     steps = np.diff(found.series[clock])
     steps = steps[steps > 0.0]
     unit = found.units.get(clock) or (mapped.unit if mapped else "")
-    return float(1.0 / (np.median(steps) * UNITS.get(unit, 1.0))) if len(steps) else float("nan")
+    every = found.extents.get(clock, Extent(1)).every
+    return float(every / (np.median(steps) * UNITS.get(unit, 1.0))) if len(steps) else float("nan")
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -453,15 +456,16 @@ def main() -> int:
     columns = ColumnMap.load(chosen.columns)
     bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
     table = Table(COLUMNS)
-    maps = [listed(path, columns, table, bench) for path in chosen.recordings]
+    there = [columns_of(path, ROWS) for path in chosen.recordings]
+    maps = [listed(*each, columns, table, bench) for each in zip(chosen.recordings, there, strict=True)]
     table.show(chosen.json)
     for path, proposal in zip(chosen.recordings, maps, strict=True):
         for sentence in improbable(path, proposal, bench):
             print(f"{path.name}: {sentence}")
     if columns is None:
-        for path, proposal in zip(chosen.recordings, maps, strict=True):
+        for path, found, proposal in zip(chosen.recordings, there, maps, strict=True):
             print(_advice(path, proposal))
-            for sentence in (*columns_of(path).notes, *missing(proposal), *_spare_pressures(path, proposal)):
+            for sentence in (*found.notes, *missing(proposal), *_spare_pressures(found, proposal)):
                 print(f"{path.name}: {sentence}")
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
@@ -484,9 +488,8 @@ def _advice(path: Path, proposal: ColumnMap) -> str:
     return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
 
 
-def _spare_pressures(path: Path, proposal: ColumnMap) -> list[str]:
+def _spare_pressures(found: Columns, proposal: ColumnMap) -> list[str]:
     """A clause for each pressure that no field takes: it may be the supply's."""
-    found = columns_of(path)
     used = {source.column for source in proposal.sources.values()}
     units = {name: found.units.get(name) or in_name(name) for name in found.series if name not in used}
     return [
@@ -502,7 +505,7 @@ def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:
     from hydro_diagnosis.stages.hypotheses import suspicions
 
     try:
-        table = read_table(path, columns)
+        table = read_table(_beginning(path), columns)
     except InputError:
         return []
     doubts = inspect_table(table, bench).doubts
@@ -522,6 +525,20 @@ def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:
         f"perhaps {', and '.join(one.sentence for one in repairs)}: repaired, the recording fits the bench far better "
         f"before any cause is sought (diagnose tries both): {ColumnMap(changed)}"
     ]
+
+
+def _beginning(path: Path) -> Path:
+    """A bag's first `GLANCED` seconds; a file of another kind, or a bag without an index, as a whole."""
+    whole, part = parted(path)
+    begin, end = part or (0.0, inf)
+    if not is_bag(path) or end - begin <= GLANCED:
+        return path
+    first = Path(f"{whole}#t={begin},{begin + GLANCED}")
+    try:
+        read_bag(first, topics=())
+    except RecordingError:
+        return path
+    return first
 
 
 def missing(proposal: ColumnMap) -> list[str]:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
+from hydro_bridge.cli.console import Table
 from hydro_diagnosis.io.table import columns_of, read_table
+from hydro_diagnosis.listing import COLUMNS, listed
 from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.preprocessing.streaming import read_bag_within
@@ -57,6 +59,18 @@ def test_a_bag_that_was_cut_off_says_so(minute: tuple[Path, Recording], tmp_path
     cut.write_bytes(next(minute[0].glob("*.mcap")).read_bytes()[:2_000_000])
     assert "cut.mcap was not finished" in read_bag_within(cut, BENCH).quality[0]
     assert "cut.mcap was not finished" in columns_of(cut).notes[0]
+
+
+def test_a_thinned_bag_is_listed_as_the_whole_one(minute: tuple[Path, Recording]) -> None:
+    path, rows = minute[0], []
+    whole, thin = columns_of(path), columns_of(path, 7_000)
+    for name, values in whole.series.items():
+        np.testing.assert_array_equal(thin.series[name], values[::8])
+    for found in (whole, thin):
+        listed(path, found, None, table := Table(COLUMNS), BENCH)
+        rows.append(table.rows)
+    for one, other in zip(*rows, strict=True):
+        assert other == {**one, "shape": other["shape"], "rate": pytest.approx(one["rate"], rel=1e-3)}
 
 
 def test_windows_of_a_long_bag_are_what_it_holds(

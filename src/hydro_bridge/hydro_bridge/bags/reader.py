@@ -8,12 +8,14 @@ recorded, `objects` the messages of a topic whose type is not numbers only.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_bridge.bags.cdr import STATE_TYPE
 from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
@@ -21,6 +23,24 @@ from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.signals import STATE_DTYPE, StateArray
 
 STATE_TOPIC = "/hydro/state"
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What is known of all numbers of a field of which a table holds every `every`-th."""
+
+    every: int
+    count: int = 0
+    """Finite numbers."""
+    low: float = inf
+    high: float = -inf
+
+    def with_values(self, values: npt.ArrayLike) -> Extent:
+        """That of more numbers."""
+        numbers = np.asarray(values, dtype=np.float64)
+        finite = numbers[np.isfinite(numbers)]
+        low, high = float(np.min(finite, initial=self.low)), float(np.max(finite, initial=self.high))
+        return Extent(self.every, self.count + len(finite), low, high)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +54,8 @@ class Recording:
     """Offered quality of service of each topic."""
     tables: dict[str, Table]
     """Array of each topic whose type is numbers only."""
+    extents: dict[str, dict[str, Extent]]
+    """Extent of each field of each table, if `read_bag` was told to keep some rows only."""
     metadata: dict[str, dict[str, str]]
     """MCAP metadata records; `hydro` holds the run's parameters, code version and digests."""
     attachments: dict[str, bytes]
@@ -56,25 +78,39 @@ class Recording:
 
 @dataclass
 class _Column:
-    """Growing table."""
+    """Growing table, thinned out where `rows` is given."""
 
     table: Table
+    rows: int | None
     count: int = 0
+    seen: int = 0
+    every: int = 1
+    extents: dict[str, Extent] = field(default_factory=dict)
 
     def extend(self, piece: Table) -> None:
+        if self.rows is not None:
+            for name in piece.dtype.names or ():
+                self.extents[name] = self.extents.get(name, Extent(1)).with_values(piece[name])
+            first, self.seen = -self.seen % self.every, self.seen + len(piece)
+            piece = piece[first :: self.every]
         if self.count + len(piece) > len(self.table):
             grown = np.empty(max(2 * len(self.table), self.count + len(piece)), self.table.dtype)
             grown[: self.count] = self.table[: self.count]
             self.table = grown
         self.table[self.count : self.count + len(piece)] = piece
         self.count += len(piece)
+        while self.rows is not None and self.count >= 2 * self.rows:
+            kept = self.table[: self.count : 2].copy()
+            self.count, self.every = len(kept), 2 * self.every
+            self.table[: self.count] = kept
 
 
-def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recording:
+def read_bag(path: Path | str, topics: Collection[str] | None = None, rows: int | None = None) -> Recording:
     """Read a recording into arrays.
 
-    `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. Raises RecordingError: nothing
-    there, damaged, or a topic in `topics` has no messages.
+    `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: of a longer table every
+    n-th row is kept, less than twice so many. Raises RecordingError: nothing there, damaged, or a topic in `topics` has
+    no messages.
     """
     source = BagSource(Path(path))
     types: dict[str, str] = {}
@@ -89,7 +125,7 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
         layout = source.layout(scan, channel)
         if layout is not None:
             piece = decode_span(scan.path, channel.topic, layout, block, span)
-            columns.setdefault(channel.topic, _Column(np.empty(0, piece.dtype))).extend(piece)
+            columns.setdefault(channel.topic, _Column(np.empty(0, piece.dtype), rows)).extend(piece)
     for topic in topics or ():
         if topic not in types:
             raise source.without(topic, types)
@@ -98,6 +134,10 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
         topics=types,
         qos=qos,
         tables={topic: column.table[: column.count] for topic, column in columns.items()},
+        extents={
+            topic: {name: replace(one, every=column.every) for name, one in column.extents.items()}
+            for topic, column in columns.items()
+        },
         metadata={name: record for scan in source.scans for name, record in scan.metadata.items()},
         attachments={name: data for scan in source.scans for name, data in scan.attachments.items()},
         notes=tuple(source.notes),

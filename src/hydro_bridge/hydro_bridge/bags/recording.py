@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.bags.reader import STATE_TOPIC, Recording, messages, objects, read_bag, stream_bag
+from hydro_bridge.bags.reader import STATE_TOPIC, Extent, Recording, messages, objects, read_bag, stream_bag
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter
 from hydro_bridge.signals import StateArray
@@ -52,8 +52,8 @@ def continuity(states: StateArray) -> Continuity:
 
 
 __all__ = [
-    "STATE_TOPIC", "BagWriter", "Continuity", "Recording", "RecordingError", "TopicQos", "continuity", "messages",
-    "objects", "read_bag", "repair", "stream_bag",
+    "STATE_TOPIC", "BagWriter", "Continuity", "Extent", "Recording", "RecordingError", "TopicQos", "continuity",
+    "messages", "objects", "read_bag", "repair", "stream_bag",
 ]  # fmt: skip
 
 

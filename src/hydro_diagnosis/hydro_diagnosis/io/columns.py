@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hydro_bridge.bags.recording import Extent
 from hydro_bridge.signals import FloatArray
 
 _BY_QUANTITY: dict[str, dict[str, float]] = {
@@ -84,6 +85,8 @@ class Columns:
     """By column, the name of the column that holds its times; none for a table in which every row is one instant."""
     notes: tuple[str, ...] = ()
     """Notes on these times, one sentence each."""
+    extents: Mapping[str, Extent] = field(default_factory=dict)
+    """By column of which `series` holds every n-th number: what is known of all."""
 
 
 def named_like_time(name: str) -> bool:

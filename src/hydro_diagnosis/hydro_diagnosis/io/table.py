@@ -18,7 +18,8 @@ import numpy as np
 import pandas as pd
 
 from hydro_bridge.bags.location import is_bag, is_there
-from hydro_bridge.bags.recording import RecordingError, read_bag
+from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
+from hydro_bridge.bags.recording import Recording as Bag
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import UNITS, Columns, in_name
@@ -261,18 +262,21 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     return _from_columns(path, columns_of(path), columns)
 
 
-def columns_of(path: Path) -> Columns:
+def columns_of(path: Path, rows: int | None = None) -> Columns:
     """Columns of a recording before any map: the fields of a bag with /hydro/state, all numbers of other files.
 
-    Raises InputError: in one sentence that names the path.
+    `rows`: of longer bags every n-th row is kept, as by `read_bag`. Raises InputError: in one sentence that names the
+    path.
     """
     if not is_there(path):
         raise InputError(f"{path}: there is no such recording")
     if is_bag(path):
         if not has_states(path):
-            return topic_columns(path)
-        raw = from_bag(path)
-        return Columns({"time": raw.time, **raw.columns}, units={"time": "s"}, notes=raw.notes)
+            return topic_columns(path, rows)
+        bag = _bag(path, rows)
+        series = {name: bag.state[name].copy() for name in ("time", *STATE_FIELDS)}
+        extents = bag.extents.get(STATE_TOPIC, {})
+        return Columns(series, units={"time": "s"}, notes=bag.notes, extents=extents)
     if path.suffix.lower() in SUFFIXES:
         return read_columns(path)
     raise InputError(f"{path}: {unreadable(path)}")
@@ -287,17 +291,23 @@ def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
 
 def from_bag(path: Path) -> RawTable:
     """Read a bag's whole /hydro/state. Raises InputError: as `read_table`."""
-    try:
-        bag = read_bag(path, topics=("/hydro/state",))
-        states = bag.state
-    except RecordingError as error:
-        raise InputError(str(error)) from None
-    if not len(states):
-        raise InputError(f"{path}: the recording is empty")
+    bag = _bag(path)
+    states = bag.state
     steps = np.diff(states["sequence"]).view(np.int32).astype(np.float64)
     columns = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
     samples = np.concatenate([[0.0], np.cumsum(steps)])
-    return RawTable(path.name, states["time"].copy(), samples, columns, tuple(bag.notes))
+    return RawTable(path.name, states["time"].copy(), samples, columns, bag.notes)
+
+
+def _bag(path: Path, rows: int | None = None) -> Bag:
+    try:
+        bag = read_bag(path, (STATE_TOPIC,), rows)
+        empty = not len(bag.state)
+    except RecordingError as error:
+        raise InputError(str(error)) from None
+    if empty:
+        raise InputError(f"{path}: the recording is empty")
+    return bag
 
 
 def _from_columns(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:

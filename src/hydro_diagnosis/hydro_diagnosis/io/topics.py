@@ -33,13 +33,13 @@ def has_states(path: Path) -> bool:
         return False
 
 
-def topic_columns(path: Path) -> Columns:
+def topic_columns(path: Path, rows: int | None = None) -> Columns:
     """Numbers of all topics; times are the headers' stamps, or where a type has none, when the recorder got a message.
 
-    Raises InputError if the bag cannot be read.
+    `rows`: as `read_bag`. Raises InputError if the bag cannot be read.
     """
     try:
-        bag = read_bag(path)
+        bag = read_bag(path, rows=rows)
         series: dict[str, FloatArray] = {}
         clocks: dict[str, str] = {}
         units: dict[str, str] = {}
@@ -66,8 +66,10 @@ def topic_columns(path: Path) -> Columns:
                 units[f"{topic}.{field}"] = unit
     except RecordingError as error:
         raise InputError(str(error)) from None
+    extents = {f"{topic}.{name}": one for topic, fields in bag.extents.items() for name, one in fields.items()}
     said = "messages on {} carry no time: taken is when the recorder got them"
-    return Columns(series, {}, tuple(other), units, clocks, (said.format(", ".join(unstamped)),) if unstamped else ())
+    notes = (said.format(", ".join(unstamped)),) if unstamped else ()
+    return Columns(series, {}, tuple(other), units, clocks, notes, extents)
 
 
 def _columns_of_objects(path: Path, topic: str) -> tuple[dict[str, FloatArray], bool]:
