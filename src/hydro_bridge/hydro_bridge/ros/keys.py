@@ -105,7 +105,7 @@ _PLANT = Rights(
 
 _CONTROLLER = Rights(
     publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
-    subscribes=(STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
+    subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
     answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
     calls=(CLAIM_SERVICE,),
 )
@@ -139,8 +139,8 @@ RIGHTS: Mapping[str, dict[str, Rights]] = {
 for _name, _topics in {
     "recorder": tuple(GRAPH),
     "dashboard": (STATE, LAW_STATE, CORRECTION),
-    "trainer": (LAW_STATE, CORRECTION),
-    "evaluate": (LAW_STATE, CORRECTION),
+    "trainer": (CORRECTION,),
+    "evaluate": (CORRECTION,),
 }.items():
     RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
 """Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""

@@ -202,8 +202,8 @@ class GraphNode(Node):
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = create_subscription(self, STATE, self._on_state, raw=True)
         self._mailbox = Mailbox(name)
-        self._fetched: dict[str, tuple[Subscription, Callable[[bytes], None]]] = {}
-        """Topics of a thousand messages a second that need not be read at once, with what reads them."""
+        self._corrections: Subscription | None = None
+        """Read at each policy step."""
         subscribe_to_box(self, self._on_box)
         create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -278,10 +278,7 @@ class GraphNode(Node):
 
     def listen_to_corrections(self) -> None:
         """Subscribe to the filter's corrections, and pass them to the session at each policy step."""
-        self._listen(CORRECTION, self._on_correction)
-
-    def _listen(self, topic: str, read: Callable[[bytes], None]) -> None:
-        self._fetched[topic] = self._mailbox.subscribe(topic, GRAPH[topic][0], GRAPH[STATE][1]), read
+        self._corrections = self._mailbox.subscribe(CORRECTION, GRAPH[CORRECTION][0], GRAPH[STATE][1])
 
     def compensate(self, compensation: LiveCompensation) -> None:
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
@@ -291,7 +288,7 @@ class GraphNode(Node):
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
 
         FreezeService(self, compensation, self.warn)
-        self._listen(LAW_STATE, take)
+        create_subscription(self, LAW_STATE, take, raw=True)  # each before its sample
 
     def destroy_node(self) -> None:
         """Leave the graph."""
@@ -379,7 +376,7 @@ class GraphNode(Node):
         sample = np.array(message[_SAMPLE])
         try:
             if message.sequence % SAMPLES_PER_STEP == 0:
-                self._fetch()
+                self._read_corrections()
             if self._session.on_sample(message.sequence, sample, message.flags, begin):
                 age = seconds(self._gains.header.stamp) - 1e-9 * message.stamp
                 self.timing.add(begin, self._gains_out, age)
@@ -388,21 +385,19 @@ class GraphNode(Node):
         if self._session.finished:
             self._finish()
 
-    def _fetch(self) -> None:
-        """Read what has arrived of the topics that are read at each policy step."""
-        for subscription, read in self._fetched.values():
-            for data, _ in self._mailbox.fetch(subscription, subscription.qos_profile.depth):
-                read(data)
-
-    def _on_correction(self, data: bytes) -> None:
-        message = CORRECTIONS.unpack(data)
-        self.corrected = True
-        if self._session is not None:
-            self._session.on_correction(message.certificate_after, message.status)
+    def _read_corrections(self) -> None:
+        """Pass the corrections that have arrived to the session."""
+        if self._corrections is None:
+            return
+        for data, _ in self._mailbox.fetch(self._corrections, GRAPH[STATE][1].depth):
+            message = CORRECTIONS.unpack(data)
+            self.corrected = True
+            if self._session is not None:
+                self._session.on_correction(message.certificate_after, message.status)
 
     def _on_tick(self) -> None:
         try:
-            self._fetch()
+            self._read_corrections()
             self._tick(time.monotonic())
         except Exception as error:
             self._fail(error)
