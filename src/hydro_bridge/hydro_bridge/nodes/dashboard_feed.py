@@ -120,6 +120,7 @@ PERIOD = 0.05
 """s between two frames."""
 
 _WORDS_EVERY = 10  # frames: twice a second
+_UNWATCHED = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE`
 _SHOWN = (STATE, CORRECTION, GAINS, REFERENCE)
 
 
@@ -167,12 +168,12 @@ class Feed:
         self._samples.close()
 
     def _frame(self) -> None:
+        self._frames += 1
+        if self._server is None or not (self._server.viewers or self._frames % _UNWATCHED == 0):
+            return
         now = time.monotonic()
         self._samples.take(now)
         self._believe()
-        self._frames += 1
-        if self._server is None:
-            return
         frames: list[str | bytes] = []
         for number, thinned in enumerate(self._samples.series):
             slots = thinned.take()
