@@ -86,7 +86,7 @@ def test_the_size_of_the_similar_bench() -> None:
     assert (*ratios, other.current / one.current) == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
     for each in (TrainingSettings(), Randomisation(), CompensatorSettings(), Sensors()):
         assert resized(each, one, one) == each
-    assert BoxConfig().of_size(one) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
+    assert BoxConfig().of_bench(Bench.nominal()) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
     assert Range.of_force(one.force) == Range()
 
 
@@ -166,7 +166,7 @@ def corrected(bench: Bench, gains: tuple[float, float]) -> tuple[FloatArray, lis
         bench=bench,
         reference=ReferenceSignal(waveform=Waveform.SINE, amplitude=size.force, frequency=1.0),
         gains=np.tile(gains, (100, 1)),
-        box=BoxConfig().of_size(size),
+        box=BoxConfig().of_bench(bench),
     )
     metric = replace(ScheduledMetric.load(), another=None)
     done = run(trial, AnalyticPlant(bench, settings=Sensors.of_size(size)), loop_filter(metric, bench, bench))
@@ -209,9 +209,10 @@ def test_a_box_takes_references_as_far_as_its_line_tells() -> None:
     """DETAILS tells the range in single precision, whatever the size."""
     for bench in similar(effects=False):
         for share in (0.997, 1.0, 1.0 / 3.0):
-            config = BoxConfig().of_size(replace(bench.size, force=share * bench.size.force))
-            told = float(np.float32(box_details(bench, config, Sensors(), 1).force_range))
-            assert config.constants(bench)[0]["high"][0] == told
+            other = replace(bench, piston_area=share * bench.piston_area)
+            config = BoxConfig().of_bench(other)
+            told = float(np.float32(box_details(other, config, Sensors(), 1).force_range))
+            assert config.constants(other)[0]["high"][0] == told
 
 
 def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
@@ -219,7 +220,7 @@ def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
 
     def flags(bench: Bench) -> list[int]:
         size, told = bench.size, []
-        box = Box(bench, BoxConfig().of_size(size))
+        box = Box(bench, BoxConfig().of_bench(bench))
         still = AnalyticPlant(bench, noise=0.0).reset(0)
         for number, force in enumerate((0.0, 2.0, 2.34, 2.4, 2.4, 2.45, 2.46, 2.47)):
             measurement = still.copy()
@@ -236,7 +237,8 @@ def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
 def tracked(bench: Bench) -> FloatArray:
     """Load forces over the bench's, under the compensated law with its learned residual, shape (8000,)."""
     size = bench.size
-    box, settings = BoxConfig().of_size(size), EvaluationSettings(frequencies=(1.0,), measure=6.0, amplitude=size.force)
+    settings = EvaluationSettings(frequencies=(1.0,), measure=6.0, amplitude=size.force)
+    box = BoxConfig().of_bench(bench)
     fleet = VectorBench([bench], [AnalyticPlant(bench, settings=Sensors.of_size(size))], box)
     estimator = Compensator(settings=resized(CompensatorSettings(), NOMINAL, size), law=box.compensated)
     residual = Residual(1, Network.load(), estimator.settings.force_scale)

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.protocol import CommandFrame, decode, encode_command
-from hydro_bridge.signals import Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
+from hydro_bridge.signals import Command, Flag, FloatArray, Law, ReferenceSignal, Waveform, matrix
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 RUN = Command(arm=True, delta_kp=75.0, delta_ki=10.0, delta_u=1e-4, reference=SINE, filter_fresh=True)
@@ -250,3 +251,26 @@ def test_late_commands_change_gains_of_the_compensated_law_by_what_the_error_of_
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         BoxConfig(**bad)  # type: ignore[arg-type]
+
+
+def test_the_compensated_law_closes_its_loop_alike_on_every_bench(bench: Bench) -> None:
+    """Of C_1 = 0: f_l = (s + Z) / (s (m s^2 + b s) / k_s + s (1 + R) + Z) f_c with Z = K_p + K_i / s, at 1 Hz."""
+    s, others = 2j * np.pi, ({"spring_stiffness": 4e3}, {"spring_stiffness": 8e4}, {"bulk_modulus": 2e8})
+    for numbers in ({}, *others, {"piston_area": 1e-3}):
+        one = replace(bench, **numbers)
+        config, middle = BoxConfig().of_bench(one), one.spring_rest_position
+        gains = config.compensated.base_kp, config.compensated.base_ki
+        signal = replace(SINE, amplitude=0.05 * one.size.force)
+        plan = Schedule(reference=signal, gains=gains, seconds=6.0, law=Law.COMPENSATED)
+        states = simulate(AnalyticPlant(one, noise=0.0), one, plan, config=config)[2000:]
+        turning = np.exp(s * states["time"])
+        terms = np.column_stack((turning.real, turning.imag, np.ones(len(states)), states["time"]))
+        forces = matrix(states, ("load_force", "reference_force"))
+        followed, wanted = np.linalg.lstsq(terms, forces)[0][:2].T @ (1.0, -1j)
+        volume_a = one.dead_volume_a + one.piston_area * middle
+        volume_b = one.dead_volume_b + one.area_ratio * one.piston_area * (one.stroke - middle)
+        oil = one.bulk_modulus * one.piston_area**2 * (1.0 / volume_a + one.area_ratio**2 / volume_b)
+        inertia = s * (one.moving_mass * s**2 + one.viscous_friction * s) / one.spring_stiffness
+        slope, law = 1.0 + oil / one.spring_stiffness, gains[0] + gains[1] / s
+        assert followed / wanted == pytest.approx((s + law) / (inertia + s * slope + law), rel=0.02)
+        assert (gains[0] / slope, gains[1] / gains[0]) == pytest.approx((21.35, 15.0 / 400.0), rel=1e-3)

@@ -93,7 +93,7 @@ class Corrupt(InStep):
 
 
 def python_box(memory: Any, bench: Bench = NOMINAL, **settings: Any) -> InStep:
-    config = BoxConfig(**settings).of_size(bench.size)
+    config = BoxConfig(**settings).of_bench(bench)
     own = {name: value for name, value in bench.to_mapping().items() if hasattr(TruthBench, name)}
     machine = Machine(replace(profile("nominal"), bench=TruthBench(**own)), bench, config)
     details = box_details(bench, config, machine.sensors, epoch=3)

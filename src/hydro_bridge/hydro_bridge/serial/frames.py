@@ -159,17 +159,20 @@ class BoxLaw:
     coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 2000.0)
     """Fastest changes [1/s], [-], [s], [N/s]."""
 
-    def enlarged(self, ratio: float) -> BoxLaw:
-        """Return the law of a box whose bench has forces larger by this ratio."""
+    def enlarged(self, force: float, gain: float) -> BoxLaw:
+        """Return the law of a box whose bench has forces, and needs gains, larger by these ratios."""
 
         def level(numbers: Coefficients) -> Coefficients:
-            return (*numbers[:3], ratio * numbers[3])
+            return (*numbers[:3], force * numbers[3])
 
         return replace(
-            self, reference_max=ratio * self.reference_max, coefficient_min=level(self.coefficient_min),
+            self, reference_max=force * self.reference_max, coefficient_min=level(self.coefficient_min),
             coefficient_max=level(self.coefficient_max), coefficient_rate=level(self.coefficient_rate),
+            **{name: gain * getattr(self, name) for name in _GAINS},
         )  # fmt: skip
 
+
+_GAINS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max")
 
 PAPER_LAW = BoxLaw(
     velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,

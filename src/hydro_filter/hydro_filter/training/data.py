@@ -141,7 +141,7 @@ def roll_out(
     gains = float(rng.uniform(*edges[index % len(edges)])), float(rng.uniform(*integral_gains))
     reference, seed = _reference(rng, bench.size.force), int(rng.integers(2**31))
     plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds, law=settings.law)
-    box = settings.box.of_size(bench.size)
+    box = settings.box.of_bench(bench)
     first, second = _twins(plant, bench, plan, box, seed)
     label = label_of(first, second)
     if free is not None:

@@ -91,7 +91,7 @@ def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: Dat
     law, asking = data.box.compensated, list(ASKING)
     if data.law is Law.COMPENSATED:
         asking = [(law.base_kp, law.base_ki), *((s * law.base_kp, data.integral_gain_max) for s in (1.0, 0.5))]
-    force, box = bench.size.force, BoxConfig().of_size(bench.size)
+    force, box = bench.size.force, BoxConfig().of_bench(bench)
     for gains, (waveform, amplitude, offset, frequency) in product(asking, ASKED_BY):
         reference = ReferenceSignal(
             waveform=waveform, amplitude=amplitude * force, offset=offset * force, frequency=frequency

@@ -98,7 +98,7 @@ def simulate(task: Task) -> tuple[Run, Case]:
     amplitude = case.reference.amplitude * bench.size.force / NOMINAL.force
     trial = Trial(
         bench=bench, reference=replace(case.reference, amplitude=amplitude), gains=case.draw(task.seed, task.seconds),
-        box=BoxConfig().of_size(bench.size), seed=task.seed,
+        box=BoxConfig().of_bench(bench), seed=task.seed,
     )  # fmt: skip
     return run(trial, make_plant(task), make_filter(task, bench)), case
 

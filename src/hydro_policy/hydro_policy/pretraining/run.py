@@ -83,7 +83,7 @@ class SimulationSetup:
     def box_config(self) -> BoxConfig:
         """Base gains and limits of the box."""
         box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
-        return replace(box.of_size(self.believed().size), integral=self.integral)
+        return replace(box.of_bench(self.believed()), integral=self.integral)
 
     def made_for(self) -> MadeFor:
         """Box that its policies are made for: the simulated one, whatever the plant."""

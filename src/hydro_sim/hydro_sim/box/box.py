@@ -26,9 +26,9 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
-from hydro_bridge.size import Size, resized
+from hydro_bridge.size import resized
 from hydro_sim.box import kernel
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.sensors import Sensors
 
@@ -99,10 +99,14 @@ class BoxConfig:
         if self.hold_timeout > self.trip_timeout:
             raise SettingsError(f"hold_timeout {self.hold_timeout:g} s is above trip_timeout {self.trip_timeout:g} s")
 
-    def of_size(self, size: Size) -> BoxConfig:
-        """Return these settings, which are for the nominal bench, for one of this size."""
-        law = self.compensated.enlarged(size.force / NOMINAL.force)
-        return replace(resized(self, NOMINAL, size), compensated=law)
+    def of_bench(self, bench: Bench) -> BoxConfig:
+        """Return these settings, which are for the nominal bench, for the box of another.
+
+        The compensated law's gains go with 1 + R, so that its loop closes at the same rate.
+        """
+        gain = (1.0 + stiffness_ratio(bench)) / (1.0 + _NOMINAL_RATIO)
+        law = self.compensated.enlarged(bench.size.force / NOMINAL.force, gain)
+        return replace(resized(self, NOMINAL, bench.size), compensated=law)
 
     def constants(self, bench: Bench) -> npt.NDArray[np.void]:
         """Return the settings for the compiled box: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""
@@ -125,6 +129,17 @@ class BoxConfig:
         ranges = (*loads, *loads, pressure, pressure, position, (-velocity, velocity))
         record["low"], record["high"] = np.transpose(ranges)
         return record
+
+
+def stiffness_ratio(bench: Bench) -> float:
+    """Return R [-], the oil's stiffness with the spring relaxed over the spring's: h = -R f_l'."""
+    numbers = bench.constants().view(np.recarray)[0]
+    position = min(max(numbers.spring_rest_position, 0.0), numbers.stroke)
+    stiff = equations.stiffnesses(numbers, (numbers.bulk_modulus, numbers.bulk_modulus), position)
+    return float(-equations.force_rate(numbers, stiff, (0.0, 0.0), 1.0) / numbers.spring_stiffness)
+
+
+_NOMINAL_RATIO = stiffness_ratio(Bench.nominal())
 
 
 class Box:

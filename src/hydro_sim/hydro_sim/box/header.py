@@ -33,7 +33,7 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    config = BoxConfig(integral=options.integral).of_size(bench.size)
+    config = BoxConfig(integral=options.integral).of_bench(bench)
     text = header(values(bench, config, Sensors(), options.name))
     write_whole(Path(options.out), text.encode())
     print(f"{options.out}: box {options.name}, bench {bench.digest}")

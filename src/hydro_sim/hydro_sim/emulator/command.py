@@ -117,7 +117,7 @@ def _serve(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise SettingsError(f"--seed {options.seed}: must be 0 or more")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    box, truth = BoxConfig(integral=options.integral).of_size(bench.size), offline.truth(options.truth)
+    box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.truth(options.truth)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
     machine: Machine
     link: BoxLink

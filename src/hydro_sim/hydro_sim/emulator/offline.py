@@ -162,7 +162,7 @@ def run(job: Job) -> Recording:
     segments: Sequence[Segment] = load_schedule(job.schedule) if job.schedule else DEFAULT_SCHEDULE
     if job.seconds is not None:
         segments = fit_to(segments, job.seconds)
-    box = with_gain_limits_for(segments, BoxConfig(integral=job.integral).of_size(bench.size))
+    box = with_gain_limits_for(segments, BoxConfig(integral=job.integral).of_bench(bench))
     recording = record_offline(config, segments, bench=bench, box=box, seed=job.seed)
     write_bag(job.out, recording, bench)
     if job.noise_free:

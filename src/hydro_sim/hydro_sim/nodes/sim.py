@@ -89,7 +89,7 @@ class SimNode(PlantNode):
                 "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
                 "leave it out unless you want that"
             )
-        config = declare_parameters(self, BoxConfig().of_size(believed.size), "box.")
+        config = declare_parameters(self, BoxConfig().of_bench(believed), "box.")
         box, plant = Box(believed, config), _plant(settings, bench)
         effects = ", ".join(map(label, plant.model.bench.terms)) if isinstance(plant, AnalyticPlant) else ""
         what = f"its effects: {effects}" if effects else "without an effect beyond its numbers"
