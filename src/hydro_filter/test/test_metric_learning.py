@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hydro_bridge.settings import check
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
 from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
 from hydro_filter.metric.scheduled import ScheduledMetric
@@ -28,6 +29,7 @@ from hydro_filter.training.data import (
     windows_of,
 )
 from hydro_filter.training.metric_learning import free_plant, refine, require_held_out
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -143,6 +145,23 @@ def test_an_overlap_makes_no_gain_stable_and_none_unstable_that_its_loop_is_not(
         assert (alone.label, asked.label) == (held, label)
         np.testing.assert_array_equal(alone.states, asked.states)
     assert label_of_both(UNSTABLE, STABLE) == UNSTABLE, "what the bench itself does counts"
+
+
+def test_the_box_of_the_rollouts_admits_their_gains_and_the_table_that_of_its_law(bench: Bench) -> None:
+    """On a soft spring, where the law's gains are six times the nominal ones; told in single precision by a box."""
+    soft = replace(bench, spring_stiffness=2500.0)
+    own = BoxConfig().of_bench(soft).compensated
+    told = replace(own, base_kp=float(np.float32(own.base_kp)), velocity_compensation=0.25, delta_kp_min=-100.0)
+    settings = DataSettings.under(told, rollouts=8, seconds=2.0)
+    check(settings)
+    assert settings.velocity_compensation == 0.25 and settings.gain_max == 1.25 * told.base_kp > 2000.0
+    for index in (2, 3):
+        run = roll_out(AnalyticPlant(soft, noise=0.0), soft, settings, index)
+        assert run.gains[0] > 0.0 and not np.isclose(run.gains[0], told.base_kp, rtol=0.05)
+        np.testing.assert_allclose(run.states["proportional_gain"], run.gains[0], rtol=1e-6)
+    design = MetricDesign(velocity_compensation=0.25, gain_low=20.0, gain_high=float(np.ceil(told.base_kp)))
+    gains = ScheduledMetric.designed(loop_of(soft, soft), design).gains
+    assert gains[0] == 20.0 and gains[-1] == design.gain_high >= told.base_kp and len(gains) == 18
 
 
 def test_a_range_that_no_held_out_rollout_can_judge_is_refused(windows: Windows) -> None:

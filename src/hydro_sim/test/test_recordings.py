@@ -3,9 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple, replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from hydro_bridge.bags.recording import BagWriter, RecordingError
+from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile
@@ -54,3 +59,18 @@ def test_runs_do_not_cross_gaps_or_faults(recorded):
         (12001, 2999),
         (15001, len(states) - 15001),
     ]
+
+
+def test_the_law_that_the_box_told_last_counts(tmp_path: Path) -> None:
+    told = (BoxLaw(), replace(BoxLaw(base_kp=2800.0), coefficient_min=(0.5, -0.5, 0.0, -8.0)), None)
+    for count in (1, 2, 3):
+        with BagWriter(tmp_path / str(count)) as writer:
+            writer.add_topic(recordings.LAW_TOPIC, "hydro_msgs/msg/BoxLaw")
+            for second, law in enumerate(told[:count]):
+                head = b"\0\1\0\0" + np.array([second, 0, 1], "<u4").tobytes()
+                numbers = np.hstack(astuple(law or BoxLaw())).astype("<f8").tobytes()
+                writer.write(recordings.LAW_TOPIC, head + bytes((0, law is not None, 0, 0)) + numbers, second * 10**9)
+        assert recordings.box_law(tmp_path / str(count)) == told[count - 1]
+    with pytest.raises(RecordingError, match="no messages on /hydro/box_law"):
+        BagWriter(tmp_path / "none").close()
+        recordings.box_law(tmp_path / "none")

@@ -134,13 +134,7 @@ def law_to_message(law: BoxLaw | None, stamp: Any) -> BoxLawMessage:
 
 def law_from_message(message: BoxLawMessage) -> BoxLaw | None:
     """Return a box's compensated law from its message; None: it has none."""
-    if not message.offered:
-        return None
-    told = {name: getattr(message, name) for name in _LAW_NUMBERS}
-    numbers: dict[str, Any] = {
-        name: value if isinstance(value, float) else tuple(value) for name, value in told.items()
-    }
-    return BoxLaw(**numbers)
+    return BoxLaw.told(message)
 
 
 def fill_law_command(message: LawCommandMessage, command: LawCommand) -> LawCommandMessage:

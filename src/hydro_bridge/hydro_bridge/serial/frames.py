@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hydro_bridge.signals import NEUTRAL, Coefficients, Command, Law
 
@@ -158,6 +158,17 @@ class BoxLaw:
     """Upper limits."""
     coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 2000.0)
     """Fastest changes [1/s], [-], [s], [N/s]."""
+
+    @classmethod
+    def told(cls, message: Any) -> BoxLaw | None:
+        """Return the law in a hydro_msgs/BoxLaw, received or recorded; None: the box has none."""
+        if not message.offered:
+            return None
+        numbers: dict[str, Any] = {}
+        for name in (entry.name for entry in fields(cls)):
+            value = getattr(message, name)
+            numbers[name] = tuple(map(float, value)) if name.startswith("coefficient") else float(value)
+        return cls(**numbers)
 
     def enlarged(self, force: float, gain: float) -> BoxLaw:
         """Return the law of a box whose bench has forces, and needs gains, larger by these ratios."""

@@ -29,9 +29,9 @@ from hydro_filter.model.parts import Loop
 class MetricDesign:
     """Loops for which metrics are solved."""
 
-    gain_low: Annotated[float, quantity("1/s", 1.0, 100.0)] = 10.0
+    gain_low: Annotated[float, quantity("1/s", 1.0, 1e6)] = 10.0
     """The certified range's lower end."""
-    gain_high: Annotated[float, quantity("1/s", 1.0, 1000.0)] = 95.0
+    gain_high: Annotated[float, quantity("1/s", 1.0, 1e6)] = 95.0
     """The certified range's upper end: the rollouts turn unstable some 20 1/s above."""
     gain_share: Annotated[float, quantity("-", 0.1, 1.0)] = 0.8
     """The upper end is at most this share of the gain at which the loop at rest decays no more."""
@@ -55,6 +55,8 @@ class MetricDesign:
 
 MOST_STEPS = 17
 """Of the table: a bench whose range is wider than the nominal one's has wider steps."""
+MOST_TRIED = 600
+"""Gains at which `decaying_range` asks, at most."""
 ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
 """K_p [1/s] of `require_decay`."""
 
@@ -111,7 +113,8 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     Raises ValueError if the loop does not decay at the range's lower end, or the reserve leaves no range.
     """
     low, share = design.gain_low, design.gain_share
-    for gain in np.arange(low, design.gain_high / share, 1.0):
+    high = design.gain_high / share
+    for gain in np.arange(low, high, max(1.0, (high - low) / MOST_TRIED)):
         if float(np.abs(np.linalg.eigvals(_closed(loop, float(gain), design.velocity_compensation))).max()) >= 1.0:
             break
     else:
@@ -161,8 +164,10 @@ def _foreign_weights(loop: Loop, design: MetricDesign) -> FloatArray:
 
 def _gains(design: MetricDesign) -> FloatArray:
     """K_p [1/s] of the table."""
-    step = max(design.gain_step, (design.gain_high - design.gain_low) / MOST_STEPS)
-    return np.asarray(np.arange(design.gain_low, design.gain_high + 0.5 * step, step), np.float64)
+    low, high, step = design.gain_low, design.gain_high, design.gain_step
+    wide = high - low > MOST_STEPS * step
+    gains = np.linspace(low, high, MOST_STEPS + 1) if wide else np.arange(low, high + 0.5 * step, step)
+    return np.asarray(gains, np.float64)
 
 
 def _closed(loop: Loop, proportional_gain: float, velocity_compensation: float) -> FloatArray:

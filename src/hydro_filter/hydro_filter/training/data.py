@@ -63,37 +63,42 @@ class DataSettings:
     """Successive samples of a window (Table training_metric)."""
     gain_min: Annotated[float, quantity("1/s", -40.0, 0.0)] = -40.0
     """Smallest K_p."""
-    gain_max: Annotated[float, quantity("1/s", 1.0, 1000.0)] = 300.0
+    gain_max: Annotated[float, quantity("1/s", 1.0, 1e6)] = 300.0
     """Largest K_p."""
-    integral_gain_min: Annotated[float, quantity("1/s^2", -5.0, 100.0)] = -5.0
+    integral_gain_min: Annotated[float, quantity("1/s^2", -5.0, 1e6)] = -5.0
     """Smallest K_i."""
-    integral_gain_max: Annotated[float, quantity("1/s^2", 0.0, 100.0)] = 30.0
+    integral_gain_max: Annotated[float, quantity("1/s^2", 0.0, 1e6)] = 30.0
     """Largest K_i."""
     seed: Annotated[int, quantity("-", 0, 9e15)] = 0
     """Of gains, references and noise."""
-    law: Law = Law.PAPER
-    """Force law of the rollouts."""
+    compensated: BoxLaw | None = None
+    """The box's compensated law, under which they run; None: the paper's."""
 
     @classmethod
     def under(cls, law: BoxLaw, **settings: int) -> DataSettings:
-        """Settings of the compensated law: gains from none to a quarter above those that it admits."""
+        """Settings of a compensated law: gains from none to a quarter above those that it admits."""
         return cls(
-            law=Law.COMPENSATED, gain_min=0.0, gain_max=1.25 * (law.base_kp + law.delta_kp_max),
+            compensated=law, gain_min=0.0, gain_max=1.25 * (law.base_kp + law.delta_kp_max),
             integral_gain_min=law.base_ki + law.delta_ki_min, integral_gain_max=law.base_ki + law.delta_ki_max,
             **settings,
         )  # fmt: skip
 
+    def box(self, bench: Bench) -> BoxConfig:
+        """Return a box of this bench that admits all gains of the rollouts."""
+        own, law = BoxConfig().of_bench(bench), self.compensated
+        if law is None:
+            return own
+        return replace(own, compensated=replace(law, delta_kp_min=-law.base_kp, delta_kp_max=self.gain_max))
+
     @property
-    def box(self) -> BoxConfig:
-        """A box of the nominal bench that admits all gains of the rollouts."""
-        own = BoxConfig()
-        wide = replace(own.compensated, delta_kp_min=-own.compensated.base_kp, delta_kp_max=self.gain_max)
-        return replace(own, compensated=wide)
+    def law(self) -> Law:
+        """Force law of the rollouts."""
+        return Law.PAPER if self.compensated is None else Law.COMPENSATED
 
     @property
     def velocity_compensation(self) -> float:
         """C_1 of the law."""
-        return self.box.compensated.velocity_compensation if self.law is Law.COMPENSATED else 1.0
+        return 1.0 if self.compensated is None else self.compensated.velocity_compensation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +146,7 @@ def roll_out(
     gains = float(rng.uniform(*edges[index % len(edges)])), float(rng.uniform(*integral_gains))
     reference, seed = _reference(rng, bench.size.force), int(rng.integers(2**31))
     plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds, law=settings.law)
-    box = settings.box.of_bench(bench)
+    box = settings.box(bench)
     first, second = _twins(plant, bench, plan, box, seed)
     label = label_of(first, second)
     if free is not None:

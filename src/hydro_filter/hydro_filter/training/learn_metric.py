@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import argparse
 
+from hydro_bridge.bags.recording import RecordingError
 from hydro_bridge.cli.console import add_json_argument, command, writable
 from hydro_sim.files.weights import WeightsError
 
 
-@command(WeightsError, ValueError)
+@command(WeightsError, RecordingError, ValueError)
 def main() -> None:
     """Entry point."""
     options = arguments()
@@ -30,6 +31,10 @@ def arguments() -> argparse.Namespace:
     result.add_argument("--out", required=True, type=writable, metavar="METRIC", help="file to write, .safetensors")
     result.add_argument("--model", metavar="FILE", help="bench file of the learned bench; the shipped one by default")
     result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
+    result.add_argument(
+        "--recording", metavar="BAG",
+        help="recording of the box, whose compensated law it told; by default that of the emulator for this bench",
+    )  # fmt: skip
     result.add_argument(
         "--law", choices=("both", "paper", "compensated"), default="both",
         help="force law that the metric is for; a learned bench has the paper's alone. Default: %(default)s",

@@ -17,6 +17,7 @@ other gains. Eigenvalues are of C^-1 ... C^-T with M = C C', so that a small M d
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections import Counter
@@ -29,7 +30,7 @@ import numpy as np
 
 from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, Law
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.design import (
     MetricDesign,
     correcting_feedback,
@@ -55,7 +56,7 @@ from hydro_filter.training.data import (
 )
 from hydro_filter.training.thresholds import integral_allowance, noise_sizes
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.files import learned_bench
+from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -239,8 +240,9 @@ def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
 
 HELD_OUT = 5
 """Every fifth rollout is held out."""
-SLOW_RESERVE = 2.0
-"""1/s above the highest small K_p whose rollouts do not decay: with C_1 below 1 these are slow, not unstable."""
+SLOW_RESERVE = 0.005
+"""Reserve above the highest small K_p whose rollouts do not decay, over the compensated law's base K_p: with C_1 below
+1 these are slow, not unstable."""
 OVERLAP_TOLD = (
     "the bench file has a valve_deadband, within which no current moves the piston: the metric is of the loop without "
     "it, and corrections leap over it; reduce the overlap, or expect leaps of the current by both half widths"
@@ -273,7 +275,7 @@ def learn(options: argparse.Namespace) -> None:
         _say(OVERLAP_TOLD)
     laws = [data] if options.law != "compensated" else []
     if options.law != "paper":
-        laws.append(DataSettings.under(BoxConfig().compensated, rollouts=data.rollouts // 2, seed=data.seed))
+        laws += _compensated(options, bench, data)
     found: list[tuple[ScheduledMetric, Table]] = []
     for law in laws:
         try:
@@ -302,6 +304,17 @@ def learn(options: argparse.Namespace) -> None:
             _say(f"C_1 = {metric.velocity_compensation:g}: {reason}; {kept}")
 
 
+def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) -> list[DataSettings]:
+    """Rollouts under the compensated law of the recorded box, or of a box of this bench; none where it has none."""
+    law = recordings.box_law(options.recording) if options.recording else BoxConfig().of_bench(bench).compensated
+    if law is not None:
+        return [DataSettings.under(law, rollouts=data.rollouts // 2, seed=data.seed)]
+    if options.law == "compensated":
+        raise ValueError(f"the box of {options.recording} offers no compensated law: leave out --law compensated")
+    _say(f"the box of {options.recording} offers no compensated law: a metric of the paper's alone")
+    return []
+
+
 def _certificate(
     model: Bench, bench: Bench, loop: Loop, data: DataSettings, rates: DecayRates,
     options: argparse.Namespace,
@@ -315,6 +328,11 @@ def _certificate(
     require_held_out(material.held_out, design)
     told = f"certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s"
     _say(f"{_told(material.rollouts)}; {told}" + ("" if c_1 == 1.0 else f" at C_1 = {c_1:g}"))
+    if data.compensated is not None and data.compensated.base_kp > design.gain_high:
+        _say(
+            f"the box's base K_p of {data.compensated.base_kp:.0f} 1/s is above that range: the filter corrects it as "
+            "any gain without a certificate; a lower one, with fewer corrections, is the box's to set"
+        )
     best_correction = correction(loop, design)
     metric = _refined(ScheduledMetric.designed(loop, design), material.training, best_correction, rates, options.seed)
 
@@ -337,12 +355,13 @@ def _certificate(
 
 def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDesign:
     """The gains for which metrics are solved: those of stable rollouts, and of the compensated law those it admits."""
-    if data.law is Law.PAPER:
+    law = data.compensated
+    if law is None:
         low, high = certified_range(rollouts)
         return decaying_range(loop, replace(MetricDesign(), gain_low=round(low), gain_high=round(high)))
-    law = BoxConfig().compensated
-    low, high = certified_range(rollouts, low_reserve=SLOW_RESERVE)
-    low, high = max(round(low), law.base_kp + law.delta_kp_min), min(round(high), law.base_kp + law.delta_kp_max)
+    low, high = certified_range(rollouts, low_reserve=SLOW_RESERVE * law.base_kp)
+    low = max(round(low), math.floor(law.base_kp + law.delta_kp_min), 1)
+    high = min(round(high), math.ceil(law.base_kp + law.delta_kp_max))
     usual = MetricDesign(velocity_compensation=data.velocity_compensation)
     return decaying_range(loop, replace(usual, gain_low=low, gain_high=high))
 

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray, Law, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.displacement import displace
@@ -21,7 +21,6 @@ from hydro_filter.model.loop import closing_current, memories, step_of
 from hydro_filter.model.observer import follow, settle
 from hydro_filter.model.parts import Loop
 from hydro_filter.training.data import DataSettings
-from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -88,10 +87,10 @@ ASKED_FOR = 18.0
 def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: DataSettings, seed: int = 0) -> float:
     """Largest integral action of stable loops under the law of `data` after the first second [N/s], plus a quarter."""
     largest = 0.0
-    law, asking = data.box.compensated, list(ASKING)
-    if data.law is Law.COMPENSATED:
+    law, asking = data.compensated, list(ASKING)
+    if law is not None:
         asking = [(law.base_kp, law.base_ki), *((s * law.base_kp, data.integral_gain_max) for s in (1.0, 0.5))]
-    force, box = bench.size.force, BoxConfig().of_bench(bench)
+    force, box = bench.size.force, data.box(bench)
     for gains, (waveform, amplitude, offset, frequency) in product(asking, ASKED_BY):
         reference = ReferenceSignal(
             waveform=waveform, amplitude=amplitude * force, offset=offset * force, frequency=frequency

@@ -309,16 +309,17 @@ def diagnosis(at: Site) -> str:
 def metric(at: Site) -> str:
     """See the module."""
     out = at.folder / site.METRIC
+    held_out = at.recording("held_out")
     words = ("--model", str(at.folder / site.MODEL), "--bench", at.bench, "--out", str(out))
     laws = "compensated" if at.again and at.record.adopted in ("compensated", "residual") else "both"
-    said = at.run("hydro_filter", "learn_metric", *words, "--law", laws)
+    said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", laws)
     found = ScheduledMetric.load(out)
     at.record.certified_gains = {
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]
         for one in found.certificates
     }
     own = loop_filter(found, Bench.load(str(at.folder / site.MODEL)), Bench.load(at.bench))
-    checks.fits(_states(at.recording("held_out")), own)
+    checks.fits(_states(held_out), own)
     ranges = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in at.record.certified_gains.items())
     missing = laws == "both" and len(at.record.certified_gains) < 2
     return "; ".join([*ranges, *([said] if missing else [])])

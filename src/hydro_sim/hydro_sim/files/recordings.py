@@ -11,8 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.bags.recording import objects, read_bag
+from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
+
+LAW_TOPIC = "/hydro/box_law"
 
 BOX_TOPIC, BENCH_FILE = "/hydro/box", "bench.yaml"
 """Where a recording states the bench that its box believed: the topic, or the attachment of older recordings."""
@@ -87,6 +90,15 @@ class Data:
 def load(paths: Sequence[str | Path]) -> dict[str, StateArray]:
     """Load the states of recordings by name; raises hydro_bridge.bags.recording.RecordingError."""
     return {Path(path).name: read_bag(path).state for path in paths}
+
+
+def box_law(path: str | Path) -> BoxLaw | None:
+    """Return the compensated law that the box of a recording told last; None: it has none.
+
+    Raises hydro_bridge.bags.recording.RecordingError: damaged, or no box told its law.
+    """
+    *_, (_, message) = objects(path, LAW_TOPIC)
+    return BoxLaw.told(message)
 
 
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
