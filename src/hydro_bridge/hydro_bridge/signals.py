@@ -72,6 +72,10 @@ class Flag(IntEnum):
     EXTRAPOLATING = 128
 
 
+FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
+"""Flags of a trip that a controller may have caused. Without them the box heard nothing for too long."""
+
+
 def flag_names(flags: int) -> str:
     """Return the names of the flags that are set."""
     return ", ".join(str(flag.name) for flag in Flag if flag & flags) or "no flags"

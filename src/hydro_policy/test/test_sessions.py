@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from tensorboardX.proto.event_pb2 import Event
 
-from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
+from hydro_bridge.signals import STATE_FIELDS, Command, Flag, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
-from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.evaluation.session import REPEATS, SILENCE, EvaluationSession, EvaluationSettings
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
@@ -163,6 +163,32 @@ def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> N
     assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
     assert not own.tripped
     assert best(session) == "", "nothing is compared with what did not act"
+
+
+@pytest.mark.parametrize(("silence", "spoilt", "stopped"), [(0.3, 1, ""), (0.07, 1, ""), (0.3, 3, SILENCE)])
+def test_a_run_in_which_the_machine_was_held_up_is_started_again(silence: float, spoilt: int, stopped: str) -> None:
+    """The box hears nothing in the first runs: for so long that it trips, or that base gains act."""
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], graph)
+    receive, until, hit = graph.box.receive, 0.0, set[int]()
+
+    def hear(command: Command, time: float) -> None:
+        nonlocal until
+        run = session._run
+        if run is not None and run.rows and run.first not in hit and len(hit) < spoilt:
+            hit.add(run.first)
+            until = time + silence
+        if time >= until:
+            receive(command, time)
+
+    graph.box.receive = hear  # type: ignore[method-assign]
+    graph.run(session, 30.0)
+    (score,) = session.scores
+    assert score.stopped == stopped and math.isnan(score.rmse) is bool(stopped) and not session.warnings
+    again = [sentence for sentence in graph.sentences if "fixed (90, 15) at 2 Hz is started again" in sentence]
+    assert len(again) == min(spoilt, REPEATS)
+    assert (score.samples, score.held) == ((0, 0) if stopped else (500, 0))
 
 
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:

@@ -17,9 +17,6 @@ from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray, ReferenceSignal
 from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.task.mdp import ACTIONS, TaskSettings, observe
 
-FAULTS = int(Flag.FORCE_LIMIT | Flag.SENSOR_FAULT)
-"""Flags of a trip caused by the policy."""
-
 
 @dataclass(frozen=True)
 class Transitions:

@@ -20,9 +20,6 @@ from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import ExamSettings, Score
 from hydro_policy.task.mdp import GainRange
 
-RETRIES = 2
-"""Repeats of a sine with late corrections, whose result is not due to the policy."""
-
 CHANCE = 0.025
 """Probability that a score passes for better by chance, over the comparisons of the run so far (Bonferroni)."""
 
@@ -110,7 +107,6 @@ def examination(
         watch=watch,
         override=override,
         monitor=monitor,
-        retries=RETRIES,
         lead=LEAD if fresh or reference_too else 0.0,
     )
 

@@ -6,6 +6,8 @@ order     repeat, case, controller: controllers follow each other closely, so th
           those of the compensated law last, since the plant is disarmed for another law
 failure   the box trips, or the monitor requests a stop: the run counts as stopped, and a second of calm follows. If the
           plant is lost, or a person takes the gains, the run is restarted
+hold-up   corrections or commands came late, or the box heard nothing for so long that it tripped: the run is started
+          again, `REPEATS` times at most
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.safety.readiness import Requirement
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
+from hydro_bridge.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.supervision.interfaces import Outputs
@@ -31,6 +33,11 @@ from hydro_sim.files import load_force
 
 HELD_MAX = 0.01
 """Share of a run's samples for which the box may hold base gains."""
+
+REPEATS = 2
+"""Times that a run is started again in which the machine was held up."""
+
+SILENCE = "the box heard nothing for too long and tripped: the machine was held up"
 
 REPLACED = 0.5
 """The same above which a run tells nothing of its controller."""
@@ -76,8 +83,6 @@ class EvaluationSession:
         Gains held by a person.
     monitor
         Stops a run that goes wrong before the box has to; None: only the box does.
-    retries
-        Number of repeats of a run in which the box held base gains for too long (`HELD_MAX`).
     requirements
         Requirements before arming, besides plant and filter.
     compensation
@@ -99,7 +104,6 @@ class EvaluationSession:
         after: PlantSupervisor | None = None,
         override: GainOverride | None = None,
         monitor: SafetyMonitor | None = None,
-        retries: int = 0,
         requirements: Sequence[Requirement] = (),
         compensation: LiveCompensation | None = None,
         felt: Path | None = None,
@@ -119,7 +123,7 @@ class EvaluationSession:
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
         self._outputs, self.monitor, self._felt = outputs, monitor, felt
-        self._retries, self._retried = retries, 0
+        self._repeats = 0
         self._clock = StepClock()
         self._run: _Run | None = None
         self._steps = 0
@@ -160,7 +164,7 @@ class EvaluationSession:
                 return False
         if not flags & Flag.ARMED:
             if flags & Flag.TRIPPED:
-                self._on_trip()
+                self._on_trip(flags)
             self._run = None
             return False
         held = self.override.gains(now)
@@ -278,17 +282,26 @@ class EvaluationSession:
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
         bits = held(flags, k_p, k_i, self._base(run.controller))
         share = float(np.mean(bits != 0))
-        if share > HELD_MAX and self._retried < self._retries:
-            self._retried += 1
+        late = self._late(run.controller, share)
+        if late and share <= REPLACED and self._again(run, late):
             return
-        self._retried = 0
         if reason := self._replaced(run.controller, trace, share):
             self._leave_out(run, reason)
             return
-        self._check_held(run.controller, trace, share)
+        if late:
+            self._warn(f"{trace.controller} at {trace.case}: {late}")
+        self._repeats = 0
         felt = None if self._felt is None else load_force.read(self._felt, trace.states["sequence"])
         self.scores.append(score(trace, run.repeat, int(np.count_nonzero(bits)), felt))
         self.traces.append(trace)
+
+    def _again(self, run: _Run, why: str) -> bool:
+        """Let a run begin again that the machine spoilt; False where it has been repeated often enough."""
+        if self._repeats == REPEATS:
+            return False
+        self._repeats += 1
+        self._outputs.say(f"{run.controller.name} at {run.case.name} is started again: {why}", warning=True)
+        return True
 
     def _stop(self, run: _Run, reason: str) -> None:
         self._leave_out(run, reason)
@@ -298,16 +311,17 @@ class EvaluationSession:
     def _leave_out(self, run: _Run, reason: str) -> None:
         """Score a run as stopped."""
         name, case = run.controller.name, run.case
-        frequency = case.signal.frequency
+        frequency, self._repeats = case.signal.frequency, 0
         self.scores.append(
             Score(controller=name, case=case.name, frequency=frequency, repeat=run.repeat, stopped=reason)
         )
         self._outputs.say(f"{name} at {case.name}: {reason}", warning=True)
 
-    def _on_trip(self) -> None:
-        """Attribute a trip to the run, or to nobody under gains held by a person."""
-        if self._run is not None:
-            self._stop(self._run, self.watch.condition)
+    def _on_trip(self, flags: int) -> None:
+        """Attribute a trip to the run, or to nobody under gains held by a person, or where the machine was held up."""
+        silent = not flags & FAULTS
+        if self._run is not None and not (silent and self._again(self._run, SILENCE)):
+            self._stop(self._run, SILENCE if silent else self.watch.condition)
         elif not self.watch.calming:
             self.watch.calm()
 
@@ -315,13 +329,14 @@ class EvaluationSession:
         """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
 
-    def _check_held(self, controller: Controller, trace: Trace, share: float) -> None:
-        """Warn of a run in which base gains replaced the controller's for too long for a fair comparison."""
+    def _late(self, controller: Controller, share: float) -> str:
+        """Return that base gains replaced the controller's for too long for a fair comparison; empty if not."""
         own = tuple(getattr(controller, name, None) for name in ("proportional", "integral"))
-        if share > HELD_MAX and own != self._base(controller):
-            sentence = f"{trace.controller} at {trace.case}: base gains in {100 * share:.0f} % of the samples"
-            late = "corrections" if self._controller.law.law is Law.PAPER else "commands of the law"
-            self._warn(f"{sentence}, {late} came late: if the machine is busy, close other programs")
+        if share <= HELD_MAX or own == self._base(controller):
+            return ""
+        late = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
+        held_up = f"base gains in {100 * share:.0f} % of the samples, {late} came late"
+        return f"{held_up}: if the machine is busy, close other programs"
 
     def _replaced(self, controller: Controller, trace: Trace, share: float) -> str:
         """Return why a run tells nothing of its controller: other gains acted; empty if its own did."""

@@ -17,7 +17,7 @@ from dataclasses import asdict
 from typing import Any
 
 from hydro_bridge.safety.readiness import Requirement
-from hydro_bridge.signals import Flag, FloatArray
+from hydro_bridge.signals import FAULTS, Flag, FloatArray
 from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import RunRecord, TrainingSettings
@@ -31,7 +31,6 @@ from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.step_aggregator import Step, StepClock
 
-FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
 UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
 
 

@@ -121,6 +121,8 @@ class Score:
     """1/s, mean that the box applied."""
     integral_gain: float = math.nan
     """1/s^2, mean that the box applied."""
+    samples: int = 0
+    """Samples that were measured."""
     lost: int = 0
     """Samples that never arrived."""
     held: int = 0
@@ -161,6 +163,7 @@ def score(trace: Trace, repeat: int, held: int = 0, felt: FloatArray | None = No
         chatter=float(np.sqrt(np.mean(current_rate**2))),
         proportional_gain=float(states["proportional_gain"].mean()),
         integral_gain=float(states["integral_gain"].mean()),
+        samples=len(states),
         lost=int((steps - 1).sum()),
         held=held,
     )
