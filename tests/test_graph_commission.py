@@ -20,9 +20,9 @@ from hydro_bridge.errors import UserError
 from hydro_bridge.files import site
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, Record, best, digests
+from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
-from hydro_policy.nodes.commissioning import NAMES
+from hydro_policy.nodes.commissioning import NAMES, Site, comparison
 from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box
 from hydro_policy.nodes.startup.options import take_site
 from hydro_sim.box.box import BoxConfig, box_info
@@ -140,3 +140,19 @@ def test_a_stopped_controller_is_never_the_best() -> None:
     }
     assert best(entries) == "best_fixed"
     assert best({"policy": entries["policy"]}) == ""
+
+
+def test_a_controller_under_which_the_piston_stood_is_left_out(tmp_path: Path) -> None:
+    """A force that stands has 212 N RMSE of a sine of 300 N."""
+    entries = {
+        "base": {"name": "fixed (15, 5)", "rmse": {"1 Hz": 211.0, "2 Hz": 212.0}, "trips": 0},
+        "best_fixed": {"name": "fixed (90, 15)", "rmse": {"1 Hz": 211.0, "2 Hz": 150.0}, "trips": 0},
+        "compensated": {"name": "compensated", "rmse": {"1 Hz": 212.0, "2 Hz": 180.0}, "trips": 0},
+    }
+    made = Record(amplitude=300.0, comparison=entries)
+    at = Site(folder=tmp_path, record=made, port="", arm="auto", again=False, policy=False, log=sys.stderr)
+    with pytest.raises(GateError, match=r"completed .*: fixed \(15, 5\), fixed .*, compensated: .* piston stood"):
+        comparison(at)
+    entries["compensated"]["rmse"] = {"1 Hz": 190.0, "2 Hz": 180.0}
+    assert comparison(at).startswith("compensated is the best; left out: fixed (15, 5), fixed (90, 15): the load force")
+    assert made.adopted == "compensated"

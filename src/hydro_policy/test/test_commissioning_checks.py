@@ -50,6 +50,9 @@ def reversed_velocity(states: StateArray) -> None:
 def test_a_right_bench_passes() -> None:
     noise, off = checks.sensors(REST, BENCH)
     assert noise["load_force"] == pytest.approx(0.6, rel=0.1) and abs(off) < 1.0
+    creeping = REST.copy()
+    creeping["load_force"] += 0.4 * creeping["time"]
+    assert checks.creep(creeping) - checks.creep(REST) == pytest.approx(0.4)
     assert min(checks.signs(MOTION[1000:], BENCH).values()) > checks.FOLLOWS
 
 
@@ -95,6 +98,13 @@ def test_lost_samples_and_late_commands_count() -> None:
     assert checks.unusable(kept) == pytest.approx(0.04, abs=5e-3)
     with pytest.raises(GateError, match="lost"):
         checks.line(kept, 1.0)
+
+
+def test_of_an_evaluation_single_late_runs_do_not_count_and_many_do() -> None:
+    runs = [{"samples": 3000, "lost": 20, "held": 0}, {"samples": 0, "lost": 0, "held": 0}]
+    runs += [{"samples": 3000, "lost": 0, "held": 40}]
+    assert checks.disturbed({"runs": runs}) == pytest.approx(0.01)
+    assert checks.disturbed({"runs": runs[1:2]}) == 0.0
 
 
 def test_a_model_that_is_not_this_bench_is_told_before_the_valve_moves_behind_its_filter() -> None:

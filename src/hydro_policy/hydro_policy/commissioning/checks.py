@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from hydro_bridge.serial.frames import LawState
@@ -18,6 +21,8 @@ FOLLOWS = 0.8
 """Least correlation of two readings of the same motion."""
 SWING = (0.4, 1.5)
 """Least and largest swing of the load force over that of its reference."""
+STILL = 0.9
+"""RMSE of a sine over that of a force that stands, from which on the load force did not follow it."""
 SLOW = 0.5
 """Hz, of the motion by which signs are checked."""
 _LONGEST_GAP = 1000
@@ -60,6 +65,11 @@ def sensors(states: StateArray, bench: Bench) -> tuple[dict[str, float], float]:
     if abs(off) > 0.1 * most:
         raise GateError(f"the hydraulic force differs from the pressures by {off:.0f} N: units, zero or area are wrong")
     return noise, off
+
+
+def creep(states: StateArray) -> float:
+    """Return how fast the load force moves at rest, behind a closed valve [N/s]."""
+    return float(np.polyfit(states["time"] - states["time"][0], states["load_force"], 1)[0])
 
 
 def signs(states: StateArray, bench: Bench) -> dict[str, float]:
@@ -110,6 +120,17 @@ def unusable(armed: StateArray) -> float:
     lost = np.diff(armed["sequence"].astype(np.int64)) - 1
     late = armed["flags"] & (Flag.FILTER_STALE | Flag.WATCHDOG) != 0
     return float((lost[lost < _LONGEST_GAP].sum() + late.sum()) / len(armed))
+
+
+def disturbed(content: Mapping[str, Any]) -> float:
+    """Return the share of an evaluation's samples, from its JSON, that were lost or in which base gains were held."""
+    spoilt = sum(run["lost"] + run["held"] for run in content["runs"])
+    return float(spoilt / max(sum(run["samples"] for run in content["runs"]), 1))
+
+
+def still(entry: Mapping[str, Any], amplitude: float) -> bool:
+    """Return whether the load force hardly followed sines of this amplitude [N]; `entry` of `record.scored`."""
+    return any(rmse is not None and rmse > STILL * amplitude / np.sqrt(2.0) for rmse in entry["rmse"].values())
 
 
 def fits(states: StateArray, loop_filter: LoopFilter) -> None:
