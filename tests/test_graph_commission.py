@@ -122,12 +122,12 @@ def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:
     (tmp_path / "bench.yaml").write_text("one: 1\n")
     for gate in made.gates[:3]:
         gate.status, gate.files = PASSED, digests(tmp_path, ["bench.yaml"])
-    made.gates[3].status = FAILED
+    made.gates[3].status, made.adopted = FAILED, "compensated"
     made.write(tmp_path)
     again = Record.load(tmp_path, NAMES)
     assert again == made
     assert again.hold(tmp_path, len(NAMES)) == 3
-    assert again.hold(tmp_path, 2) == 2
+    assert again.hold(tmp_path, 2) == 2 and not again.adopted
     (tmp_path / "bench.yaml").write_text("one: 2\n")
     assert Record.load(tmp_path, NAMES).hold(tmp_path, len(NAMES)) == 0
 
@@ -150,7 +150,7 @@ def test_a_controller_under_which_the_piston_stood_is_left_out(tmp_path: Path) -
         "compensated": {"name": "compensated", "rmse": {"1 Hz": 212.0, "2 Hz": 180.0}, "trips": 0},
     }
     made = Record(amplitude=300.0, comparison=entries)
-    at = Site(folder=tmp_path, record=made, port="", arm="auto", again=False, policy=False, log=sys.stderr)
+    at = Site(folder=tmp_path, record=made, port="", arm="auto", compensated=False, policy=False, log=sys.stderr)
     with pytest.raises(GateError, match=r"completed .*: fixed \(15, 5\), fixed .*, compensated: .* piston stood"):
         comparison(at)
     entries["compensated"]["rmse"] = {"1 Hz": 190.0, "2 Hz": 180.0}

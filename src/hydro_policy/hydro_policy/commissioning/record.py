@@ -88,14 +88,17 @@ class Record:
         return found
 
     def hold(self, folder: Path, first: int) -> int:
-        """Return how many gates from the beginning hold, at most `first`, and forget what the others found."""
+        """Return how many gates from the beginning hold, at most `first`, and forget what the others found.
+
+        Nothing stays adopted if one does not hold.
+        """
         count = 0
         for gate in self.gates[:first]:
             if gate.status == PENDING or gate.status == FAILED or gate.files != digests(folder, gate.files):
                 break
             count += 1
         for gate in self.gates[count:]:
-            gate.status, gate.reason, gate.files = PENDING, "", {}
+            gate.status, gate.reason, gate.files, self.adopted = PENDING, "", {}, ""
         return count
 
     @property

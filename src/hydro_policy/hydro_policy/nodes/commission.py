@@ -72,6 +72,7 @@ def main() -> int:
     untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
     start = AGAIN if options.again else options.start or ("policy" if untrained else None)
     starts = [name for name in (start, "signs" if changed else None) if name]
+    compensated = options.again and record.adopted in ("compensated", "residual")
     first = record.hold(folder, min((NAMES.index(name) for name in starts), default=len(GATES)))
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
@@ -80,7 +81,9 @@ def main() -> int:
         emulated = record.plant == "emulator"
         port = str(folder / "port") if emulated else record.plant
         arm = "auto" if (options.arm or ("auto" if emulated else "person")) == "auto" else "ask"
-        at = Site(folder=folder, record=record, port=port, arm=arm, again=options.again, policy=options.policy, log=log)
+        at = Site(
+            folder=folder, record=record, port=port, arm=arm, compensated=compensated, policy=options.policy, log=log
+        )  # fmt: skip
         if emulated and any(gate.plant for gate in GATES[first:]):
             start_emulator(stack, at, options.seed)
         passed = all(_pass(at, gate) for gate in GATES[first:])

@@ -62,8 +62,8 @@ class Site:
     port: str
     arm: str
     """`auto` or `ask`, as `--rearm` of `evaluate`."""
-    again: bool
-    """Whether it is commissioned anew: a metric of the adopted force law alone will do where that is compensated."""
+    compensated: bool
+    """Whether a metric of the compensated law alone will do: it is commissioned anew, and that law was adopted."""
     policy: bool
     """Whether a policy is to be trained."""
     log: IO[str]
@@ -303,6 +303,7 @@ def diagnosis(at: Site) -> str:
     if report["verdict"] == "unknown":
         places = "; ".join(place["sentence"] for place in report["location"])
         raise GateError(f"the bench differs from its file by what has no name: {places}")
+    (at.folder / site.METRIC).unlink(missing_ok=True)  # of the model before: the next gate may be interrupted
     shutil.copyfile(out / site.MODEL, at.folder / site.MODEL)
     ids = ", ".join(cause["id"] for cause in report["effects"]) or "no cause"
     return f"{report['verdict']}: {ids}"
@@ -313,7 +314,7 @@ def metric(at: Site) -> str:
     out = at.folder / site.METRIC
     held_out = at.recording("held_out")
     words = ("--model", str(at.folder / site.MODEL), "--bench", at.bench, "--out", str(out))
-    laws = "compensated" if at.again and at.record.adopted in ("compensated", "residual") else "both"
+    laws = "compensated" if at.compensated else "both"
     said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", laws)
     found = ScheduledMetric.load(out)
     at.record.certified_gains = {
