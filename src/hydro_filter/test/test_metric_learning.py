@@ -10,7 +10,7 @@ import pytest
 
 from hydro_bridge.settings import check
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
-from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
+from hydro_filter.metric.design import MOST_STEPS, MetricDesign, decaying_range, rest_loop
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of, without_overlap
 from hydro_filter.model.parts import Loop
@@ -161,7 +161,7 @@ def test_the_box_of_the_rollouts_admits_their_gains_and_the_table_that_of_its_la
         np.testing.assert_allclose(run.states["proportional_gain"], run.gains[0], rtol=1e-6)
     design = MetricDesign(velocity_compensation=0.25, gain_low=20.0, gain_high=float(np.ceil(told.base_kp)))
     gains = ScheduledMetric.designed(loop_of(soft, soft), design).gains
-    assert gains[0] == 20.0 and gains[-1] == design.gain_high >= told.base_kp and len(gains) == 18
+    assert gains[0] == 20.0 and gains[-1] == design.gain_high >= told.base_kp and len(gains) == MOST_STEPS + 1
 
 
 def test_a_range_that_no_held_out_rollout_can_judge_is_refused(windows: Windows) -> None:

@@ -53,7 +53,7 @@ class MetricDesign:
     """Smallest eigenvalue of M, over its largest entry."""
 
 
-MOST_STEPS = 17
+MOST_STEPS = 48
 """Of the table: a bench whose range is wider than the nominal one's has wider steps."""
 MOST_TRIED = 600
 """Gains at which `decaying_range` asks, at most."""
