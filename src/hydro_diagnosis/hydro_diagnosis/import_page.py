@@ -36,7 +36,7 @@ from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
-from hydro_diagnosis.io.columns import UNITS
+from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import columns_of
 from hydro_diagnosis.listing import COLUMNS, ROWS, as_yaml, improbable, listed, missing
 from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable
@@ -89,7 +89,7 @@ class Import:
 
     def __init__(self, connection: ServerConnection, folder: Path, bench: Bench) -> None:
         self._connection, self._folder, self._bench = connection, folder, bench
-        self._first: Path | None = None
+        self._first: tuple[Path, Columns] | None = None
         """The recording whose columns are shown."""
 
     def serve(self) -> None:
@@ -106,14 +106,14 @@ class Import:
         if isinstance(request, Upload):
             self._take(self._receive(request))
         elif isinstance(request, Check):
-            self._send("checked", remarks=self._remarks(_map(request.columns)))
+            self._send("checked", **self._remarks(_map(request.columns)))
         else:
             self._diagnose(request)
 
-    def _remarks(self, columns: ColumnMap) -> list[str]:
+    def _remarks(self, columns: ColumnMap) -> Mapping[str, list[str]]:
         """What looks wrong in the first recording with this map, and what the map leaves out."""
-        doubts = improbable(self._first, columns, self._bench) if self._first else []
-        return [*doubts, *missing(columns)]
+        doubts = improbable(*self._first, columns, self._bench) if self._first else []
+        return {"doubts": doubts, "missing": missing(columns)}
 
     def _receive(self, upload: Upload) -> Path:
         """Read a file to its end; a name is only the last part of a path."""
@@ -134,11 +134,12 @@ class Import:
         if path.suffix.lower() not in (".mcap", *SUFFIXES):
             raise InputError(f"{path.name}: {unreadable(path)}, nor a bench file")
         table = Table(COLUMNS)
-        proposal = listed(path, columns_of(path, ROWS), None, table, self._bench)
+        found = columns_of(path, ROWS)
+        proposal = listed(path.name, found, None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
         rows = [{key: _shown(value) for key, value in row.items()} for row in table.rows]
-        self._first = self._first or path
-        self._send("columns", name=path.name, rows=rows, proposed=sources, remarks=self._remarks(proposal))
+        self._first = self._first or (path, found)
+        self._send("columns", name=path.name, rows=rows, proposed=sources, **self._remarks(proposal))
 
     def _diagnose(self, request: Diagnose) -> None:
         from hydro_diagnosis.pipeline import diagnose

@@ -31,7 +31,7 @@ from hydro_bridge.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
 from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward, without_unit
-from hydro_diagnosis.io.table import base_of, columns_of, read_table
+from hydro_diagnosis.io.table import base_of, columns_of, read_table, table_of
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.wiring import LOOKED_AT, MEAN, inspect_table, line, means
 from hydro_sim.model.bench import Bench
@@ -378,33 +378,33 @@ COLUMNS = {
 }
 
 
-def listed(path: Path, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
-    """Add a row per column that was `found` in a recording; returns the map, proposed if none is given."""
+def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
+    """Add a row per column of a recording; returns the map, proposed if none is given."""
     chosen = proposed(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
-    for name, values in found.series.items():
-        field = becomes.get(name, "")
-        sure = columns is not None or name == field
+    for column, values in found.series.items():
+        field = becomes.get(column, "")
+        sure = columns is not None or column == field
         table.add(
-            recording=path.name,
-            column=name,
-            unit=found.units.get(name, ""),
-            **_range(found.extents.get(name) or Extent(1).with_values(values)),
-            rate=_rate(name, found, chosen),
+            recording=name,
+            column=column,
+            unit=found.units.get(column, ""),
+            **_range(found.extents.get(column) or Extent(1).with_values(values)),
+            rate=_rate(column, found, chosen),
             shape=sparkline(values),
             used=field if sure or not field else f"{field}?",
         )
-    for name, number in found.constants.items():
-        _add_plain(table, path, name, 1, number, "one number: a factor or offset in --columns")
-    for name in found.other:
-        _add_plain(table, path, name, 0, np.nan, "not numbers, or another length")
+    for column, number in found.constants.items():
+        _add_plain(table, name, column, 1, number, "one number: a factor or offset in --columns")
+    for column in found.other:
+        _add_plain(table, name, column, 0, np.nan, "not numbers, or another length")
     return chosen
 
 
-def _add_plain(table: Table, path: Path, name: str, count: int, number: float, used: str) -> None:
+def _add_plain(table: Table, name: str, column: str, count: int, number: float, used: str) -> None:
     table.add(
-        recording=path.name,
-        column=name,
+        recording=name,
+        column=column,
         unit="",
         count=count,
         rate=np.nan,
@@ -455,18 +455,17 @@ def main() -> int:
     chosen = arguments().parse_args(sys.argv[1:])
     columns = ColumnMap.load(chosen.columns)
     bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
-    table = Table(COLUMNS)
-    there = [columns_of(path, ROWS) for path in chosen.recordings]
-    maps = [listed(*each, columns, table, bench) for each in zip(chosen.recordings, there, strict=True)]
+    table, maps, remarks = Table(COLUMNS), [], []
+    for path in chosen.recordings:
+        found = columns_of(path, ROWS)
+        maps.append(listed(path.name, found, columns, table, bench))
+        said = improbable(path, found, maps[-1], bench)
+        if columns is None:
+            said += [_advice(maps[-1]), *found.notes, *missing(maps[-1]), *_spare_pressures(found, maps[-1])]
+        remarks += [f"{path.name}: {sentence}" for sentence in said]
     table.show(chosen.json)
-    for path, proposal in zip(chosen.recordings, maps, strict=True):
-        for sentence in improbable(path, proposal, bench):
-            print(f"{path.name}: {sentence}")
-    if columns is None:
-        for path, found, proposal in zip(chosen.recordings, there, maps, strict=True):
-            print(_advice(path, proposal))
-            for sentence in (*found.notes, *missing(proposal), *_spare_pressures(found, proposal)):
-                print(f"{path.name}: {sentence}")
+    for remark in remarks:
+        print(remark)
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
         write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
@@ -474,18 +473,18 @@ def main() -> int:
     return 0
 
 
-def _advice(path: Path, proposal: ColumnMap) -> str:
+def _advice(proposal: ColumnMap) -> str:
     if not proposal.sources:
-        return f"{path.name}: no column looks like a field: map them by --columns time=NAME,piston_position=NAME,..."
+        return "no column looks like a field: map them by --columns time=NAME,piston_position=NAME,..."
     if not proposal.corrections().sources:
-        return f"{path.name}: its columns carry the fields' own names: no map is needed"
+        return "its columns carry the fields' own names: no map is needed"
     if set(proposal.sources) == {"time"}:
         return (
-            f"{path.name}: names and units say nothing of its columns, and they do not fulfil the bench's equations: "
+            "names and units say nothing of its columns, and they do not fulfil the bench's equations: "
             f"give the rig's numbers by --bench FILE, or map them by --columns {proposal},piston_position=NAME[mm],"
             "pressure_a=NAME[bar],..."
         )
-    return f'{path.name}: proposed, to be checked: --columns "{proposal}"'
+    return f'proposed, to be checked: --columns "{proposal}"'
 
 
 def _spare_pressures(found: Columns, proposal: ColumnMap) -> list[str]:
@@ -500,12 +499,15 @@ def _spare_pressures(found: Columns, proposal: ColumnMap) -> list[str]:
     ]
 
 
-def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:
-    """Return which fields of a map the bench cannot have, else which it models far better if they are repaired."""
+def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> list[str]:
+    """Return which fields of a map the bench cannot have, else which it models far better if they are repaired.
+
+    `found`: the columns of a file that is no bag, whole.
+    """
     from hydro_diagnosis.stages.hypotheses import suspicions
 
     try:
-        table = read_table(_beginning(path), columns)
+        table = read_table(_beginning(path), columns) if is_bag(path) else table_of(path, found, columns)
     except InputError:
         return []
     doubts = inspect_table(table, bench).doubts
@@ -528,10 +530,10 @@ def improbable(path: Path, columns: ColumnMap, bench: Bench) -> list[str]:
 
 
 def _beginning(path: Path) -> Path:
-    """A bag's first `GLANCED` seconds; a file of another kind, or a bag without an index, as a whole."""
+    """A bag's first `GLANCED` seconds; a bag without an index as a whole."""
     whole, part = parted(path)
     begin, end = part or (0.0, inf)
-    if not is_bag(path) or end - begin <= GLANCED:
+    if end - begin <= GLANCED:
         return path
     first = Path(f"{whole}#t={begin},{begin + GLANCED}")
     try:

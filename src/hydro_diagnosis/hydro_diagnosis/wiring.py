@@ -62,9 +62,11 @@ class Scale(Repair):
         if self.unit and not self.offset:
             return columns.changed(self.field, replace(source, unit=self.unit))
         si = UNITS.get(source.unit, 1.0)
-        steps = list(source.steps)
-        if self.factor != 1.0:
-            steps.append(("*", self.factor))
+        steps, factor = list(source.steps), self.factor
+        if steps and steps[-1][0] == "*" and isinstance(steps[-1][1], float):
+            factor *= float(steps.pop()[1])
+        if factor != 1.0:
+            steps.append(("*", factor))
         if self.offset:
             steps.append(("+" if self.offset > 0.0 else "-", abs(self.offset) / si))
         return columns.changed(self.field, replace(source, steps=tuple(steps)))

@@ -15,7 +15,7 @@ from scipy.io import savemat
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import Columns
-from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.io.table import RawTable, columns_of, read_table
 from hydro_diagnosis.listing import improbable, proposed
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError
@@ -140,7 +140,7 @@ def test_inspect_says_which_numbers_the_bench_cannot_have(tmp_path: Path) -> Non
     path = tmp_path / "run.csv"
     pd.DataFrame({"t": np.arange(100) / 1e3, "pA": np.full(100, 60.0), "x": np.full(100, 0.04)}).to_csv(path)
     given = cast(ColumnMap, ColumnMap.load("time=t,pressure_a=pA[kPa],piston_position=x"))
-    found = improbable(path, given, Bench.nominal())
+    found = improbable(path, columns_of(path), given, Bench.nominal())
     assert len(found) == 1 and found[0].startswith("pressure_a has numbers") and "in bar, not kPa" in found[0]
 
 

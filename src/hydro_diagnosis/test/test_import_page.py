@@ -70,11 +70,11 @@ def test_files_become_a_map_and_a_report(address: str, recordings: list[Path]) -
         found, _ = [page.upload(path.name, path.read_bytes()) for path in recordings]
         proposed = found["proposed"]
         assert proposed["time"] == {"column": "t", "unit": "ms"} and proposed["load_force"]["unit"] == "kN"
-        assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["remarks"])
+        assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["missing"])
         page.send("check", columns={"time": proposed["time"]})
-        assert len(page.answer()["remarks"]) > len(found["remarks"])
+        assert len(page.answer()["missing"]) > len(found["missing"])
         page.send("check", columns={**proposed, "valve_current": {**proposed["valve_current"], "scale": "-1"}})
-        assert "valve_current has the wrong sign" in page.answer()["remarks"][0]
+        assert "valve_current has the wrong sign" in page.answer()["doubts"][0]
         proposed["piston_position"] |= {"scale": "1", "offset": "0.0"}
         page.send("diagnose", columns=proposed, fit=["monday.csv"], check=["tuesday.csv"])
         told = []

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,7 @@ from hydro_diagnosis.io.table import InputError, RawTable, columns_of
 from hydro_diagnosis.listing import improbable, proposed
 from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
-from hydro_diagnosis.wiring import inspect_table
+from hydro_diagnosis.wiring import inspect_table, reversed_sign
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.schedules import Segment
@@ -143,13 +143,15 @@ INSPECTED = (
 
 def inspected(channels: Channels, path: Path) -> list[str]:
     written(channels, path)
-    return improbable(path, proposed(columns_of(path), BENCH), BENCH)
+    found = columns_of(path)
+    return improbable(path, found, proposed(found, BENCH), BENCH)
 
 
 def test_inspect_names_signs_and_exchanges_before_anything_is_diagnosed(runs: list[Channels], tmp_path: Path) -> None:
     for change, said, repair in INSPECTED:
         (sentence,) = inspected(change(runs[0]), tmp_path / "run.csv")
         assert said in sentence and sentence.endswith(repair), sentence
+    assert str(reversed_sign("load_force").edit(cast(ColumnMap, ColumnMap.load("load_force=x*-1")))) == "load_force=x"
     assert inspected(runs[0], tmp_path / "run.csv") == []
 
 

@@ -279,7 +279,7 @@ class BagSource:
         """Return the error that `topic` is not among the `topics` that were read."""
         there = f"there is {', '.join(sorted(topics)) or 'nothing'}"
         if not topics and not all(scan.finished for scan in self.scans):
-            there = "it was cut off before the end of its first block: copy it anew"
+            there = "it was cut off before the end of its first block: copy it again"
         elif any(scan.part for scan in self.scans):
             there = "the part ends before it begins, or begins after it has ended"
         return RecordingError(f"{self.path} has no messages on {topic}; {there}")

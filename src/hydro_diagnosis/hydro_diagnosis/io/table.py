@@ -259,7 +259,7 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     if is_bag(path) and has_states(path):
         found = from_bag(path)
         return found if columns is None else mapped(path, found, columns)
-    return _from_columns(path, columns_of(path), columns)
+    return table_of(path, columns_of(path), columns)
 
 
 def columns_of(path: Path, rows: int | None = None) -> Columns:
@@ -284,7 +284,7 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
 
 def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
     """Apply a column map to a bag's fields. Raises InputError: as `read_table`."""
-    turned = _from_columns(path, Columns({"time": raw.time, **raw.columns}, notes=raw.notes), columns)
+    turned = table_of(path, Columns({"time": raw.time, **raw.columns}, notes=raw.notes), columns)
     same = turned.time is not None and len(turned.time) == len(raw.time)
     return replace(turned, name=raw.name, sample=raw.sample if same else None)
 
@@ -310,7 +310,8 @@ def _bag(path: Path, rows: int | None = None) -> Bag:
     return bag
 
 
-def _from_columns(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
+def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
+    """Read one recording of which the columns are known already. Raises InputError: as `read_table`."""
     chosen = (columns or ColumnMap({})).completed(found.series)
     there = ", ".join(list(found.series)[:40])
     if "time" not in chosen.sources and not found.clocks:

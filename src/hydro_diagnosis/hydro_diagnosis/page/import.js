@@ -77,10 +77,11 @@ function table(proposed) {
   $("mapping").hidden = false;
 }
 
-function tell(remarks) {
-  $("remarks").replaceChildren(...remarks.map((sentence) => {
+function tell({ doubts, missing }) {
+  $("remarks").replaceChildren(...[...doubts, ...missing].map((sentence) => {
     const line = document.createElement("li");
     line.textContent = sentence;
+    line.className = doubts.includes(sentence) ? "" : "quiet";
     return line;
   }));
 }
@@ -97,7 +98,7 @@ function running(now) {
 }
 
 const ANSWERS = {
-  columns({ name, rows: found, proposed, remarks }) {
+  columns({ name, rows: found, proposed, ...remarks }) {
     recordings.set(name, recordings.get(name) ?? "fit");
     list();
     if (rows.length) return; // the map of the first recording holds for all
@@ -108,9 +109,7 @@ const ANSWERS = {
   bench({ name }) {
     $("stage").textContent = `bench: ${name}`;
   },
-  checked({ remarks }) {
-    tell(remarks);
-  },
+  checked: tell,
   progress({ text, done, stages }) {
     $("stage").textContent = text;
     $("bar").max = stages;
