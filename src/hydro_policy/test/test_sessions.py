@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tensorboardX.proto.event_pb2 import Event
 
-from hydro_bridge.signals import STATE_FIELDS, Command, Flag, Waveform
+from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
 from hydro_policy.evaluation.session import REPEATS, SILENCE, EvaluationSession, EvaluationSettings
@@ -189,6 +189,21 @@ def test_a_run_in_which_the_machine_was_held_up_is_started_again(silence: float,
     again = [sentence for sentence in graph.sentences if "fixed (90, 15) at 2 Hz is started again" in sentence]
     assert len(again) == min(spoilt, REPEATS)
     assert (score.samples, score.held) == ((0, 0) if stopped else (500, 0))
+
+
+def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one_is_warned_of() -> None:
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], graph)
+    take = session.on_sample
+
+    def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        return sequence % 50 != 7 and take(sequence, sample, flags, now)
+
+    session.on_sample = arrive  # type: ignore[method-assign]
+    graph.run(session, 30.0)
+    assert sum("is started again: 2 % of the samples did not arrive" in told for told in graph.sentences) == REPEATS
+    assert session.scores[0].lost == 10 and "2 % of the samples did not arrive" in session.warnings[0]
 
 
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:

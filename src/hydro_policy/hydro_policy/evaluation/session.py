@@ -6,8 +6,8 @@ order     repeat, case, controller: controllers follow each other closely, so th
           those of the compensated law last, since the plant is disarmed for another law
 failure   the box trips, or the monitor requests a stop: the run counts as stopped, and a second of calm follows. If the
           plant is lost, or a person takes the gains, the run is restarted
-hold-up   corrections or commands came late, or the box heard nothing for so long that it tripped: the run is started
-          again, `REPEATS` times at most
+hold-up   corrections, commands or samples came late, or the box heard nothing for so long that it tripped: the run is
+          started again, `REPEATS` times at most
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hydro_policy.task.step_aggregator import StepClock, held
 from hydro_sim.files import load_force
 
 HELD_MAX = 0.01
-"""Share of a run's samples for which the box may hold base gains."""
+"""Share of a run's samples for which the box may hold base gains, and of those that may not arrive."""
 
 REPEATS = 2
 """Times that a run is started again in which the machine was held up."""
@@ -61,6 +61,10 @@ class _Run:
     case: Case
     controller: Controller
     first: int
+    last: int
+    """Sequence of the last sample."""
+    missed: int = 0
+    """Samples that did not arrive."""
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
@@ -250,9 +254,10 @@ class EvaluationSession:
         if self.monitor is not None:
             self.monitor.reset()
         self._outputs.reference(case.signal)
-        return _Run(repeat, case, controller, sequence)
+        return _Run(repeat, case, controller, sequence, sequence - 1)
 
     def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> bool:
+        run.missed, run.last = run.missed + (sequence - run.last - 1) % 2**32, sequence
         time = (sequence - run.first) * SAMPLE_PERIOD - self.settings.settle - self._more(len(self.scores))
         if time >= 0.0:
             run.rows.append((time, sequence, *sample, flags))
@@ -282,7 +287,7 @@ class EvaluationSession:
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
         bits = held(flags, k_p, k_i, self._base(run.controller))
         share = float(np.mean(bits != 0))
-        late = self._late(run.controller, share)
+        late = self._late(run.controller, share) or _missed(run)
         if late and share <= REPLACED and self._again(run, late):
             return
         if reason := self._replaced(run.controller, trace, share):
@@ -354,3 +359,11 @@ class EvaluationSession:
         if sentence not in self.warnings:
             self.warnings.append(sentence)
             self._outputs.say(sentence, warning=True)
+
+
+def _missed(run: _Run) -> str:
+    """Return that samples did not arrive, from which an adapting law learns nothing; empty if few of them."""
+    share = run.missed / (run.last - run.first + 1)
+    if share <= HELD_MAX:
+        return ""
+    return f"{100 * share:.0f} % of the samples did not arrive: if the machine is busy, close other programs"
