@@ -103,7 +103,7 @@ def watched(kind: str, worn: str, begin: int, seed: int, every: int) -> dict[str
         known = 0
         for day in range(every, DAYS, every):
             seen = series.until(day)
-            found = course(seen.time, seen.value, seen.sd)
+            found = course(*seen.arrays)
             if found is None:
                 continue
             if found.findings > known:
@@ -211,7 +211,7 @@ def recorded(count: int, seed: int, study: Path, **where: Any) -> Table:
         zero, alarms, known, found = series.time[0], [], 0, None
         for day in range(count):
             seen = series.until(zero + day)
-            found = course(seen.time, seen.value, seen.sd)
+            found = course(*seen.arrays)
             if found and found.findings > known:
                 alarms.append(day)
             known = found.findings if found else known

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One number over many recordings: when it changed, and how it runs since, with the interval of each value.
 
-Between changes it runs along a line, by weighted least squares. Where it changes is found by the optimal partition of
-Killick, Fearnhead and Eckley (2012), of the library `ruptures`; a change needs `NEEDED` of evidence by the BIC.
+Between changes it runs along a line, by weighted least squares. Where it may change is found by the optimal partition
+of Killick, Fearnhead and Eckley (2012), of the library `ruptures`, for scatter that lasts for different times; which of
+these holds, and with it the long-run variance that means are judged by, the likelihood tells. A change needs `NEEDED`
+of evidence by the BIC.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from math import inf, log, sqrt
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import ArrayLike
 from ruptures import Pelt
 from ruptures.base import BaseCost
@@ -30,15 +33,19 @@ FEWEST = 14
 SHORTEST = 4
 """Recordings between two changes."""
 COARSEST = 3
-"""Recordings from one place to the next at which a long history is first searched: nine times as fast."""
+"""Recordings from one place to the next at which all but short histories are first searched: nine times as fast."""
 _PER_CHANGE = 3
 """Numbers that a change adds: its time, a level and a slope."""
 _OUTLYING = 3.0
 """Standard deviations from the running median of 7 beyond which a value counts for less (Huber 1964)."""
 _NORMAL = 1.96
 _MEDIAN = float(chi2.ppf(0.5, 1))
-_BLOCK = 7
-"""Recordings over whose means a scatter that lasts (oil, weather) is measured."""
+LASTING = (0.0, 1.0, 2.0, 4.0, 8.0)
+"""Times that scatter may last, in spacings of the recordings; 0: it is new each time."""
+_SIZES = (0.0, 0.25, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
+"""Its variances that are tried, over that by neighbours' differences."""
+_DATED = -2.0 * log(1.0 - sqrt(0.95))
+"""95 % of the likelihood ratio of a break's date (Bai 1997; Eo and Morley 2015): 7.35."""
 HORIZON = 3650.0
 """Days ahead beyond which no date is told."""
 
@@ -128,43 +135,139 @@ class _Lines(BaseCost):  # a cost function of the user's own, as the library doc
         across, along = tt - t * t / w, ty - t * y / w
         return max(yy - y * y / w - (along * along / across if across > 0.0 else 0.0), 0.0)
 
+    def bends(self, places: npt.NDArray[np.int64]) -> FloatArray:
+        """Weighted sum of squares of all rows about two lines that meet at a row, for each of these rows."""
+        sums, time = np.array(self._sums), self.signal[places, 0]
+        w, t, y, tt, ty, yy = sums[-1]
+        w2, t2, y2, tt2, ty2, _ = (sums[-1] - sums[places]).T
+        late, along, squares = t2 - time * w2, tt2 - time * t2, tt2 - 2.0 * time * t2 + time**2 * w2
+        ones = np.ones_like(time)
+        rows = ((w * ones, t * ones, late), (t * ones, tt * ones, along), (late, along, squares))
+        right = np.stack((y * ones, ty * ones, ty2 - time * y2), axis=1)
+        solved = np.linalg.solve(np.moveaxis(np.array(rows), 2, 0), right[:, :, None])[:, :, 0]
+        return np.asarray(yy - np.sum(right * solved, axis=1))
 
-def course(time: FloatArray, value: FloatArray, sd: FloatArray) -> Course | None:
+
+def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike = 0.0) -> Course | None:
     """Changes of a number and lines between them; None for fewer recordings than `FEWEST`.
 
-    `time`: days, ascending; `value` and its standard deviation by the diagnosis, shape (n,).
+    `time`: days, ascending; `value` and its standard deviation by the diagnosis, shape (n,). `bound`: distance within
+    which a value lies that was not named, 0 where it was; it counts for the date of a change.
     """
-    count = len(time)
-    if count < FEWEST:
+    if len(time) < FEWEST:
         return None
-    scatter = scatter_between(value, sd)
-    own = np.hypot(sd, scatter)
+    between = scatter_between(value, sd)
+    own = np.hypot(sd, between)
     away = np.abs(value - median_filter(value, 7))
-    own = own * np.maximum(1.0, away / (_OUTLYING * own))
-    own = own * _slow(value, own)
-    middle, scale = float(np.median(value)), float(np.median(own))
-    signal = np.column_stack([time - time.mean(), (value - middle) / scale, (scale / own) ** 2])
-    cost, price = _Lines().fit(signal), _PER_CHANGE * log(count)
-    coarse = min(1 + count // 150, COARSEST)
-    try:
-        found = Pelt(custom_cost=cost, min_size=SHORTEST, jump=coarse).fit(signal).predict(pen=NEEDED + price)
-    except BadSegmentationParameters:  # too few for two parts
-        found = [count]
-    edges, changes = [0, *found], []
-    for k in range(1, len(found)):
-        edges[k], change = _change(cost, time, edges[k - 1], edges[k + 1], price)
-        changes.append(change)
-    lines = [line(time[a:b], value[a:b], own[a:b]) for a, b in pairwise(edges)]
-    return Course(changes, lines, scatter, lines[-1].runs(edges[-1] - edges[-2]))
+    noise = _Noise(time, value, own * np.maximum(1.0, away / (_OUTLYING * own)), sd, between)
+    edges, evidence, long = noise.partition()
+    signal = np.column_stack([time, value, 1.0 / (long**2 + 0.5 * np.square(bound))])
+    changes = [_change(signal[a:c], each) for a, c, each in zip(edges, edges[2:], evidence, strict=False)]
+    lines = [line(time[a:b], value[a:b], long[a:b]) for a, b in pairwise(edges)]
+    return Course(changes, lines, between, lines[-1].runs(edges[-1] - edges[-2]))
 
 
-def _change(cost: _Lines, time: FloatArray, begin: int, end: int, price: float) -> tuple[int, Change]:
-    """The best place of a change between its neighbours, and the change."""
-    places = range(begin + SHORTEST, end - SHORTEST + 1)
-    errors = np.array([cost.error(begin, one) + cost.error(one, end) for one in places])
-    near = np.flatnonzero(errors <= errors.min() + chi2.ppf(0.95, 1)) + places[0]
-    at, evidence = places[int(np.argmin(errors))], cost.error(begin, end) - float(errors.min()) - price
-    return at, Change(float(time[at]), float(time[near[0]]), float(time[near[-1]]), evidence)
+class _Noise:
+    """Scatter between recordings that lasts (Ornstein-Uhlenbeck), and each recording's own on top of it."""
+
+    def __init__(self, time: FloatArray, value: FloatArray, own: FloatArray, sd: FloatArray, between: float) -> None:
+        self._time, self._value, self._weight = time - time.mean(), value - np.median(value), own**-2.0
+        self._white = np.maximum(own**2 - between**2, sd**2)
+        gap, base = np.diff(time), max(between**2, 0.1 * float(np.median(self._white)))
+        spacing = float(np.median(gap)) or 1.0
+        grid = [(one, size) for one in LASTING for size in _SIZES]
+        keep = np.exp(-1.0 / np.maximum([one for one, _ in grid], 1e-3))
+        self._variance = base * np.array([size for _, size in grid]) / (1.0 - keep)
+        self._keep = keep ** (gap[:, None] / spacing)
+        self._lasts = (1.0 + keep) / (1.0 - keep)
+
+    def long(self, k: int) -> FloatArray:
+        """Standard deviation of each value in means over many: by the long-run variance of the scatter."""
+        return np.sqrt(self._white + self._variance[k] * self._lasts[k])
+
+    def partition(self) -> tuple[list[int], list[float], FloatArray]:
+        """Edges of the parts, evidence of each change, and each value's long-run standard deviation."""
+        count = len(self._time)
+        found, price = [[0, count]], _PER_CHANGE * log(count)
+        for k in range(_SIZES.index(1.0), len(self._lasts), len(_SIZES)):
+            edges = self._searched(self.long(k), price)
+            if edges not in found:
+                found.append(edges)
+            elif k < len(_SIZES):
+                break
+        deviance, best = self.deviance(found)
+        gain = [
+            self._sure(one) * (deviance[0] - each) - (NEEDED + price) * (len(one) - 2)
+            for one, each in zip(found, deviance, strict=True)
+        ]
+        at = int(np.argmax(gain))
+        edges, least, kind = found[at], deviance[at], int(best[at])
+        evidence: list[float] = []
+        while len(edges) > 2:
+            fewer = [edges[:k] + edges[k + 1 :] for k in range(1, len(edges) - 1)]
+            deviance, best = self.deviance(fewer)
+            evidence = [self._sure(edges) * float(one - least) - price for one in deviance]
+            worst = int(np.argmin(evidence))
+            if evidence[worst] >= NEEDED:
+                break
+            edges, least, kind, evidence = fewer[worst], deviance[worst], int(best[worst]), []
+        return edges, evidence, self.long(kind)
+
+    def _sure(self, edges: list[int]) -> float:
+        """Share of a likelihood ratio that counts where so many numbers are estimated (Sims 1980)."""
+        return max(0.0, 1.0 - (_PER_CHANGE * (len(edges) - 1) + 1) / len(self._time))
+
+    def _searched(self, long: FloatArray, price: float) -> list[int]:
+        middle, count = np.median(long), len(long)
+        cost = _Lines().fit(np.column_stack([self._time, self._value / middle, (middle / long) ** 2]))
+        step = min(1 + count // 50, COARSEST)
+        try:
+            found = Pelt(custom_cost=cost, min_size=SHORTEST, jump=step).fit(cost.signal).predict(pen=NEEDED + price)
+        except BadSegmentationParameters:  # too few for two parts
+            found = [count]
+        edges = [0, *found]
+        for k in range(1, len(found)):
+            low, at, high = edges[k - 1 : k + 2]
+            near = range(max(low + SHORTEST, at - step), min(high - SHORTEST, at + step) + 1)
+            edges[k] = min(near, key=lambda one: cost.error(low, one) + cost.error(one, high), default=at)
+        return edges
+
+    def deviance(self, partitions: list[list[int]]) -> tuple[FloatArray, FloatArray]:
+        """Least -2 log likelihood of each partition's lines over the grid, and where: by a Kalman filter."""
+        left = np.stack([self._left(edges) for edges in partitions])[:, :, None]
+        ahead, sure, total = np.zeros((len(left), len(self._variance))), self._variance, np.zeros(1)
+        for k in range(left.shape[1]):
+            off, spread = left[:, k] - ahead, sure + self._white[k]
+            total = total + off**2 / spread + np.log(spread)
+            if k < len(self._keep):
+                keep, share = self._keep[k], sure / spread
+                ahead = keep * (ahead + share * off)
+                sure = keep**2 * sure * (1.0 - share) + self._variance * (1.0 - keep**2)
+        return total.min(axis=1), total.argmin(axis=1)
+
+    def _left(self, edges: list[int]) -> FloatArray:
+        left = np.empty_like(self._value)
+        for a, b in pairwise(edges):
+            time, value, weight = self._time[a:b], self._value[a:b], self._weight[a:b]
+            left[a:b] = value - line(time, value, weight**-0.5).at(time)
+        return left
+
+
+def _change(signal: FloatArray, evidence: float) -> Change:
+    """A change and its date: a jump, or where two lines meet, whichever is likelier by the BIC.
+
+    `signal`: time, value, weight of the values between the changes before and after it.
+    """
+    time, count = signal[:, 0], len(signal)
+    places = np.arange(SHORTEST, count - SHORTEST + 1)
+    cost = _Lines().fit(signal - [time.mean(), np.median(signal[:, 1]), 0.0])
+    jump = np.array([cost.error(0, one) + cost.error(one, count) for one in places.tolist()])
+    bend = cost.bends(places)
+    errors, numbers = (bend, 4) if bend.min() + log(count) < jump.min() else (jump, 5)
+    errors = errors / max(1.0, float(errors.min()) / max(count - numbers, 1))
+    near = places[errors <= errors.min() + _DATED]
+    at = places[int(np.argmin(errors))]
+    return Change(float(time[at]), float(time[near[0]]), float(time[near[-1]]), evidence)
 
 
 def scatter_between(value: FloatArray, sd: FloatArray) -> float:
@@ -176,19 +279,6 @@ def scatter_between(value: FloatArray, sd: FloatArray) -> float:
         return float(np.median(steps / (own + 2.0 * share * scale))) - _MEDIAN
 
     return sqrt(scale * brentq(excess, 0.0, 10.0)) if scale > 0.0 and excess(0.0) > 0.0 else 0.0
-
-
-def _slow(value: FloatArray, sd: FloatArray) -> float:
-    """Factor on `sd` by which means over `_BLOCK` recordings scatter more than independent values would."""
-    if len(value) < 20 * _BLOCK:  # a step is in three blocks
-        return 1.0
-    ones, weight = np.ones(_BLOCK), 1.0 / sd**2
-    total = np.convolve(weight, ones, "valid")
-    mean = np.convolve(weight * (value - value[0]), ones, "valid") / total
-    before, at, after = (slice(k * _BLOCK, len(total) - (2 - k) * _BLOCK) for k in range(3))
-    bent = (mean[before] - 2.0 * mean[at] + mean[after]) ** 2
-    expected = 1.0 / total[before] + 4.0 / total[at] + 1.0 / total[after]
-    return max(1.0, sqrt(float(np.median(bent / expected)) / _MEDIAN))
 
 
 def line(time: FloatArray, value: FloatArray, sd: FloatArray) -> Line:

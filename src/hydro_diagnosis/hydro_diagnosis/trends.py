@@ -66,6 +66,8 @@ class Series:
     """Days since 1970, ascending, shape (n,)."""
     value: FloatArray
     sd: FloatArray
+    bound: FloatArray
+    """Distance from the neutral value within which a number lies that was not named; 0 where it was."""
 
     @property
     def key(self) -> str:
@@ -74,7 +76,12 @@ class Series:
 
     def until(self, time: float) -> Series:
         """The recordings up to a time."""
-        return Series(self.name, self.unit, *(one[self.time <= time] for one in (self.time, self.value, self.sd)))
+        return Series(self.name, self.unit, *(one[self.time <= time] for one in self.arrays))
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """As `course` takes them."""
+        return self.time, self.value, self.sd, self.bound
 
 
 def series_of(study: Path, dates: str | None = None) -> list[Series]:
@@ -109,25 +116,26 @@ def _series(name: str, rows: pd.DataFrame, diagnoses: pd.DataFrame, claimed: pd.
     """`claimed`: recordings in which the cause was named, in whatever form."""
     named = rows.drop_duplicates("recording").set_index("recording")
     sd = (named.high - named.low) / 3.92
-    points = pd.DataFrame({"value": named.value, "sd": np.maximum(sd, 1e-9 * named.value.abs())}).dropna()
+    points = pd.DataFrame({"value": named.value, "sd": np.maximum(sd, 1e-9 * named.value.abs()), "bound": 0.0}).dropna()
     points = points[points.index.isin(diagnoses.index)]
     neutral = NEUTRAL.get(name.partition("[")[0])
     if neutral is not None:
         settled = diagnoses.index[diagnoses.verdict.isin(("no_mismatch", "explained", "modelled"))]
         absent = settled.difference(claimed)
-        least = (points.value - neutral.neutral).abs().min() / 1.96
-        spread = np.nanmax([neutral.smallest, points.sd.median(), least])
-        points = pd.concat([points, pd.DataFrame({"value": neutral.neutral, "sd": spread}, index=absent)])
+        away = (points.value - neutral.neutral).abs()
+        spread = np.nanmax([neutral.smallest, points.sd.median(), away.min() / 1.96])
+        unnamed = {"value": neutral.neutral, "sd": spread, "bound": spread * (away / points.sd).min()}
+        points = pd.concat([points, pd.DataFrame(unnamed, index=absent)])
     points["time"] = (diagnoses.begin.loc[points.index] - pd.Timestamp(0, tz="UTC")) / _DAY
     points = points.sort_values("time")
-    return Series(name, rows.unit.iloc[0], *(points[key].to_numpy(float) for key in ("time", "value", "sd")))
+    return Series(name, rows.unit.iloc[0], *(points[key].to_numpy(float) for key in ("time", "value", "sd", "bound")))
 
 
 def row_of(bench: str, series: Series, found: Course, limit: float | None, asked: argparse.Namespace) -> dict[str, Any]:
     """A row of the table; `asked`: new and horizon, in days."""
     line, last = found.lines[-1], found.changes[-1] if found.changes else None
     now, spread = float(line.at(line.end)), 1.96 * float(line.sd(line.end))
-    before = course(*_arrays(series.until(line.end - asked.new)))
+    before = course(*series.until(line.end - asked.new).arrays)
     new = before is not None and found.findings > before.findings
     ahead = (inf, inf, inf) if limit is None else _ahead(series, found, limit)
     return dict(zip(_COLUMNS, (
@@ -136,10 +144,6 @@ def row_of(bench: str, series: Series, found: Course, limit: float | None, asked
         now, now - spread, now + spread, 30.0 * line.slope if found.running else None,
         limit, *(_date(line.end + one) for one in ahead), bool(new or ahead[0] <= asked.horizon),
     ), strict=True))  # fmt: skip
-
-
-def _arrays(series: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
-    return series.time, series.value, series.sd
 
 
 def _ahead(series: Series, found: Course, limit: float) -> tuple[float, float, float]:
@@ -226,7 +230,7 @@ def main() -> int:
     limits, told, short = dict(asked.limit), [], []
     for study in asked.studies:
         for series in series_of(study, asked.dates):
-            found = course(*_arrays(series))
+            found = course(*series.arrays)
             if found is None:
                 short.append(f"{study}: {series.name}: {plural(len(series.time), 'recording')}, {FEWEST} are needed")
                 continue

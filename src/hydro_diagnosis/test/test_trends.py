@@ -56,6 +56,7 @@ def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path, monke
     assert ran(monkeypatch, worn, "--new", 1) == 0  # it was known the day before
     first, second = json.loads(table.read_text(encoding="utf-8"))["rows"]
     assert (first["bench"], second["since"]) == (str(worn), None)
+    assert first["from"] <= str(np.datetime64(20030, "D")) <= first["to"]
     assert abs((np.datetime64(first["since"]) - np.datetime64(20030, "D")).astype(int)) <= 5
     assert "worn" in (page := (tmp_path / "all.html").read_text(encoding="utf-8")) and page.count("<svg") == 2
     limit = ("--limit", "leakage_internal.coefficient=8e-13", "--json", table)  # reached on day 70
@@ -83,6 +84,17 @@ def test_wear_and_repair_are_both_dated_and_scatter_is_not(scale: float) -> None
     assert found and quiet and not quiet.findings
     begin, repair = found.changes
     assert begin.earliest - 5 <= 80 <= begin.latest + 5 and repair.time == 140
+
+
+def test_scatter_that_lasts_for_days_is_no_wear() -> None:
+    time, told = np.arange(120.0), 0
+    for seed in range(20):
+        lasting, own = np.random.default_rng(seed).standard_normal((2, 120))
+        for day in range(1, 120):
+            lasting[day] = 0.7 * lasting[day - 1] + np.sqrt(1.0 - 0.7**2) * lasting[day]
+        found = course(time, lasting + own, np.ones(120))
+        told += found.findings if found else 0
+    assert told <= 1
 
 
 def test_the_manuals_queries_give_the_same_rows(
