@@ -8,6 +8,8 @@ there already are not run again: the same command goes on after an interruption.
 policy           the shipped policy, its mean action
 compensated      the compensated law, adaptive, from neutral coefficients
 learned_residual  the same with the learned residual
+amplitude_phase  the same with amplitude and phase control in its place
+filtered_x       the same with adaptive inverse control by the filtered-x LMS algorithm in its place
 compensated_specimen  the same for the force in front of the load cell, whose amplifier is known: see true_rmse
 paper_fixed      the paper's law at its gains (90, 15)
 robust_fixed     the paper's law at the gains that trip on the fewest truths of another draw (--robust finds them)
@@ -30,6 +32,7 @@ from typing import Annotated, Any
 import numpy as np
 import yaml
 
+from benchmarks._adaptive_feedforward import RATES, Feedforward
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.bags.writer import code_version
@@ -71,6 +74,8 @@ CONTROLLERS = (
     "policy",
     "compensated",
     "learned_residual",
+    "amplitude_phase",
+    "filtered_x",
     "compensated_specimen",
     "paper_fixed",
     "robust_fixed",
@@ -153,6 +158,8 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
         return compensated(config, cases, cell=load_cell(config) if name == "compensated_specimen" else None)
     if name == "learned_residual":
         return compensated(config, cases, residual=Residual(len(cases), Network.load()))
+    if name in RATES:
+        return compensated(config, cases, residual=Feedforward(len(cases), name))
     if name == "policy":
         shipped = load_initial_agent(SHIPPED)
         return measure(config, cases, mean_action(actor_parameters(shipped.agent), shipped))
