@@ -15,6 +15,7 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked, counted, uneven
 from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.selection.search import all_significant
+from hydro_diagnosis.stages.reporting import undetectable_causes
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -52,6 +53,15 @@ def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) 
     problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
     found = fit(problem, [Claim(MASS, {"mass": 0.1})])
     assert not all_significant(problem, found) or not without_insignificant(problem, found)[0].claims
+
+
+def test_rows_hide_no_cause_of_a_sensor_that_is_not_there(nominal: StateArray) -> None:
+    columns = {name: nominal[name][::5].copy() for name in STATE_FIELDS if name != "hydraulic_force"}
+    (part,) = checked(RawTable("run", nominal["time"][::5].copy(), None, columns), BENCH).segments
+    problem = Problem([part], BENCH)
+    sensors = [effect for effect in CANDIDATES if effect.id in ("sensor_lag", "load_cell_gain", "load_cell_bias")]
+    assert any("hydraulic_force" in effect.options.values() for effect in sensors)
+    assert undetectable_causes(problem, fit(problem, []), sensors, 20.0) is None
 
 
 def test_lost_rows_and_their_neighbours_are_not_judged(nominal: StateArray) -> None:

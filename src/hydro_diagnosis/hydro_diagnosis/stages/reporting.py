@@ -17,6 +17,7 @@ from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
 from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
+from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
 from hydro_diagnosis.selection.reliability import doubted, explained_shares, objections
@@ -321,8 +322,9 @@ def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect],
     weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
     change = problem.change(found.claims) * weight
     limits: dict[str, tuple[float, str]] = {}
+    absent = set(MEASURED).difference(*(model.channels for model in problem.models))
     for effect in allowed(library, found.claims, problem.blocks):
-        if not effect.named or effect.needs:
+        if not effect.named or effect.needs or absent & set(effect.options.values()):
             continue
         name = " ".join(part for part in cause(effect)).replace("=", " ")
         price = threshold + len(effect.parameters) * float(np.log(len(weight)))
