@@ -60,7 +60,7 @@ def test_a_claim_that_misses_the_points_is_told() -> None:
     assert missed(right) == [] and len(missed(wrong)) == 6
     said = objections(fit(judged, (Claim(DRY, {"force": 5.0}),), iterations=0),
                       [Interval(5.0, 4.9, 5.1, True)], proof(10.0, 0.5), wrong)  # fmt: skip
-    assert len(said) == 1 and "missed at 6 of 6 speeds" in said[0]
+    assert len(said) == 1 and "at 6 of 6 steady speeds" in said[0]
 
 
 @pytest.mark.parametrize("size, refused", [(11.0, []), (5.0, ["friction_coulomb"])])
