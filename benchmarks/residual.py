@@ -46,6 +46,7 @@ from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
+from hydro_sim.box import reference
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -225,11 +226,17 @@ def scores(found: Run) -> tuple[FloatArray, FloatArray]:
 
 
 def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float) -> Scores:
-    """RMSE [N], RMS of u' [A/s] and whether it tripped, of a controller of `CONTROLLERS` on each of `REFERENCES`."""
+    """RMSE [N], RMS of u' [A/s] and whether it tripped, of a controller of `CONTROLLERS` on each of `REFERENCES`.
+
+    A run that tripped has the error of a force that stands.
+    """
     residual = Residual(len(REFERENCES), Network.load(weights_file)) if controller == "learned" else None
     gains = best_gains(config) if controller == "fixed" else None
     found = run([config] * len(REFERENCES), list(REFERENCES.values()), residual, seed, settle=settle, gains=gains)
     rmse, rate = scores(found)
+    times = np.arange(found.error.shape[1]) * SAMPLE_PERIOD
+    still = [np.sqrt(np.mean(reference.sample(signal, times)[0] ** 2)) for signal in REFERENCES.values()]
+    rmse = np.where(found.tripped > 0.0, still, rmse)
     return {"rmse": rmse.tolist(), "rate": rate.tolist(), "tripped": found.tripped.astype(float).tolist()}
 
 
