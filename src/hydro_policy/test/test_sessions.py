@@ -191,6 +191,23 @@ def test_a_run_in_which_the_machine_was_held_up_is_started_again(silence: float,
     assert (score.samples, score.held) == ((0, 0) if stopped else (500, 0))
 
 
+def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
+    """A bench whose metric is of the compensated law alone: its base gains are compared all the same."""
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session = EvaluationSession(settings, [FixedGains(15.0, 5.0)], graph)
+    take = session.on_sample
+
+    def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        stale = Flag.FILTER_STALE if session._run is not None else 0  # as the bridge says without corrections
+        return take(sequence, sample, flags | stale, now)
+
+    session.on_sample = arrive  # type: ignore[method-assign]
+    graph.run(session, 30.0)
+    (score,) = session.scores
+    assert (score.stopped, score.samples, score.held) == ("", 500, 0) and not session.warnings
+
+
 def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one_is_warned_of() -> None:
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)

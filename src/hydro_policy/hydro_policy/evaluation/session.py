@@ -286,6 +286,8 @@ class EvaluationSession:
         self._run = None
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
         bits = held(flags, k_p, k_i, self._base(run.controller))
+        if _own(run.controller) == self._base(run.controller):
+            bits = np.zeros_like(bits)  # base gains replace none but themselves
         share = float(np.mean(bits != 0))
         late = self._late(run.controller, share) or _missed(run)
         if late and share <= REPLACED and self._again(run, late):
@@ -336,8 +338,7 @@ class EvaluationSession:
 
     def _late(self, controller: Controller, share: float) -> str:
         """Return that base gains replaced the controller's for too long for a fair comparison; empty if not."""
-        own = tuple(getattr(controller, name, None) for name in ("proportional", "integral"))
-        if share <= HELD_MAX or own == self._base(controller):
+        if share <= HELD_MAX:
             return ""
         late = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
         held_up = f"base gains in {100 * share:.0f} % of the samples, {late} came late"
@@ -346,7 +347,7 @@ class EvaluationSession:
     def _replaced(self, controller: Controller, trace: Trace, share: float) -> str:
         """Return why a run tells nothing of its controller: other gains acted; empty if its own did."""
         k_p, k_i = (float(np.median(trace.states[f"{name}_gain"])) for name in ("proportional", "integral"))
-        asked = [getattr(controller, name, None) for name in ("proportional", "integral")]
+        asked = _own(controller)
         fixed = None not in asked  # else a policy, whose gains change
         if fixed and np.allclose((k_p, k_i), np.array(asked, float), rtol=1e-3, atol=1e-3):
             return ""
@@ -359,6 +360,11 @@ class EvaluationSession:
         if sentence not in self.warnings:
             self.warnings.append(sentence)
             self._outputs.say(sentence, warning=True)
+
+
+def _own(controller: Controller) -> tuple[float | None, float | None]:
+    """Return the fixed gains of a controller; None of one whose gains change."""
+    return getattr(controller, "proportional", None), getattr(controller, "integral", None)
 
 
 def _missed(run: _Run) -> str:
