@@ -257,6 +257,7 @@ ATTACKS: dict[str, Strike] = {
     "gains, epoch copied": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0, epoch=graph.epoch)),
     "reference, epoch copied": _publishing(REFERENCE, lambda graph: reference_to_message(SHAKE, graph.epoch)),
     "correction 50 mA, epoch copied": _publishing(CORRECTION, lambda graph: _pushing(graph, graph.epoch)),
+    "correction, cut off": _publishing(CORRECTION, lambda graph: bytes(20)),
     "states": _publishing(STATE, _false_state),
     "authority": _publishing(AUTHORITY, lambda graph: Authority(holder="stranger", claim=1, epoch=1)),
     "/hydro/arm true": _calling(SetBool, ARM_SERVICE, SetBool.Request(data=True)),

@@ -43,6 +43,7 @@ def test_what_a_stranger_does_is_refused_or_the_plant_is_made_safe(graph: Defend
     assert outcome.error < outcome.before + 60.0, "the force went where its holder wanted it"
     assert not outcome.foreign, "gains of a stranger's"
     assert outcome.current < 2e-3, "no correction of a stranger's, of 50 mA"
+    assert all(companion.running for companion in graph.companions), "no node died of it"
 
 
 def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) -> None:

@@ -84,3 +84,4 @@ def test_messages_packed_one_by_one_are_those_of_rosidl(codec):
     assert deserialize_message(codec.pack(*record), codec.kind) == message
     message.header.frame_id = "another frame"
     assert codec.unpack(serialize_message(message)) == record, "of another publisher"
+    assert codec.unpack(data[:30]) is None and codec.unpack(b"") is None

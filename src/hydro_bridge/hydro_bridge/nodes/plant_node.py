@@ -16,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -30,6 +31,7 @@ from hydro_bridge.ros.messages import (
     law_to_message,
     pack_law_state,
     reference_from_message,
+    subscribe,
 )
 from hydro_bridge.ros.topics import (
     BOX,
@@ -74,7 +76,7 @@ class PlantNode(Node):
         )
         self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         gains = create_subscription(self, GAINS, self._on_gains)
-        correction = create_subscription(self, CORRECTION, self._on_correction, raw=True)
+        correction = subscribe(self, CORRECTION, CORRECTIONS, self._on_correction)
         reference = create_subscription(self, REFERENCE, self._on_reference)
         law = create_subscription(self, LAW, self._on_law)
         for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference), (LAW, law)):
@@ -123,8 +125,7 @@ class PlantNode(Node):
         with self.side.lock:
             self.side.guard.set_law(wanted, self._now())
 
-    def _on_correction(self, data: bytes) -> None:
-        message = CORRECTIONS.unpack(data)
+    def _on_correction(self, message: Any) -> None:
         if not self.gate.admits(CORRECTION, message.epoch):
             return
         with self.side.lock:

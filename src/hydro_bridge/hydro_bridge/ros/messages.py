@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from hydro_bridge.ros.topics import BOX, create_subscription
+from hydro_bridge.ros.topics import BOX, GRAPH, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.serial.frames import BoxInfo, BoxLaw, LawState
 from hydro_bridge.signals import Law, LawCommand, ReferenceSignal, Waveform
@@ -57,18 +57,31 @@ class Codec:
         return self._struct.pack(head, *divmod(stamp, 1_000_000_000), size, frame, *numbers)
 
     def unpack(self, data: bytes) -> Any:
-        """Return the record of a serialized message."""
+        """Return the record of a serialized message; None: it is none of this type."""
         if len(data) >= self._struct.size:
             head, sec, nanosec, size, frame, *numbers = self._struct.unpack_from(data)
             if (head, size, frame) == self._head:
                 return self.record(1_000_000_000 * sec + nanosec, *numbers)
-        message = deserialize_message(data, self.kind)
+        try:
+            message = deserialize_message(data, self.kind)
+        except RuntimeError:  # of which all of rclpy's are
+            return None
         stamp = message.header.stamp
         numbers = [getattr(message, name) for name in self._names]
         return self.record(1_000_000_000 * stamp.sec + stamp.nanosec, *numbers)
 
 
 STATES, CORRECTIONS, LAW_STATES = Codec(BenchState), Codec(Correction), Codec(LawStateMessage)
+
+
+def subscribe(node: Node, topic: str, codec: Codec, callback: Callable[[Any], None]) -> Subscription:
+    """Call `callback` with the record of each message of a topic of `GRAPH`; what is no such message is dropped."""
+
+    def take(data: bytes) -> None:
+        if (record := codec.unpack(data)) is not None:
+            callback(record)
+
+    return node.create_subscription(codec.kind, topic, take, GRAPH[topic][1], raw=True)
 
 
 def seconds(stamp: Any) -> float:
@@ -130,11 +143,6 @@ def law_to_message(law: BoxLaw | None, stamp: Any) -> BoxLawMessage:
     message = BoxLawMessage(offered=law is not None, **numbers)
     message.header.stamp = stamp
     return message
-
-
-def law_from_message(message: BoxLawMessage) -> BoxLaw | None:
-    """Return a box's compensated law from its message; None: it has none."""
-    return BoxLaw.told(message)
 
 
 def fill_law_command(message: LawCommandMessage, command: LawCommand) -> LawCommandMessage:

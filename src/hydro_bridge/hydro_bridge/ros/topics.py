@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -88,10 +89,10 @@ def create_publisher(node: Node, topic: str) -> Publisher:
     return node.create_publisher(kind, topic, qos)
 
 
-def create_subscription(node: Node, topic: str, callback: Callable[[Any], None], *, raw: bool = False) -> Subscription:
-    """Subscribe to a topic of `GRAPH`; `raw`: the callback gets serialized messages."""
+def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
+    """Subscribe to a topic of `GRAPH`."""
     kind, qos = GRAPH[topic]
-    return node.create_subscription(kind, topic, callback, qos, raw=raw)
+    return node.create_subscription(kind, topic, callback, qos)
 
 
 def mailbox_name(name: str) -> str:
@@ -126,7 +127,7 @@ class Mailbox:
         fetched: list[tuple[bytes, int]] = []
         with subscription.handle:
             while len(fetched) < most and (taken := subscription.handle.take_message(subscription.msg_type, True)):
-                fetched.append((taken[0], taken[1]["received_timestamp"]))
+                fetched.append((taken[0], taken[1]["received_timestamp"] or time.time_ns()))
         return fetched
 
     def close(self) -> None:

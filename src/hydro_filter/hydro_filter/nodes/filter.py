@@ -45,7 +45,14 @@ from hydro_bridge.ros.diagnostics import (
     publisher_conflicts,
     with_publisher_conflicts,
 )
-from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, law_state_from_message, subscribe_to_box
+from hydro_bridge.ros.messages import (
+    CORRECTIONS,
+    LAW_STATES,
+    STATES,
+    law_state_from_message,
+    subscribe,
+    subscribe_to_box,
+)
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import (
     AUTHORITY,
@@ -134,9 +141,9 @@ class FilterNode(Node):
         self.create_timer(LOOK, self._look_for_new_files, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._law: Any = None  # record of the last one, while another law than the paper's acts
         self._waiting: Any = None  # record of a state that waits for its law
-        self._laws = create_subscription(self, LAW_STATE, self._on_law_state, raw=True)
+        self._laws = subscribe(self, LAW_STATE, LAW_STATES, self._on_law_state)
         # last: states are queued from now on
-        self._states = create_subscription(self, STATE, self._on_state, raw=True)
+        self._states = subscribe(self, STATE, STATES, self._on_state)
 
     def _come_forward(self) -> None:
         """Start answering, unless another filter does."""
@@ -194,8 +201,7 @@ class FilterNode(Node):
         words = "; ".join(f"{name}: {value}" for name, value in told.items())
         self.get_logger().info(f"new files are taken over: {words}")
 
-    def _on_state(self, data: bytes) -> None:
-        message = STATES.unpack(data)
+    def _on_state(self, message: Any) -> None:
         self._armed = bool(message.flags & Flag.ARMED)
         if self._states.get_publisher_count() > 1:
             return  # which of them is the plant's? The plant holds its base gains, and disarms
@@ -226,8 +232,7 @@ class FilterNode(Node):
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
 
-    def _on_law_state(self, data: bytes) -> None:
-        message = LAW_STATES.unpack(data)
+    def _on_law_state(self, message: Any) -> None:
         if self._law is None:
             why = self._bypasses(message)
             if why:

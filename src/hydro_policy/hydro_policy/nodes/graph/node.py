@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -25,7 +26,7 @@ from hydro_bridge.process.realtime import drop_realtime
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
-from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, law_from_message, seconds, subscribe_to_box
+from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, seconds, subscribe, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
 from hydro_bridge.ros.topics import (
     BOX_LAW,
@@ -200,7 +201,7 @@ class GraphNode(Node):
         self._wait = AuthorityWait(self, self._commander, self.warn)
         self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._states = create_subscription(self, STATE, self._on_state, raw=True)
+        self._states = subscribe(self, STATE, STATES, self._on_state)
         self._mailbox = Mailbox(name)
         self._corrections: Subscription | None = None
         """Read at each policy step."""
@@ -283,12 +284,11 @@ class GraphNode(Node):
     def compensate(self, compensation: LiveCompensation) -> None:
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
 
-        def take(data: bytes) -> None:
-            message = LAW_STATES.unpack(data)
+        def take(message: Any) -> None:
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
 
         FreezeService(self, compensation, self.warn)
-        create_subscription(self, LAW_STATE, take, raw=True)  # each before its sample
+        subscribe(self, LAW_STATE, LAW_STATES, take)  # each before its sample
 
     def destroy_node(self) -> None:
         """Leave the graph."""
@@ -361,12 +361,12 @@ class GraphNode(Node):
             self._finish()
 
     def _on_box_law(self, message: BoxLawMessage) -> None:
-        self.law, self._laws_told = law_from_message(message), True
+        self.law, self._laws_told = BoxLaw.told(message), True
         if self._meeting is not None and self.box is not None:
             self._finish()
 
-    def _on_state(self, data: bytes) -> None:
-        begin, message = time.monotonic(), STATES.unpack(data)
+    def _on_state(self, message: Any) -> None:
+        begin = time.monotonic()
         if self._states.get_publisher_count() > 1:
             self._wait.note_two_plants()  # which of them is the plant's?
             return
@@ -390,7 +390,8 @@ class GraphNode(Node):
         if self._corrections is None:
             return
         for data, _ in self._mailbox.fetch(self._corrections, GRAPH[STATE][1].depth):
-            message = CORRECTIONS.unpack(data)
+            if (message := CORRECTIONS.unpack(data)) is None:
+                continue
             self.corrected = True
             if self._session is not None:
                 self._session.on_correction(message.certificate_after, message.status)
