@@ -33,7 +33,7 @@ ARMED = "document.getElementById('state').textContent == 'ARMED'"
 DISARMED = "document.getElementById('state').textContent == 'disarmed'"
 STALE = "document.body.classList.contains('stale')"
 SLACK = 5.0
-"""Times what is measured by `benchmarks.dashboard` and stands in its report: here a machine may stand still."""
+"""Times what was measured and stands in live_page.md: here a machine may stand still."""
 
 
 @contextmanager

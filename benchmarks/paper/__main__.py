@@ -44,16 +44,15 @@ def main() -> None:
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the page there (docs/reports/paper.md)")
     add_json_argument(parser)
     asked = parser.parse_args()
-    full, quick = (Store(asked.folder, size, None if asked.fresh else RESULTS) for size in (FULL, QUICK))
-    store = quick if asked.quick else full
+    store = Store(asked.folder, QUICK if asked.quick else FULL, None if asked.fresh else RESULTS)
     seeds = range(store.size.seeds)
     if unknown := set(asked.seeds or ()) - set(seeds):
         raise ValueError(f"--seeds {min(unknown)}: the seeds of this size are 0 to {len(seeds) - 1}")
     if not asked.show:
         _run(store, asked.only or list(TABLES), asked.seeds or list(seeds))
-    report.write(full, quick, asked.report, asked.json)
+    report.write(store, asked.report, asked.json)
     if asked.ship:
-        print(f"wrote {full.ship(RESULTS)} and {quick.ship(RESULTS)}", file=sys.stderr)
+        print(f"wrote {store.ship(RESULTS)}", file=sys.stderr)
 
 
 def _run(store: Store, names: list[str], seeds: list[int]) -> None:

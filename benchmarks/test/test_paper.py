@@ -12,7 +12,7 @@ import torch
 from benchmarks.paper import metric, report
 from benchmarks.paper.certificate import NetworkDynamics, NetworkMetric, PaperFilter
 from benchmarks.paper.network import NetworkModel
-from benchmarks.paper.store import FULL, QUICK, RESULTS, Store
+from benchmarks.paper.store import FULL, RESULTS, Store
 from hydro_filter.model.sample import Sample
 from hydro_sim.files.recordings import Run
 
@@ -42,7 +42,7 @@ def metric_of(made: torch.nn.Module, model: NetworkModel) -> NetworkMetric:
 
 def test_the_page_is_made_from_the_results_that_came_with_it(tmp_path: Path) -> None:
     page = (RESULTS.parents[2] / "docs/reports/paper.md").read_text(encoding="utf-8")
-    assert page == report.text(Store(tmp_path, FULL, RESULTS), Store(tmp_path, QUICK, RESULTS))
+    assert page == report.text(Store(tmp_path, FULL, RESULTS))
 
 
 def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
