@@ -26,7 +26,8 @@ import yaml
 from benchmarks._drawn_truths import drawn_truths
 from benchmarks._report import parser
 from benchmarks.compensated_law import diagnosed
-from benchmarks.controllers import SETTINGS, interquartile_mean
+from benchmarks.controllers import SETTINGS
+from benchmarks.controllers import table as law_table
 from benchmarks.model_mismatch import outcome, play
 from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.serial.frames import BoxLaw
@@ -278,22 +279,6 @@ def figures(done: Sequence[tuple[np.void, int]]) -> dict[str, Any]:
     return {**squares, "tripped": tripped, **shares(statuses)}
 
 
-def law_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """Interquartile mean (worst) RMSE [N] by reference, trips and mean shares, for the default truth and the drawn."""
-    units = {"bench": "", "filter": "", **dict.fromkeys((case.name for case in CASES), "N"), "u' RMS": "A/s"}
-    made = Table({**units, "trips": "", "mismatch": "%", "corrected": "%"}, title="Interquartile mean (worst)")
-    for group in dict.fromkeys((row["bench"], row["filter"]) for row in rows):
-        own = [row for row in rows if (row["bench"], row["filter"]) == group]
-        cells = dict(zip(("bench", "filter"), group, strict=True))
-        for case in CASES:
-            values = np.array([row["rmse"] for row in own if row["reference"] == case.name])
-            cells[case.name] = f"{interquartile_mean(values):.1f} ({np.nanmax(values):.1f})"
-        cells["u' RMS"] = f"{interquartile_mean(np.array([row['current_rate_rms'] for row in own])):.3f}"
-        cells["trips"] = f"{sum(row['tripped'] for row in own)} of {len(own)}"
-        made.add(**cells, **{key: f"{np.mean([row[key] for row in own]):.2g}" for key in ("mismatch", "corrected")})
-    return made
-
-
 @command(ValueError, OSError)
 def main() -> None:
     """Measure, print, write."""
@@ -330,7 +315,7 @@ def main() -> None:
             made = None
         for row in wide_gains(name, made) if not under_law else ():
             table.add(**row)
-    (law_table(rows) if rows else table).show(asked.json)
+    (law_table(rows, CASES, ("bench", "filter"), ("mismatch", "corrected")) if rows else table).show(asked.json)
 
 
 if __name__ == "__main__":

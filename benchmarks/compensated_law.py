@@ -26,11 +26,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks._drawn_truths import drawn_truths
+from benchmarks._report import parser
 from benchmarks._truth_fleet import truth_fleet
-from benchmarks.controllers import SETTINGS, compensated, held, interquartile_mean, load_cell
+from benchmarks.controllers import SETTINGS, compensated, held, load_cell, table
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, add_json_argument, command
+from hydro_bridge.cli.console import Table, command
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import Flag, Law, Waveform
 from hydro_diagnosis.pipeline import diagnose
@@ -124,17 +125,7 @@ def run_job(job: Job) -> list[dict[str, Any]]:
 def tabulated(asked: argparse.Namespace, wanted: Sequence[Job]) -> Table:
     """A row for each law and condition."""
     rows = [row for found in on_truths(asked, run_job, wanted) for row in found]
-    names = [case.name for case in SETTINGS.cases]
-    table = Table({"law": "", "condition": "", **dict.fromkeys(names, "N"), "mean": "N", "u' RMS": "A/s", "trips": ""})
-    for key in dict.fromkeys((row["law"], row["condition"]) for row in rows):
-        own = [row for row in rows if (row["law"], row["condition"]) == key]
-        values = [np.array([row["rmse"] for row in own if row["reference"] == name]) for name in names]
-        means = [interquartile_mean(value) for value in values]
-        cells = {n: f"{m:.2f} ({v.max():.1f})" for n, m, v in zip(names, means, values, strict=True)}
-        rate = interquartile_mean(np.array([row["current_rate_rms"] for row in own]))
-        told = {"mean": f"{np.mean(means):.2f}", "u' RMS": f"{rate:.3f}", "trips": str(sum(r["tripped"] for r in own))}
-        table.add(law=key[0], condition=key[1], **cells, **told)
-    return table
+    return table(rows, SETTINGS.cases, ("law", "condition"))
 
 
 def on_truths(asked: argparse.Namespace, function: Callable[[Any], Any], wanted: Sequence[Any]) -> list[Any]:
@@ -169,7 +160,7 @@ def effects(asked: argparse.Namespace) -> Table:
 def specimen(asked: argparse.Namespace) -> Table:
     """A row for each truth, the default one first: cell as it is and as found, mean errors of the six references."""
     beliefs = dict.fromkeys(("not known", "diagnosed", "known", "x 0.8", "x 1.2"), "N, true_rmse")
-    table = Table({"truth": "", "cell": "Hz, -", "found": "Hz, -", **beliefs, "rmse": "N", "ratio": "", "share": ""})
+    made = Table({"truth": "", "cell": "Hz, -", "found": "Hz, -", **beliefs, "rmse": "N", "ratio": "", "share": ""})
     configs = [profile("default"), *drawn(asked)]
     for number, (cells, rows) in enumerate(on_truths(asked, specimen_of, configs)):
         felt = {name: np.array([row["true_rmse"] for row in own]) for name, own in rows.items()}
@@ -180,8 +171,8 @@ def specimen(asked: argparse.Namespace) -> Table:
         said |= {name: f"{each.mean():.2f}" for name, each in felt.items()} | {"rmse": f"{rmse.mean():.2f}"}
         said["ratio"] = f"{(felt['diagnosed'] / rmse).max():.2f}"
         said["share"] = f"{(wrong / felt['not known']).max():.2f}"
-        table.add(truth=str(number - 1) if number else "default", **said)
-    return table
+        made.add(truth=str(number - 1) if number else "default", **said)
+    return made
 
 
 def specimen_of(config: TruthConfig) -> tuple[dict[str, LoadCell | None], dict[str, list[dict[str, Any]]]]:
@@ -213,7 +204,7 @@ def changes(asked: argparse.Namespace) -> Table:
     settings = replace(SETTINGS, measure=6.0)
     windows = {"before": (2.0, 4.0), "first second": (4.0, 5.0), "2 s later": (6.0, 8.0)}
     cases = settings.cases
-    table = Table({"change": "", "window": "", **dict.fromkeys((case.name for case in cases), "N"), "trips": ""})
+    made = Table({"change": "", "window": "", **dict.fromkeys((case.name for case in cases), "N"), "trips": ""})
     for name, changed in CHANGES.items():
         fleet, plant = truth_fleet(len(cases), profile("default")), TruthPlant(truth(changed))
         sums = {window: np.zeros(len(cases)) for window in windows}
@@ -232,8 +223,8 @@ def changes(asked: argparse.Namespace) -> Table:
         for window, (first, last) in windows.items():
             rmse = np.sqrt(sums[window] * STEP / (last - first))
             cells = {case.name: f"{value:.1f}" for case, value in zip(cases, rmse, strict=True)}
-            table.add(change=name, window=window, **cells, trips=str(int(tripped.sum())))
-    return table
+            made.add(change=name, window=window, **cells, trips=str(int(tripped.sum())))
+    return made
 
 
 def endurance(asked: argparse.Namespace) -> Table:
@@ -245,10 +236,10 @@ def endurance(asked: argparse.Namespace) -> Table:
         fleet.begin(index, SETTINGS.cases[0].signal, asked.seed + index, law=Law.COMPENSATED)
     waves = {"sines": Waveform.SINE, "multisines": Waveform.MULTISINE, "steps": Waveform.SMOOTH_STEP}
     scales = {"a_0": 1.0, "a_1 [ms]": 1e3, "a_2 [1e-3 s^2]": 1e3, "a_3 [N]": 1.0}
-    table = Table({"to": "h", **dict.fromkeys(waves, "N"), **dict.fromkeys(scales, ""), "trips": ""})
+    made = Table({"to": "h", **dict.fromkeys(waves, "N"), **dict.fromkeys(scales, ""), "trips": ""})
     for end in np.minimum(np.arange(1.0, asked.hours + 1.0), asked.hours):
         squares, steps, trips, seen = np.zeros(len(waves)), np.zeros(len(waves)), 0, []
-        for number in range(round((end - len(table.rows)) * 3600.0 / STEP)):
+        for number in range(round((end - len(made.rows)) * 3600.0 / STEP)):
             since = number % round(REFERENCE_TIME / STEP)
             if since == 0:
                 kinds = generator.integers(len(waves), size=count)
@@ -270,9 +261,9 @@ def endurance(asked: argparse.Namespace) -> Table:
             name: f"{all_seen[..., k].min() * scale:.3g} to {all_seen[..., k].max() * scale:.3g}"
             for k, (name, scale) in enumerate(scales.items())
         }
-        table.add(to=f"{end:g}", **rmse, **ranges, trips=str(trips))
-        print(table.rows[-1], file=sys.stderr, flush=True)
-    return table
+        made.add(to=f"{end:g}", **rmse, **ranges, trips=str(trips))
+        print(made.rows[-1], file=sys.stderr, flush=True)
+    return made
 
 
 def truth(changed: Mapping[str, Any]) -> TruthConfig:
@@ -293,18 +284,14 @@ STUDIES: dict[str, Callable[[argparse.Namespace], Table]] = {
 @command(ValueError)
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.compensated_law", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
-    )  # fmt: skip
-    parser.add_argument("study", choices=STUDIES)
-    parser.add_argument("--draw", type=int, default=40, metavar="COUNT", help="truths; default: %(default)s")
-    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
-    parser.add_argument("--benches", type=int, default=1, help="of endurance, side by side; default: %(default)s")
-    parser.add_argument("--hours", type=float, default=24.0, help="of endurance; default: %(default)s")
-    jobs.add_arguments(parser)
-    add_json_argument(parser)
-    asked = parser.parse_args()
+    options = parser("compensated_law", __doc__)
+    options.add_argument("study", choices=STUDIES)
+    options.add_argument("--draw", type=int, default=40, metavar="COUNT", help="truths; default: %(default)s")
+    options.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
+    options.add_argument("--benches", type=int, default=1, help="of endurance, side by side; default: %(default)s")
+    options.add_argument("--hours", type=float, default=24.0, help="of endurance; default: %(default)s")
+    jobs.add_arguments(options)
+    asked = options.parse_args()
     STUDIES[asked.study](asked).show(asked.json)
 
 

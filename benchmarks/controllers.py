@@ -34,10 +34,11 @@ import yaml
 
 from benchmarks._adaptive_feedforward import RATES, Feedforward
 from benchmarks._drawn_truths import drawn_truths
+from benchmarks._report import parser
 from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, add_json_argument, command
+from hydro_bridge.cli.console import Table, command
 from hydro_bridge.files.settings_file import from_mapping
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.settings import SettingsError, quantity
@@ -246,18 +247,26 @@ def interquartile_mean(values: FloatArray) -> float:
     return float(ordered[cut : len(ordered) - cut].mean())
 
 
-def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
-    """Interquartile mean and worst RMSE [N] of each controller over the truths, by reference."""
-    units = {"controller": "", **dict.fromkeys((case.name for case in cases), "N"), "u' RMS": "A/s", "trips": ""}
-    made = Table(units, title="Force RMSE: interquartile mean (worst) over the truths")
-    for name in dict.fromkeys(row["controller"] for row in rows):
-        own = [row for row in rows if row["controller"] == name]
-        cells = {}
-        for case in cases:
-            values = np.array([row["rmse"] for row in own if row["reference"] == case.name])
-            cells[case.name] = f"{interquartile_mean(values):.1f} ({values.max():.0f})"
+def table(
+    rows: Sequence[dict[str, Any]], cases: Sequence[Case], keys: Sequence[str] = ("controller",),
+    shares: Sequence[str] = (),
+) -> Table:  # fmt: skip
+    """Interquartile mean (worst) RMSE [N] over the truths by reference, a row for each value of `keys`.
+
+    `shares`: entries [%] of which the mean is told as well.
+    """
+    units = dict.fromkeys(keys, "") | dict.fromkeys((case.name for case in cases), "N") | {"mean": "N", "u' RMS": "A/s"}
+    made = Table({**units, "trips": "", **dict.fromkeys(shares, "%")}, title="Force RMSE: interquartile mean (worst)")
+    for group in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
+        own = [row for row in rows if tuple(row[key] for key in keys) == group]
+        values = [np.array([row["rmse"] for row in own if row["reference"] == case.name]) for case in cases]
+        means = [interquartile_mean(value) for value in values]
+        cells = {c.name: f"{m:.2f} ({np.nanmax(v):.1f})" for c, m, v in zip(cases, means, values, strict=True)}
         rate = interquartile_mean(np.array([row["current_rate_rms"] for row in own]))
-        made.add(controller=name, **cells, **{"u' RMS": f"{rate:.3f}", "trips": str(sum(r["tripped"] for r in own))})
+        told = {"mean": f"{np.mean(means):.2f}", "u' RMS": f"{rate:.3f}"}
+        told["trips"] = f"{sum(row['tripped'] for row in own)} of {len(own)}"
+        told |= {key: f"{np.mean([row[key] for row in own]):.2g}" for key in shares}
+        made.add(**dict(zip(keys, group, strict=True)), **cells, **told)
     return made
 
 
@@ -311,22 +320,18 @@ def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]
 @command(ValueError, OSError)
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.controllers", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
-    )  # fmt: skip
-    source = parser.add_mutually_exclusive_group(required=True)
+    options = parser("controllers", __doc__)
+    source = options.add_mutually_exclusive_group(required=True)
     source.add_argument("--truths", type=Path, metavar="FOLDER", help="truth files, *.yaml")
     source.add_argument("--rows", type=Path, nargs="+", metavar="FILE", help="run nothing: show what --json wrote")
     source.add_argument("--robust", action="store_true", help="find robust_fixed's gains on 40 drawn truths, and end")
-    parser.add_argument("--draw", type=int, default=0, metavar="COUNT", help="write so many drawn truths there first")
-    parser.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
-    parser.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
-    parser.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="bars of the controllers of README")
-    jobs.add_arguments(parser)
-    add_json_argument(parser)
-    asked = parser.parse_args()
+    options.add_argument("--draw", type=int, default=0, metavar="COUNT", help="write so many drawn truths there first")
+    options.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
+    options.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
+    options.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
+    options.add_argument("--picture", type=Path, metavar="FILE", help="bars of the controllers of README")
+    jobs.add_arguments(options)
+    asked = options.parse_args()
     if asked.robust:
         drawn = map(truth_from_mapping, drawn_truths(40, seed=7).values())
         print(f"best: {robust_gains(drawn, **jobs.where(asked))}")
@@ -340,7 +345,7 @@ def main() -> None:
     if asked.picture:
         picture(rows, cases, asked.picture)
     if asked.json:
-        Path(asked.json).write_text(json.dumps({"rows": rows}, indent=1) + "\n")
+        asked.json.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
