@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Named configurations: `paper` is Table training_agent, `wide` the range allowed by the learned metric's filter.
-
-training_figures.md has the measured effect of each value of `wide`.
-"""
+"""Named configurations: `paper` is Table training_agent, `wide` the range allowed by the learned metric's filter."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorSettings:
-    """Limits; the defaults lie between what good and bad runs reach (training_figures.md)."""
+    """Limits; the defaults lie between what good and bad runs reach (training.md)."""
 
     peak_error: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
     """|e| in the mean over a policy step."""
