@@ -22,7 +22,7 @@ from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
 from hydro_policy.nodes.startup.companions import PlantOptions, start_companions
 from hydro_policy.task.mdp import GainRange
-from tests.graph_probe import Probe, trainer
+from tests.graph_probe import Probe
 
 pytestmark = pytest.mark.graph
 
@@ -88,27 +88,3 @@ def test_it_tracks_far_better_than_fixed_gains_and_a_killed_estimator_leaves_neu
     last = after[-1]
     assert (last.velocity_compensation, last.valve_gain_scale) == (LAW.velocity_compensation, LAW.valve_gain_scale)
     assert probe.last(STATE).proportional_gain == LAW.base_kp and probe.last(STATE).integral_gain == LAW.base_ki
-
-
-@pytest.mark.study
-@pytest.mark.timeout(400)
-def test_a_learner_killed_beside_the_law_changes_nothing_of_it(plant: ExitStack, probe: Probe, tmp_path: Path) -> None:
-    heard: list[LawState] = []
-    create_subscription(probe.node, LAW_STATE, heard.append)
-    short = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
-    words = ("--plant", "external", "--rearm", "auto", "--no-dashboard", "--from", "scratch", "--episodes", "1")
-    process = plant.enter_context(trainer(*words, "--evaluate", "--runs", str(tmp_path), "--name", "a", *short))
-    probe.wait(lambda: heard and heard[-1].a_1 > 0.01, 300.0)
-    probe.spin(1.0)
-    os.kill(process.child("spawn_main"), signal.SIGKILL)
-    begun = len(heard)
-    probe.spin(2.5)
-    after = heard[begun - 100 :]
-    a, whole = coefficients(after), np.diff([state.sequence for state in after]) == 1
-    f_c, rate = np.array([(state.compensated_reference, state.compensated_reference_rate) for state in after]).T
-    steps = np.abs(np.diff(f_c))[whole] - SAMPLE_PERIOD * np.maximum(np.abs(rate[1:]), np.abs(rate[:-1]))[whole]
-    assert steps.max() < CURVATURE and len(after) > 300
-    assert np.any(a != NEUTRAL, axis=1).all() and len(np.unique(a, axis=0)) > 100, "they go on to be fitted"
-    assert probe.flags() & Flag.ARMED and not probe.flags() & Flag.TRIPPED
-    assert probe.last(STATE).proportional_gain == LAW.base_kp
-    probe.wait(lambda: "Best: compensated" in process.text, 60.0)

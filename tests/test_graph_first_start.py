@@ -16,9 +16,6 @@ from hydro_bridge.ros.companion import executable_path
 from hydro_sim.compilations import VARIABLE, read_compilations
 from tests.graph_probe import own_domain
 
-SHORT = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
-PLANTS = ("sim", "emulator")
-
 
 def run(words: str, folder: Path, *more: str) -> set[str]:
     """Run `package executable words`, {out} being `folder`; what was compiled meanwhile, by all its processes."""
@@ -42,16 +39,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recording")
     assert run("hydro_sim emulator --offline --seconds 8 --out {out}/bag", folder) == set()
     return folder / "bag"
-
-
-@pytest.mark.graph
-@pytest.mark.study  # continuous integration's main job shows the same of a whole training
-@pytest.mark.parametrize("plant", PLANTS)
-def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> None:
-    words = f"hydro_policy trainer --plant {plant} --configuration wide --episodes 1 --runs {{out}}/runs"
-    assert run(words, tmp_path, *SHORT) == set()
-    words = f"hydro_policy evaluate --plant {plant} --runs {{out}}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
-    assert run(words, tmp_path) == set()
 
 
 @pytest.mark.slow

@@ -4,17 +4,26 @@
 from __future__ import annotations
 
 import ast
+import os
+import re
+import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from ament_index_python.packages import get_package_prefix
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
 LOADED = {"hydro_sim": {"hydro_firmware"}}
 """Packages of ours that are loaded as a shared library, which no import shows."""
+
+
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/hydro_*/setup.py"))
+
 
 KEYS = {name: f"python3-{name}" for name in (
     "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas",
@@ -22,14 +31,17 @@ KEYS = {name: f"python3-{name}" for name in (
 )} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
 
+
 WITHOUT_KEY = {
     "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pyarrow", "ruptures",
     "safetensors", "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 
+
 DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}
 """pip's names where they are not the module's."""
+
 
 NOT_ASKED_FOR = {"asammdf", "cycler", "llvmlite"}
 """Only for MDF files; come with matplotlib and numba."""
@@ -80,3 +92,39 @@ def test_what_pip_has_to_install_is_declared(folder: Path) -> None:
     (value,) = (node.value for node in called if isinstance(node, ast.keyword) and node.arg == "install_requires")
     listed = {name for name in ast.literal_eval(value) if not name.startswith("hydro_")}
     assert listed == needed
+
+
+FILES = sorted(ROOT.glob("src/*/launch/*.launch.py"))
+
+
+def calls(path: Path) -> list[ast.Call]:
+    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+
+
+def executables(path: Path) -> set[tuple[str, str]]:
+    """Return the (package, executable) pairs that a launch file names."""
+    found = set()
+    for call in calls(path):
+        words = {
+            word.arg: ast.literal_eval(word.value) for word in call.keywords if isinstance(word.value, ast.Constant)
+        }
+        if "executable" in words:
+            found.add((words["package"], words["executable"]))
+    return found
+
+
+def options(path: Path) -> set[str]:
+    constants = [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+    return {value for value in constants if isinstance(value, str) and re.fullmatch(r"--[a-z-]+", value)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_executables_take_the_options_given(path: Path) -> None:
+    help_texts = ""
+    for package, executable in executables(path):
+        program = Path(get_package_prefix(package), "lib", package, executable)
+        assert os.access(program, os.X_OK), f"{package} has no executable {executable}"
+        answer = subprocess.run([program, "--help"], capture_output=True, text=True, check=True, timeout=60)
+        help_texts += answer.stdout
+    assert {option for option in options(path) if not re.search(rf"{option}\b", help_texts)} == set()

@@ -15,10 +15,9 @@ from hydro_bridge.safety.guard import (
     STALE_LAW,
     CommandGuard,
     GuardSettings,
-    narrowed,
     safe_command,
 )  # fmt: skip
-from hydro_bridge.serial.frames import BoxInfo, BoxLaw
+from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import NEUTRAL, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -186,13 +185,6 @@ def test_a_hold_is_let_through_whatever_its_frequency_and_goes_down_with_one_tha
     guard = CommandGuard()
     assert guard.set_reference(ReferenceSignal(waveform=Waveform.HOLD, offset=100.0, frequency=frequency))
     assert guard.command(0.0).reference == ReferenceSignal(offset=100.0)
-
-
-def test_the_box_narrows_the_limits_and_never_widens_them():
-    box = BoxInfo(delta_kp_min=-5.0, delta_kp_max=10.0, delta_ki_max=99.0, delta_u_max=0.015625)
-    limits = narrowed(GuardSettings(), box)
-    assert (limits.delta_kp_min, limits.delta_kp_max) == (0.0, 10.0)
-    assert (limits.delta_ki_max, limits.delta_u_max) == (10.0, 0.015625)
 
 
 def opened() -> CommandGuard:

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,8 +15,9 @@ import pytest
 
 from hydro_bridge.link.link import MISSED, NO_LAW, SLOW_LINE, Link, LinkState, incomplete
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.serial.port import Port, PortSettings
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details
+from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import Command, CorrectionStatus, Flag, Law
 
 
@@ -251,3 +254,36 @@ def test_another_epoch_means_that_the_box_was_restarted(bench):
 def test_the_box_narrows_the_guard_at_connection(bench):
     it = bench(info=BoxInfo(name="weak", delta_kp_max=10.0, delta_u_max=0.015625)).connected()
     assert (it.link.guard.settings.delta_kp_max, it.link.guard.settings.delta_u_max) == (10.0, 0.015625)
+
+
+@pytest.fixture
+def port(cable):
+    made = Port(PortSettings(path=str(cable.path)))
+    yield made
+    made.close()
+
+
+def test_the_port_is_opened_exclusively(cable, port):
+    port.open()
+    with pytest.raises(PortLostError, match="in use by another program"):
+        Port(port.settings).open()
+
+
+def test_a_box_that_does_not_read_never_blocks_a_write_and_frames_stay_whole(cable, port):
+    port.open()
+    began = time.monotonic()
+    frames = [b"<%06d>" % n for n in range(20_000)]
+    written = [frame for frame in frames if port.write(frame)]
+    assert time.monotonic() - began < 5.0
+    assert port.dropped_writes == len(frames) - len(written) > 0
+    received = b""
+    with suppress(BlockingIOError):
+        while True:
+            received += os.read(cable.box, 65536)
+            time.sleep(0.001)
+    assert received == b"".join(written)[: len(received)]
+
+
+def test_a_line_too_slow_for_version_2_is_refused_with_the_number():
+    with pytest.raises(SettingsError, match=r"baud must be within .* not 921600: .* version 2 930000"):
+        PortSettings(baud=921600)

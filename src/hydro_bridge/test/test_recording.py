@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -31,9 +32,15 @@ from hydro_bridge.bags.recording import (
 )
 from hydro_bridge.bags.schema import definition
 from hydro_bridge.bags.source import BagSource
+from hydro_bridge.bags.writer import sequence_of
+from hydro_bridge.nodes.replayer import Replay
 
 GAINS = "/hydro/gains"
+
+
 GAINS_TYPE = "hydro_msgs/msg/Gains"
+
+
 VERSION_9 = {
     "version", "storage_identifier", "duration", "starting_time", "message_count", "topics_with_message_count",
     "compression_format", "compression_mode", "relative_file_paths", "files", "custom_data", "ros_distro",
@@ -294,3 +301,34 @@ def test_an_interrupted_sequence_is_reported(make_states):
     assert continuity(make_states(10, first=2**32 - 5)).whole
     assert continuity(np.concatenate([make_states(5, first=10**7), make_states(5)])).whole, "the box began anew"
     assert continuity(states[[0, 2, 1, 3]]).backward == 1 and continuity(states[:1]).whole
+
+
+@pytest.fixture
+def thousands(tmp_path, make_states):
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write_states(make_states(300, first=1000))
+    return tmp_path / "run"
+
+
+def stamp(data: bytes) -> float:
+    sec, nanosec = np.frombuffer(data[4:12], "<u4")
+    return float(sec) + 1e-9 * float(nanosec)
+
+
+def replayed(thousands, speed):
+    """(stamp, arrival) [s] of each message, shape (n, 2)."""
+    came: list[tuple[float, bytes]] = []
+    Replay(thousands, [STATE_TOPIC], lambda _, data: came.append((time.time(), data)), speed=speed).run()
+    assert [sequence_of(data) for _, data in came] == list(range(1000, 1300))
+    return np.array([(stamp(data), at) for at, data in came])
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_messages_come_at_their_times_freshly_stamped(thousands, speed):
+    late = []
+    while len(late) < 5 and min(late, default=1.0) >= 0.02:  # anew where the machine was busy with something else
+        stamps, arrivals = replayed(thousands, speed).T
+        np.testing.assert_allclose(np.diff(stamps), 1e-3 / speed, atol=2e-6)
+        assert np.all(arrivals - stamps > -1e-3)
+        late.append(np.median(arrivals - stamps))
+    assert min(late) < 0.02

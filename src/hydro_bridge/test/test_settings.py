@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, fields
 from math import isfinite
 from typing import Annotated, Literal
 
 import pytest
 
+from hydro_bridge.cli.console import UserError
+from hydro_bridge.cli.resuming import NEW_ONLY, refuse_changes
 from hydro_bridge.files.settings_file import from_mapping, to_mapping
 from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.port import PortSettings
@@ -81,3 +84,34 @@ def test_what_is_written_is_read_back():
     settings = Example(rate=0.25, limit=0.5, tones=(0.5, 2.0), form="soft", parts=(Part(size=0.1), Part(size=0.2)))
     assert from_mapping(Example, to_mapping(settings), "file") == settings
     assert from_mapping(Example, to_mapping(Example(tones=())), "file") == Example(tones=())
+
+
+def parser() -> argparse.ArgumentParser:
+    options = argparse.ArgumentParser()
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--from", dest="start")
+    options.add_argument("--bench")
+    options.add_argument("--randomise", action="store_true")
+    options.add_argument("--hidden", type=int, nargs="+", default=[32, 32])
+    options.add_argument("--episodes", type=int, default=160)
+    return options
+
+
+BEGUN = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidden": [32, 32]}
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--seed", "0"], "--seed 0 (it has 5)"),
+        (["--from", "runs/b"], "--from runs/b"),
+        (["--bench", "b.yaml"], "--bench b.yaml (it has none)"),
+        (["--randomise", "--hidden", "8"], "--randomise and --hidden 8 (it has 32 32)"),
+    ],
+)
+def test_words_that_say_otherwise_are_refused_in_one_sentence(words, told):
+    with pytest.raises(UserError) as refused:
+        refuse_changes(parser(), words, "runs/a", BEGUN)
+    assert (
+        str(refused.value) == f"runs/a resumes with the options of its start, without {told}: drop that, or start anew"
+    )

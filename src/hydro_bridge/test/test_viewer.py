@@ -4,24 +4,26 @@
 from __future__ import annotations
 
 import json
+import os
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import get_types_from_msg
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
+from hydro_bridge.bags.schema import definition
 from hydro_bridge.dashboard.series import STATE_COLUMNS
 from hydro_bridge.dashboard.thinning import SLOT, GrowingThinner, Thinner
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.recorded import read_recorded
+from hydro_bridge.viewer.runs import ORDERS, list_runs, refresh_index, write_index
 from hydro_bridge.viewer.view import main, rendered
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-LOG_TYPE = "rcl_interfaces/msg/Log"
-LOG, STAMP = STORE.types[LOG_TYPE], STORE.types["builtin_interfaces/msg/Time"]
 ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
 
 
@@ -145,3 +147,103 @@ def test_a_clock_that_was_set_begins_the_series_anew_and_old_samples_are_left_ou
     assert thinner.take().values.max() < 50.0
     thinner.add(times - 3600.0, values)
     assert thinner.take().first == round(START / SLOT) - 360_000
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    folder = tmp_path / "runs"
+    for name in ("old & <bold>", "found", "broken", "nothing", "tuesday"):
+        (folder / name).mkdir(parents=True)
+    events = [{"kind": "episode", "force_rmse": 20.0}, {"kind": "episode", "force_rmse": 12.34},
+              {"kind": "exam", "score": 0.4, "best": True}, {"kind": "exam", "score": 0.3, "best": False},
+              {"kind": "end", "sentence": "Ended by Ctrl-C."}]  # fmt: skip
+    (folder / "old & <bold>" / "run.json").write_text(json.dumps({"events": events}))
+    (folder / "old & <bold>" / "tracking.png").write_bytes(b"")
+    (folder / "old & <bold>" / "bag").mkdir()
+    (folder / "old & <bold>" / "bag" / "metadata.yaml").write_text("")
+    report = {"verdict": "partly_explained", "effects": [{"id": "spring_stiffness"}]}
+    (folder / "found" / "report.json").write_text(json.dumps(report))
+    (folder / "found" / "report.html").write_text("")
+    (folder / "broken" / "run.json").write_text("{")
+    (folder / "tuesday" / "metadata.yaml").write_text("")
+    (folder / "tuesday.html").write_text("")
+    for age, name in enumerate(("found", "broken", "tuesday", "old & <bold>")):
+        for path in (*(folder / name).iterdir(), folder / name):
+            os.utime(path, (1e9 - age, 1e9 - age))
+    return folder
+
+
+def test_each_run_is_told_with_its_summary_the_newest_first(runs: Path) -> None:
+    found = {entry.name: entry for entry in list_runs(runs)}
+    assert list(found) == ["found", "broken", "tuesday", "old & <bold>"]
+    assert found["found"].summary == "partly explained: spring stiffness"
+    assert found["found"].pages == ("found/report.html",)
+    assert found["old & <bold>"].summary == "2 episodes, the last one with an RMSE of 12.3 N. Ended by Ctrl-C."
+    assert found["old & <bold>"].recordings == ("old & <bold>/bag",)
+    assert found["tuesday"].kind == "recording"
+    assert found["tuesday"].pages == ("tuesday.html",) and not found["tuesday"].recordings
+    assert min(found.values(), key=ORDERS["score"]).name == "old & <bold>"
+    assert found["old & <bold>"].score == 0.4 and found["broken"].score is None
+    assert found["broken"].kind == "training" and not found["broken"].summary
+
+
+def test_names_are_escaped_and_addresses_lead_to_files(runs: Path) -> None:
+    page = write_index(runs).read_text()
+    assert "old &amp; &lt;bold&gt;" in page and "<bold>" not in page
+    assert 'src="old%20%26%20%3Cbold%3E/tracking.png"' in page
+
+
+def test_a_page_of_somebody_else_is_left_alone(runs: Path) -> None:
+    (runs / "index.html").write_text("the site")
+    refresh_index(runs / "found")
+    with pytest.raises(FileExistsError, match="another page than one of runs"):
+        write_index(runs)
+    assert (runs / "index.html").read_text() == "the site"
+
+
+LAYOUTS = Path(__file__).parents[1] / "layouts"
+
+
+TYPES = {
+    "/hydro/state": "hydro_msgs/msg/BenchState",
+    "/hydro/correction": "hydro_msgs/msg/Correction",
+    "/hydro/training": "hydro_msgs/msg/TrainingStatus",
+    "/hydro/authority": "hydro_msgs/msg/Authority",
+    "/hydro/box": "hydro_msgs/msg/BoxInfo",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+
+def fields(topic: str) -> set[str]:
+    """Of the topic's message."""
+    name = TYPES[topic]
+    _, members = get_types_from_msg(definition(name).text, name)[name]
+    return {member for member, _ in members}
+
+
+def placed(layout: str | dict[str, Any]) -> list[str]:
+    """Panels in a tree of panels."""
+    return [layout] if isinstance(layout, str) else placed(layout["first"]) + placed(layout["second"])
+
+
+def test_what_foxglove_plots_is_in_the_messages_and_each_panel_has_one_place() -> None:
+    content = json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))
+    assert sorted(placed(content["layout"])) == sorted(content["configById"])
+    paths = [path["value"] for panel in content["configById"].values() for path in panel.get("paths", ())]
+    assert len(paths) > 10
+    for path in paths:
+        topic, field = path.rsplit(".", 1)
+        assert field in fields(topic), path
+    whole = [panel.get("topicPath") or panel.get("topicToRender") for panel in content["configById"].values()]
+    assert all(topic in TYPES for topic in whole if topic)
+
+
+def test_what_plotjuggler_plots_is_in_the_messages() -> None:
+    root = ElementTree.fromstring((LAYOUTS / "plotjuggler.xml").read_bytes())
+    curves = [str(curve.get("name")) for curve in root.iter("curve")]
+    assert len(curves) > 10
+    for curve in curves:
+        topic, field = curve.rsplit("/", 1)
+        assert field in fields(topic), curve
+    for splitter in root.iter("DockSplitter"):
+        assert len(splitter) == int(splitter.get("count", 0)) == len(str(splitter.get("sizes")).split(";"))

@@ -12,12 +12,10 @@ import pytest
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
+from tests.segments import segment
 
 
 def record(
@@ -31,12 +29,6 @@ def record(
     reference = ReferenceSignal(waveform=waveform, amplitude=amplitude, frequency=0.7)
     schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=seconds)
     return simulate(AnalyticPlant(truth), Bench.nominal(), schedule, seed=seed)
-
-
-def segment(states: StateArray, name: str = "run") -> Segment:
-    columns = {field: states[field].copy() for field in STATE_FIELDS}
-    table = RawTable(name, states["time"].copy(), None, columns)
-    return checked(table, Bench.nominal()).segments[0]
 
 
 def frame(states: StateArray) -> pd.DataFrame:

@@ -4,18 +4,20 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from hydro_diagnosis import Report, diagnose
+from hydro_bridge.bags.recording import BagWriter
+from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.stages.reading import baseline
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation.schedules import Segment
 from hydro_sim.files.learned_bench import shipped
 from hydro_sim.model.bench import Bench
 
@@ -56,23 +58,14 @@ def test_leak_and_friction_are_named_as_changes_and_corrected_as_wholes(tmp_path
     assert diagnose([bags[2]], bench=corrected).report.verdict == "no_mismatch"
 
 
-def values(report: Report) -> dict[str, float]:
-    return {effect.id: next(iter(effect.parameters.values())).value for effect in report.effects}
-
-
 def whole(bench: Bench, effect: str, parameter: str) -> float:
     return sum(float(one["parameters"][parameter]) for one in bench.effects if one["id"] == effect)
 
 
 def recorded(wear: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Three runs of the emulator's default bench with wear, by its command: the diagnosis knows no truth plant."""
-    truth, jobs = folder / "truth.yaml", []
-    truth.write_text(yaml.safe_dump({"profile": "default", "effects": dict(wear)}))
+    """Three runs of the emulator's default truth with wear: the diagnosis knows no truth plant."""
+    truth = truth_from_mapping({"profile": "default", "effects": dict(wear)})
     for k, segment in enumerate(DRIVES):
-        schedule = folder / f"schedule{k}.yaml"
-        schedule.write_text(yaml.safe_dump({"segments": [segment]}))
-        jobs.append({"out": str(folder / f"run{k}"), "truth": str(truth), "schedule": str(schedule), "seed": 50 + k})
-    (folder / "batch.yaml").write_text(yaml.safe_dump({"jobs": jobs}))
-    batch = ["ros2", "run", "hydro_sim", "emulator", "--offline", "--batch", str(folder / "batch.yaml")]
-    subprocess.run(batch, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        with BagWriter(folder / f"run{k}") as writer:
+            writer.write_states(record_offline(truth, [Segment(**segment)], seed=50 + k).states)
     return [folder / f"run{k}" for k in range(len(DRIVES))]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_bridge.signals import StateArray
 from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, equals_ruled_out, has_identified_shapes
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
@@ -18,13 +18,12 @@ from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag, lim
 from hydro_diagnosis.estimation.fit import fit, noticeable
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.memory import RecordMemory
-from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
+from tests.segments import segment
 
 BENCH = Bench.nominal()
 
@@ -36,9 +35,8 @@ def law(equation: str, form: str) -> Law:
 
 
 def problem_of(states: StateArray, *ruled_out: str) -> Problem:
-    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
     causes = [effect.adapted(BENCH) for effect in CANDIDATES if effect.label in ruled_out]
-    return Problem([checked(table, BENCH).segments[0]], BENCH, ruled_out=causes)
+    return Problem([segment(states)], BENCH, ruled_out=causes)
 
 
 def test_a_lag_of_limited_rate_is_that_of_its_differential_equation() -> None:
@@ -187,21 +185,6 @@ def test_a_position_with_play_is_undone() -> None:
     reading = effect.measure("piston_position", position, RecordMemory(1e-3), values)
     found = effect.unmeasure("piston_position", reading, RecordMemory(1e-3), values)
     assert np.max(np.abs(found - position)) < 1e-6 < 5e-5 < np.max(np.abs(reading - position))
-
-
-def test_what_says_that_it_reverses_does() -> None:
-    """Either direction, each side of any threshold."""
-    still = Signals(position=0.03, pressure_a=6e6, pressure_b=5e6, current=1e-3, force=90.0, drop=1e6, opened=1e-8,
-                    feeds=1.0, memory=0.3, second=0.02)  # fmt: skip
-    places = [replace(still, velocity=velocity, pressure_b=pressure, number=number)
-              for velocity in (-2e-3, 2e-3) for pressure in (5e6, 7e6) for number in (1e-4, 0.04, 1e9)]  # fmt: skip
-    turned = [replace(at, turn=5e-3) for at in places]
-    wrong = []
-    for one in (*grammar.LAWS, *grammar.COMPOSITIONS):
-        moved = [one.shape(at, BENCH) != one.shape(other, BENCH) for at, other in zip(places, turned, strict=True)]
-        if any(moved) != one.reverses:
-            wrong.append(f"{one.equation} {one.form}")
-    assert not wrong
 
 
 def test_a_curved_gauge_is_undone() -> None:

@@ -2,27 +2,38 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import fastjsonschema
 import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_bridge.signals import StateArray
+import hydro_diagnosis
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.signals import STATE_DTYPE, StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report.corrected_bench import corrected_bench
+from hydro_diagnosis.stages.reading import recording_entry
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects import grown
 
 Record = Callable[..., StateArray]
+
+
 Frame = Callable[[StateArray], pd.DataFrame]
+
+
 CONTRACT = {
     "verdict", "location", "effects", "fit", "next_recording", "checked", "not_checked", "data_quality", "baseline",
     "versions", "seconds",
@@ -153,3 +164,87 @@ def interrupted(self, *words):
 search.Search._swap = interrupted
 cli.main()
 """
+
+
+SCHEMA = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
+
+
+@pytest.fixture(scope="module")
+def valid() -> Callable[[Any], Any]:
+    """Raises JsonSchemaValueException on what the contract does not allow."""
+    compiled: Callable[[Any], Any] = fastjsonschema.compile(json.loads(SCHEMA.read_text()))
+    return compiled
+
+
+def test_explained(valid: Callable[[Any], Any], written: Path) -> None:
+    report = json.loads((written / "report.json").read_text())
+    valid(report)
+    assert report["checked"] == ["pressure_a", "pressure_b", "actuation", "motion", "load", "sensor"]
+    assert report["effects"] and report["location"] and report["fit"]["holdout"] and report["steps"]
+
+
+def test_no_mismatch(valid: Callable[[Any], Any], csv: Path) -> None:
+    report = json.loads(diagnose([csv]).report.to_json())
+    valid(report)
+    assert report["verdict"] == "no_mismatch"
+    assert report["recordings"] == [{"name": csv.stem, "begin": None}]
+
+
+def test_a_bag_is_known_by_the_stamp_of_its_first_sample(tmp_path: Path) -> None:
+    states = np.zeros(50, STATE_DTYPE)
+    states["time"], states["sequence"] = 1.7e9 + 0.25 + 1e-3 * np.arange(50), np.arange(50)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_states(states)
+    assert recording_entry(tmp_path / "bag") == {"name": "bag", "begin": pytest.approx(1.7e9 + 0.25, abs=1e-6)}
+
+
+def test_something_left_that_nobody_knows(
+    valid: Callable[[Any], Any],
+    record: Callable[..., StateArray],
+    frame: Callable[[StateArray], pd.DataFrame],
+    tmp_path: Path,
+) -> None:
+    """A cell that is struck twice a second, and no current, no pressures: nothing can be simulated forward."""
+    states = record(Bench.nominal(), 7)
+    table = frame(states)[["time", "hydraulic_force", "load_force", "piston_position"]]
+    table.loc[(states["time"] % 0.5) < 0.02, "load_force"] += 40.0
+    table.to_csv(tmp_path / "struck.csv", index=False)
+    report = json.loads(diagnose([tmp_path / "struck.csv"]).report.to_json())
+    valid(report)
+    assert report["verdict"] == "unknown"
+    assert report["remainder"]["location"] and report["fit"]["why"]
+
+
+def test_the_schema_requires_every_key_of_the_contract(valid: Callable[[Any], Any]) -> None:
+    with pytest.raises(fastjsonschema.JsonSchemaValueException, match="verdict"):
+        valid({})
+    assert set(json.loads(SCHEMA.read_text())["required"]) >= {
+        "verdict", "location", "effects", "fit", "next_recording", "checked", "not_checked", "data_quality", "baseline",
+        "versions", "recordings", "seconds",
+    }  # fmt: skip
+
+
+def test_ids_of_the_contract_are_those_of_the_library() -> None:
+    table = json.loads(SCHEMA.read_text())["definitions"]["cause"]["anyOf"][0]["enum"]
+    assert set(table) == {effect.id for effect in LIBRARY} - grown.IDS
+
+
+def test_page_needs_nothing_from_elsewhere(written: Path) -> None:
+    page = (written / "report.html").read_text()
+    assert not re.findall(r"""(?:src|href)=["'](?!#|data:)[^"']*""", page)
+    assert not re.findall(r"@import|url\((?!#)", page)
+
+
+def test_page_tells_what_a_cause_is_searched_for_from_what_is_left_after_it(written: Path) -> None:
+    page = (written / "report.html").read_text()
+    assert '<h2>Where the bench file alone is wrong</h2>\n<p class="quiet">Before any cause is added.</p>' in page
+    assert "What remains unexplained" not in page, "all of it is explained"
+
+
+def test_page_shows_how_well_the_corrected_model_follows_what_was_measured(written: Path) -> None:
+    table = (written / "report.html").read_text().split("<h2>Measured and simulated</h2>")[1].split("</table>")[0]
+    rows = dict(re.findall(r"<tr><td>([\w ]+)</td>(.*?)</tr>", table, re.DOTALL))
+    assert {"piston position", "pressure A", "pressure B", "load force", "hydraulic force"} == set(rows)
+    for name, row in rows.items():
+        before, after = (float(cell) for cell in re.findall(r'<td class="n">([\d.-]+)</td>', row))
+        assert after > 98.0 and after > before, name

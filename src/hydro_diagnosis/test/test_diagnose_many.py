@@ -3,24 +3,31 @@
 
 from __future__ import annotations
 
+import json
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.signals import StateArray
-from hydro_diagnosis import diagnose_many
+from hydro_bridge.signals import FloatArray, StateArray
+from hydro_diagnosis import diagnose_many, trends
+from hydro_diagnosis.change_points import course
+from hydro_diagnosis.diagnose_many import write_study
 from hydro_sim.model.bench import Bench
 
 
-def ran(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["diagnose_many", *map(str, words)])
+def ran(monkeypatch: pytest.MonkeyPatch, command: ModuleType, *words: object) -> int:
+    """Exit status of a command."""
+    monkeypatch.setattr(sys, "argv", ["command", *map(str, words)])
     with pytest.raises(SystemExit) as ended:
-        diagnose_many.main()
+        command.main()
     return int(ended.value.code or 0)
 
 
@@ -33,7 +40,7 @@ def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
         (folder / name).write_bytes(path.read_bytes())
     (folder / "broken.csv").write_text("<html></html>", encoding="utf-8")
     (folder / "notes.docx").write_text("no recording", encoding="utf-8")
-    assert ran(monkeypatch, folder, "--out", study, "--jobs", 1) == 0
+    assert ran(monkeypatch, diagnose_many, folder, "--out", study, "--jobs", 1) == 0
     assert "broken.csv: refused" in capfd.readouterr().err
     diagnoses = pd.read_parquet(study / "diagnoses.parquet").set_index("recording")
     parameters = pd.read_parquet(study / "parameters.parquet")
@@ -45,7 +52,7 @@ def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
     reports = [study / "reports" / name / "report.html" for name in ("a.csv", "late/b.csv")]
     before = [path.stat().st_mtime_ns for path in reports]
     (folder / "c.csv").write_bytes(worn[2].read_bytes())
-    assert ran(monkeypatch, folder, "--out", study, "--jobs", 1) == 0
+    assert ran(monkeypatch, diagnose_many, folder, "--out", study, "--jobs", 1) == 0
     assert [path.stat().st_mtime_ns for path in reports] == before
     assert len(pd.read_parquet(study / "diagnoses.parquet")) == 4
 
@@ -53,7 +60,7 @@ def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
 def test_where_nothing_is_a_sentence_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert ran(monkeypatch, tmp_path / "*.csv", "--out", tmp_path / "study") == 2
+    assert ran(monkeypatch, diagnose_many, tmp_path / "*.csv", "--out", tmp_path / "study") == 2
     assert "there is no recording" in capfd.readouterr().err
     assert not (tmp_path / "study").exists()
 
@@ -66,9 +73,105 @@ def test_each_part_of_a_long_bag_is_diagnosed_by_itself(
             states = record(replace(Bench.nominal(), spring_stiffness=stiffness), seed=k, seconds=11.0)
             states["time"] += 12.0 * k
             writer.write_states(states)
-    assert ran(monkeypatch, tmp_path / "day", "--every", 12, "--out", tmp_path / "study", "--jobs", 1) == 0
+    assert (
+        ran(monkeypatch, diagnose_many, tmp_path / "day", "--every", 12, "--out", tmp_path / "study", "--jobs", 1) == 0
+    )
     diagnoses = pd.read_parquet(tmp_path / "study/diagnoses.parquet")
     assert list(diagnoses.recording) == ["day#t=0,12", "day#t=12,"]
     assert list(map(list, diagnoses.causes)) == [[], ["spring_stiffness"]]
     assert (diagnoses.begin[1] - diagnoses.begin[0]).total_seconds() == 12.0
     assert (tmp_path / "study/reports/day/12,/report.html").is_file()
+
+
+DAYS = 60
+
+
+def study(folder: Path, leak: FloatArray, seed: int = 0, sd: float = 2e-14) -> Path:
+    """A recording a day; a leak below three standard deviations is not claimed."""
+    rng = np.random.default_rng(seed)
+    found = {}
+    for day, true in enumerate(leak):
+        value = float(true + np.sqrt(2.0) * sd * rng.standard_normal())
+        begin = {"begin": round(86400e6 * (day + 20000))}
+        number = {"cause": "leakage_internal", "options": "form=laminar", "parameter": "coefficient", "value": value,
+                  "low": value - 1.96 * sd, "high": value + 1.96 * sd, "unit": "m3/s/Pa"}  # fmt: skip
+        found[f"{day:02d}.mcap"] = {
+            "diagnosis": {**begin, "verdict": "explained"},
+            "parameters": [{**begin, **number}] if value > 3.0 * sd else [],
+        }
+    folder.mkdir()
+    write_study(folder, found)
+    return folder
+
+
+def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    leak = 2e-14 * np.maximum(np.arange(DAYS) - 30.0, 0.0)
+    worn, well, table = (
+        study(tmp_path / "worn", leak),
+        study(tmp_path / "well", 0.0 * leak + 1e-13),
+        tmp_path / "t.json",
+    )
+    assert ran(monkeypatch, trends, well, "--new", 40) == 0
+    assert (
+        ran(monkeypatch, trends, well, worn, "--new", 40, "--json", table, "--page", tmp_path / "all.html")
+        == trends.ALARM
+    )
+    assert ran(monkeypatch, trends, worn, "--new", 1) == 0  # it was known the day before
+    first, second = json.loads(table.read_text(encoding="utf-8"))["rows"]
+    assert (first["bench"], second["since"]) == (str(worn), None)
+    assert first["from"] <= str(np.datetime64(20030, "D")) <= first["to"]
+    assert abs((np.datetime64(first["since"]) - np.datetime64(20030, "D")).astype(int)) <= 5
+    assert "worn" in (page := (tmp_path / "all.html").read_text(encoding="utf-8")) and page.count("<svg") == 2
+    limit = ("--limit", "leakage_internal.coefficient=8e-13", "--json", table)  # reached on day 70
+    assert ran(monkeypatch, trends, worn, *limit, "--horizon", 5) == 0
+    assert ran(monkeypatch, trends, worn, *limit, "--horizon", 30) == trends.ALARM
+    (row,) = json.loads(table.read_text(encoding="utf-8"))["rows"]
+    assert row["limit_first"] < str(np.datetime64(20070, "D")) < row["limit_last"]
+    assert ran(monkeypatch, trends, worn, "--limit", "leek.coefficient=1") == 2
+
+
+def test_a_cause_that_is_not_claimed_counts_as_absent(tmp_path: Path) -> None:
+    (series,) = trends.series_of(study(tmp_path / "study", np.where(np.arange(DAYS) < 30, 0.0, 2e-13)))
+    assert len(series.time) == DAYS and np.median(series.value[:30]) == 0.0
+    found = course(series.time, series.value, series.sd)
+    assert found and [change.time for change in found.changes] == [20030.0]
+
+
+@pytest.mark.parametrize("scale", [1e-15, 1.0, 1e6])  # a leak and a pressure
+def test_wear_and_repair_are_both_dated_and_scatter_is_not(scale: float) -> None:
+    rng, time = np.random.default_rng(1), np.arange(200.0)
+    noise, sd = rng.standard_normal(200), np.full(200, 0.3)
+    noise[::40] += 15.0  # wrong values
+    worn = np.where((time >= 80) & (time < 140), 0.2 * (time - 80), 0.0)
+    found, quiet = (course(time, scale * one, scale * sd) for one in (noise + worn, noise))
+    assert found and quiet and not quiet.findings
+    begin, repair = found.changes
+    assert begin.earliest - 5 <= 80 <= begin.latest + 5 and repair.time == 140
+
+
+def test_scatter_that_lasts_for_days_is_no_wear() -> None:
+    time, told = np.arange(120.0), 0
+    for seed in range(20):
+        lasting, own = np.random.default_rng(seed).standard_normal((2, 120))
+        for day in range(1, 120):
+            lasting[day] = 0.7 * lasting[day - 1] + np.sqrt(1.0 - 0.7**2) * lasting[day]
+        found = course(time, lasting + own, np.ones(120))
+        told += found.findings if found else 0
+    assert told <= 1
+
+
+def test_the_manuals_queries_give_the_same_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study(tmp_path / "study", np.full(3, 1e-13))
+    monkeypatch.chdir(tmp_path)
+    page = next(Path(__file__).parents[3].glob("docs/manual/how-to/many_recordings.md")).read_text(encoding="utf-8")
+    queries = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    rows = []
+    for query in queries:
+        exec(query, names := {})
+        leaks = names["leaks"]
+        leaks = leaks.df() if "duckdb" in names else leaks.to_pandas() if "pl" in names else leaks
+        rows.append(leaks.sort_values("recording")[["recording", "value", "low", "high"]].to_numpy().tolist())
+    assert len(rows) == 3 and rows[0] == rows[1] == rows[2] and len(rows[0]) == 3
+    assert capsys.readouterr().out.count("02.mcap") == 3

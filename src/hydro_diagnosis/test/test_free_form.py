@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_bridge.signals import StateArray
+from hydro_bridge.signals import FloatArray, StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.free_form import free_forms
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
+from hydro_diagnosis.stages.reporting import line_of
 from hydro_sim.model.bench import Bench
 
 
@@ -38,3 +39,50 @@ def test_ripple_that_no_cause_makes_is_called_unknown(
     assert report.verdict == "unknown"
     assert report.effects == []
     assert report.remainder is not None and "position" in report.remainder["depends_on"]
+
+
+STEP, COUNT = 5e-3, 5000
+
+
+LOAD = CHANNELS.index("load")
+
+
+def part(*signals: FloatArray) -> tuple[Layout, FloatArray]:
+    """Residuals of the load, a recording each."""
+    count = len(signals)
+    layout = Layout(np.full(count * COUNT, LOAD), np.repeat(np.arange(count), COUNT), np.tile(TIME, count))
+    return layout, np.concatenate(signals)
+
+
+TIME = STEP * np.arange(COUNT)
+
+
+def noise(seed: int) -> FloatArray:
+    return np.random.default_rng(seed).standard_normal(COUNT)
+
+
+def wave(frequency: float, phase: float, size: float = 3.0) -> FloatArray:
+    return np.asarray(size * np.sin(2.0 * np.pi * frequency * TIME + phase))
+
+
+@pytest.mark.parametrize("frequency", [7.03, 50.0, 91.4])
+def test_a_line_is_told_with_frequency_and_share_whatever_its_phase(frequency: float) -> None:
+    """Beside as much that does not repeat: a random walk whose power is that of the line."""
+    other = [np.convolve(noise(seed), np.ones(40), "same") for seed in (5, 6, 7)]
+    walks = [3.0 / np.sqrt(2.0) * one / one.std() for one in other]
+    fitted = part(noise(1) + wave(frequency, 0.3) + walks[0], noise(2) + wave(frequency, 2.0) + walks[1])
+    held = part(noise(3) + wave(frequency, 4.0) + walks[2])
+    found = line_of((fitted, held), "load")
+    assert found is not None
+    assert found.frequency == pytest.approx(frequency, abs=0.03)
+    assert found.share == pytest.approx(0.5, abs=0.05)
+    assert f"{found.frequency:.3g} Hz" in found.sentence
+
+
+@pytest.mark.parametrize(
+    "held",
+    [noise(3), noise(3) + wave(21.0, 4.0), np.convolve(noise(3), np.ones(40), "same"), noise(3) + wave(20.0, 0.0, 0.1)],
+    ids=["noise", "another", "walk", "faint"],
+)
+def test_a_line_that_not_every_recording_has_is_not_told(held: FloatArray) -> None:
+    assert line_of((part(noise(1) + wave(20.0, 0.3)), part(held)), "load") is None

@@ -1,21 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
+from hydro_diagnosis.closure.screen import laws
 from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit, score
+from hydro_diagnosis.estimation.intervals import all_exclude_neutral, intervals
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.experiment_design import catalog, expected_gain, simulated_recording
+from hydro_diagnosis.experiment_design import catalog, expected_gain, next_for_law, rival_law, simulated_recording
+from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
+from tests.segments import segment
 
 BENCH = Bench.nominal()
+
+
 EFFECTS = {effect.label: effect.adapted(BENCH) for effect in LIBRARY}
+
+
 TRUTH = replace(BENCH, supply_pressure=0.985 * BENCH.supply_pressure)
+
+
 STILL = ReferenceSignal(waveform=Waveform.SINE, amplitude=10.0, offset=0.0, frequency=0.3)
 
 
@@ -47,3 +61,78 @@ def test_the_proposed_recording_settles_more_than_a_random_one(undecided: Proble
     proposed = told_apart(best, 11)
     assert proposed > np.median([told_apart(references[k], 11) for k in others])
     assert proposed > 10.0
+
+
+DRAG = 400.0
+
+
+DRAGGED = replace(
+    BENCH, closures=({"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": DRAG}},)
+)
+
+
+def driven(reference: ReferenceSignal, seed: int) -> StateArray:
+    """6 s of the bench with the drag."""
+    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=6.0)
+    return simulate(AnalyticPlant(DRAGGED), BENCH, schedule, seed=seed)
+
+
+def problem_of(*runs: StateArray) -> Problem:
+    return Problem([segment(run) for run in runs], BENCH)
+
+
+def sine(amplitude: float) -> ReferenceSignal:
+    return ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=0.7)
+
+
+def law(form: str, coefficient: float) -> Claim:
+    return Claim(closure(grammar.ALL["motion", form], BENCH), {"coefficient": coefficient})
+
+
+def laws_apart(reference: ReferenceSignal, found: Fit, rival: Fit) -> float:
+    """BIC by which 6 s of a bench with the drag tell the law from the rival."""
+    problem = problem_of(driven(reference, 11))
+    return score(problem, fit(problem, rival.claims)) - score(problem, fit(problem, found.claims))
+
+
+def test_the_proposed_recording_tells_the_two_best_laws_apart_better_than_most() -> None:
+    narrow = problem_of(driven(sine(260.0), 3))
+    found = fit(narrow, [law("quadratic drag", DRAG)])
+    proposed = next_for_law(narrow, found)
+    assert proposed is not None
+    assert proposed["separates"][0] == "quadratic drag (motion)" != proposed["separates"][1]
+    assert proposed["separates"][1] in proposed["why"] and "%" in proposed["why"]
+    rival = rival_law(narrow, found, 0, fit(narrow, ()))
+    assert rival is not None
+    best = next(
+        one for one in catalog(Bench.nominal())
+        if (one.waveform.name.lower(), one.amplitude, one.offset, one.frequency)
+        == tuple(proposed["reference"][key] for key in ("waveform", "amplitude", "offset", "frequency"))
+    )  # fmt: skip
+    others = np.random.default_rng(2).choice(catalog(Bench.nominal()), 3, replace=False)  # type: ignore[arg-type]
+    apart = laws_apart(best, found, rival)
+    assert apart > 10.0
+    assert apart > np.median([laws_apart(one, found, rival) for one in others])
+
+
+PULLS = {
+    "force, at a place": {"coefficient": 26.7, "centre": 0.0364, "width": 0.00303},
+    "stiffness, at a place": {"coefficient": 6560.0, "centre": 0.0359, "width": 0.00299},
+}
+"""Two pulls to a place that all but cancel."""
+
+
+def test_an_interval_holds_no_value_that_the_recordings_rule_out(problem_of: Callable[..., Problem]) -> None:
+    closures = tuple({"equation": "motion", "form": form, "parameters": values} for form, values in PULLS.items())
+    pulled = problem_of(closures=closures)
+    effects = {one.effect.label: one.effect for one in laws(pulled)}
+    found = fit(pulled, [Claim(effects[f"closure:motion:{form}"], dict(values)) for form, values in PULLS.items()])
+    bounds = intervals(pulled, found)
+    assert all_exclude_neutral(found.claims, bounds)
+    k = 0
+    for claim in found.claims:
+        without = fit(pulled, tuple(one for one in found.claims if one is not claim))
+        assert without.deviance - found.deviance > 1000.0
+        for name, value in PULLS[claim.effect.options["form"]].items():
+            assert bounds[k].low < value < bounds[k].high, name
+            k += 1

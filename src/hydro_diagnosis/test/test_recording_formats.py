@@ -1,78 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
-import yaml
 
-from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis import diagnose
-from hydro_diagnosis.findings import Report
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import columns_of, read_columns, read_table
 from hydro_diagnosis.listing import proposed
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_sim.model.bench import Bench
+from tests import loggers
 
 BENCH = Bench.nominal()
-
-
-def _loggers() -> ModuleType:
-    path = Path(__file__).with_name("loggers.py")
-    spec = importlib.util.spec_from_file_location("hydro_diagnosis_test_loggers", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-loggers = _loggers()
 FORMATS = sorted(loggers.FORMATS)
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of the emulated bench with 12 N of dry friction."""
-    folder = tmp_path_factory.mktemp("bag")
-    truth = {"profile": "nominal", "effects": {"friction_coulomb": {"force": 12.0}}}
-    segment = {"seconds": 14.0, "waveform": "multisine", "amplitude": 260.0, "frequency": 0.7, "kp": 60.0, "ki": 10.0}
-    (folder / "truth.yaml").write_text(yaml.safe_dump(truth))
-    (folder / "schedule.yaml").write_text(yaml.safe_dump({"segments": [segment]}))
-    command = ["ros2", "run", "hydro_sim", "emulator", "--offline", "--out", str(folder / "bag"), "--seed", "5"]
-    command += ["--truth", str(folder / "truth.yaml"), "--schedule", str(folder / "schedule.yaml")]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return folder / "bag"
-
-
-@pytest.fixture(scope="module")
-def states(bag: Path) -> StateArray:
-    return read_bag(bag).state
-
-
-@pytest.fixture(scope="module")
-def of_the_bag(bag: Path) -> Report:
-    return diagnose([bag]).report
-
-
-def written(name: str, folder: Path, states: StateArray) -> tuple[Path, ColumnMap]:
+def written(name: str, folder: Path, nominal: StateArray) -> tuple[Path, ColumnMap]:
     write, text = loggers.FORMATS[name]
-    path = write(folder, states)
+    path = write(folder, nominal)
     columns = ColumnMap.load(text) if text else proposed(columns_of(path), BENCH)
     assert columns is not None
     return path, columns
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, states: StateArray) -> None:
-    short = states[:4000]
+def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, nominal: StateArray) -> None:
+    short = nominal[:4000]
     path, columns = written(name, tmp_path, short)
     table = read_table(path, columns)
     assert len(table.time) == len(short)
@@ -82,25 +41,8 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, states
         np.testing.assert_allclose(values, short[field], rtol=1e-12, atol=1e-15, err_msg=field)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("name", FORMATS)
-def test_every_format_is_diagnosed_as_the_bag(
-    name: str, tmp_path: Path, of_the_bag: Report, states: StateArray
-) -> None:
-    path, columns = written(name, tmp_path, states)
-    found = diagnose([path], columns=columns).report
-    assert found.verdict == "explained"
-    (effect,) = found.effects
-    assert effect.id == "friction_coulomb"
-    bounds = effect.parameters["force"].ci95
-    assert bounds is not None and bounds[0] <= 12.0 <= bounds[1]
-    assert of_the_bag.verdict == found.verdict
-    (same,) = of_the_bag.effects
-    assert effect.parameters["force"].value == pytest.approx(same.parameters["force"].value, rel=1e-3)
-
-
-def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, states: StateArray) -> None:
-    path = loggers.control_desk_csv(tmp_path, states[:3000])
+def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, nominal: StateArray) -> None:
+    path = loggers.control_desk_csv(tmp_path, nominal[:3000])
     command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path), "--write", str(tmp_path / "map.yaml")]
     shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     row = next(line for line in shown.splitlines() if "Model Root/pA/Out1" in line)
@@ -108,14 +50,14 @@ def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, states: St
     assert any(level in row for level in "▁▂▃▄▅▆▇█")
     assert " 10 " in next(line for line in shown.splitlines() if "T_oil" in line)
     table = read_table(path, ColumnMap.load(tmp_path / "map.yaml"))
-    np.testing.assert_allclose(table.columns["pressure_a"], states["pressure_a"][:3000], rtol=1e-12)
+    np.testing.assert_allclose(table.columns["pressure_a"], nominal["pressure_a"][:3000], rtol=1e-12)
     line = next(line for line in shown.splitlines() if "proposed, to be checked" in line)
     again = read_table(path, ColumnMap.load(line.split('--columns "')[1].rstrip('"')))
     np.testing.assert_array_equal(again.columns["pressure_a"], table.columns["pressure_a"])
 
 
-def test_messages_without_a_time_are_listed(tmp_path: Path, states: StateArray) -> None:
-    path = loggers.topics(tmp_path, states[:3000])
+def test_messages_without_a_time_are_listed(tmp_path: Path, nominal: StateArray) -> None:
+    path = loggers.topics(tmp_path, nominal[:3000])
     recording = checked(read_table(path, ColumnMap.load(loggers.TOPICS)), BENCH)
     assert any("/valve" in note and "carry no time" in note for note in recording.quality)
 
@@ -146,11 +88,11 @@ def test_sensor_that_is_slower_than_the_others_is_left_out_and_listed(tmp_path: 
     np.testing.assert_allclose(other.columns["piston_position"], np.sin(slow), atol=1e-12)
 
 
-def test_delay_of_a_column_is_undone(tmp_path: Path, states: StateArray) -> None:
-    path = loggers.hdf5(tmp_path, states[:2000])
+def test_delay_of_a_column_is_undone(tmp_path: Path, nominal: StateArray) -> None:
+    path = loggers.hdf5(tmp_path, nominal[:2000])
     columns = "time=fast.time,pressure_a=fast.pA@20ms,pressure_b=fast.pB,piston_position=fast.x"
     table = read_table(path, ColumnMap.load(columns))
-    np.testing.assert_allclose(table.columns["pressure_a"][:1900], states["pressure_a"][20:1920], rtol=1e-9)
+    np.testing.assert_allclose(table.columns["pressure_a"][:1900], nominal["pressure_a"][20:1920], rtol=1e-9)
 
 
 def test_mdf_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.cli import run
+from hydro_diagnosis.effects import LIBRARY, Claim, Effect
+from hydro_diagnosis.effects.base import FitParameter
+from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.fit import fit, mean_squares, noticeable, score
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
-from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.search import Search, is_significant
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
@@ -108,3 +114,101 @@ def test_what_remains_is_judged_by_how_many_residuals_tell(problem: Problem, squ
     for index, name in enumerate(CHANNELS):
         residual = np.where(problem.layout.channel == index, square**0.5, 1.0)
         assert noticeable(problem, residual) == (name in remains), name
+
+
+ADAPTED = [effect.adapted(NOMINAL) for effect in LIBRARY]
+
+
+WORN = {
+    "moving_mass": 1.6,
+    "viscous_friction": 90.0,
+    "spring_stiffness": 18500.0,
+    "spring_rest_position": 0.0405,
+    "bulk_modulus": 1.2e9,
+    "supply_pressure": 15.2e6,
+    "dead_volume_a": 2.2e-4,
+    "area_ratio": 0.58,
+}
+
+
+@pytest.fixture(scope="module")
+def worn_out(problem_of: Callable[..., Problem]) -> Problem:
+    return problem_of(**WORN)
+
+
+@pytest.mark.parametrize("settings, why", [({"most": 2}, "2 causes at most"), ({"effort": 150}, "150 evaluations")])
+def test_a_search_that_ends_early_says_why(worn_out: Problem, settings: dict[str, int], why: str) -> None:
+    outcome = Search(worn_out, ADAPTED, SearchSettings(restarts=1, **settings)).run()
+    assert why in outcome.cut_short
+    assert noticeable(worn_out, outcome.fit.residual)
+
+
+def test_budget_of_work_ends_it_with_the_best_answer_so_far(worn: list[Path], tmp_path: Path) -> None:
+    """Counted, not timed: twice the same. The soft spring is found by then, or is not, and the report is whole."""
+    reports = []
+    for k in range(2):
+        words = [*map(str, worn[:2]), "--holdout", str(worn[2]), "--quiet", "--seconds", "0.05"]
+        assert run([*words, "--out", str(tmp_path / str(k))]) == 0
+        report: dict[str, Any] = json.loads((tmp_path / str(k) / "report.json").read_text())
+        assert report.pop("seconds") > 0.0
+        reports.append(report)
+    assert reports[0] == reports[1]
+    assert any("budget of work (0.05 s" in note for note in reports[0]["data_quality"])
+    assert reports[0]["verdict"] in ("explained", "partly_explained", "unknown")
+
+
+def test_budget_grows_with_what_is_recorded_unless_it_is_chosen() -> None:
+    budgets = [Budget(), Budget(), Budget(5.0)]
+    for budget, samples in zip(budgets, (20_000, 600_000, 600_000), strict=True):
+        budget.allow(samples)
+    assert [budget.seconds for budget in budgets] == [60.0, 600.0, 5.0]
+
+
+def amplitudes(effect: Effect) -> list[FitParameter]:
+    return [one for one in effect.parameters if one.smallest > 0.0]
+
+
+def claim(effect: Effect, **values: float) -> Claim:
+    return Claim(effect, {**{one.name: one.probes[0] for one in effect.parameters}, **values})
+
+
+def library(label: str) -> Effect:
+    return next(effect for effect in ADAPTED if effect.label == label)
+
+
+SIZED = [effect for effect in ADAPTED if amplitudes(effect)]
+
+
+def test_amplitude_at_a_bound_of_physics_is_not_claimed() -> None:
+    for effect in SIZED:
+        for one in amplitudes(effect):
+            for bound in {one.low, one.high} - {one.neutral}:
+                assert not is_significant(claim(effect, **{one.name: bound})), effect.label
+
+
+def test_difference_that_matters_to_nobody_is_not_claimed() -> None:
+    for effect in SIZED:
+        small = {one.name: one.neutral + 0.9 * one.smallest for one in amplitudes(effect)}
+        assert not is_significant(claim(effect, **small)), effect.label
+        assert is_significant(claim(effect)), effect.label
+
+
+@pytest.mark.parametrize("label, name, present", [
+    ("moving_mass", "mass", NOMINAL.moving_mass),
+    ("friction_viscous", "coefficient", NOMINAL.viscous_friction),
+])  # fmt: skip
+def test_no_mass_and_no_friction_below_nothing_is_claimed(label: str, name: str, present: float) -> None:
+    (parameter,) = library(label).parameters
+    assert -present <= parameter.low < 0.0
+    assert not is_significant(claim(library(label), **{name: parameter.low}))
+    assert is_significant(claim(library(label), **{name: -0.5 * present}))
+
+
+@pytest.mark.parametrize("effect", [e for e in ADAPTED if not amplitudes(e)], ids=lambda effect: effect.label)
+def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none(effect: Effect) -> None:
+    """The stiffest bristles are dry friction, the quickest lag is none; seen claimed, with evidence of 1000 BIC."""
+    absent = {one.name: one.neutral for one in effect.parameters}
+    first = effect.parameters[0]
+    assert not is_significant(claim(effect, **absent))
+    assert not is_significant(claim(effect, **{**absent, first.name: 0.97 * first.neutral}))
+    assert is_significant(claim(effect, **{**absent, first.name: 0.5 * first.neutral}))

@@ -79,14 +79,6 @@ def test_unknown_mass_is_estimated_beside_hidden_dry_friction(tmp_path: Path) ->
     assert found.corrected.to_mapping().keys() == {"moving_mass", "viscous_friction", "effects"}
 
 
-def test_rotary_actuator_is_diagnosed_in_its_units(tmp_path: Path) -> None:
-    """Radians as metres, newton metres as newtons, kg m2 as kg."""
-    path = drive(tmp_path / "run.csv", mass=0.8, dry=4.0, viscous=2.0, travel=0.7, noise=0.1)
-    found = diagnose([path], bench={"viscous_friction": 2.0}, estimate=["moving_mass"])
-    assert causes(found) == {"friction_coulomb": pytest.approx(4.0, rel=0.02)}
-    assert holds(found, "moving_mass", 0.8)
-
-
 def test_number_that_looks_like_a_cause_says_so(tmp_path: Path) -> None:
     """A spring's rest position and a constant force are one in a motion equation alone."""
     path = drive(tmp_path / "run.csv", stiffness=3000.0)

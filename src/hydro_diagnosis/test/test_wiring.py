@@ -118,26 +118,17 @@ def test_every_mistake_is_undone_and_told_with_its_repair(runs: list[Channels], 
         assert "diagnosed as repaired" in case.wiring and "\n" not in case.wiring
 
 
+ALSO_INSPECTED = (
+    "valve_current has the wrong sign", "load_force has the wrong sign", "pressure_a and pressure_b are exchanged",
+)  # fmt: skip
 INSPECTED = (
-    (scaled("valve_current", by=-1.0), "valve_current has the wrong sign", "valve_current=valve_current*-1"),
-    (scaled("load_force", by=-1.0), "load_force has the wrong sign", "load_force=load_force*-1"),
+    *((MISTAKES[said][0], said, MISTAKES[said][1]) for said in ALSO_INSPECTED),
     (scaled("hydraulic_force", by=-1.0), "hydraulic_force has the wrong sign", "hydraulic_force=hydraulic_force*-1"),
-    (
-        scaled("piston_position", by=-1.0, plus=BENCH.stroke),
-        "piston_position has the wrong sign",
-        "piston_position=piston_position*-1+0.08",
-    ),
-    (
-        exchanged("pressure_a", "pressure_b"),
-        "pressure_a and pressure_b are exchanged",
-        "pressure_a=pressure_b,pressure_b=pressure_a",
-    ),
-    (
-        exchanged("hydraulic_force", "load_force"),
-        "hydraulic_force and load_force are exchanged",
-        "hydraulic_force=load_force,load_force=hydraulic_force",
-    ),
-)
+    (scaled("piston_position", by=-1.0, plus=BENCH.stroke), "piston_position has the wrong sign",
+     "piston_position=piston_position*-1+0.08"),
+    (exchanged("hydraulic_force", "load_force"), "hydraulic_force and load_force are exchanged",
+     "hydraulic_force=load_force,load_force=hydraulic_force"),
+)  # fmt: skip
 """What was done to a recording, what `inspect` must say, and the entries of the map that undo it."""
 
 

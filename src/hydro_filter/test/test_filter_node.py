@@ -161,19 +161,6 @@ def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[.
     assert {(message.status, message.delta_u) for message in source.corrections} == {(CorrectionStatus.STALE, 0.0)}
 
 
-def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*PATIENT)
-    good = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
-    for sequence, sample in enumerate([good, good._replace(state=np.full(8, np.nan)), good]):
-        source.publish(sequence, sample)
-        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
-    statuses = [message.status for message in source.corrections]
-    assert statuses == [CorrectionStatus.MODIFIED, CorrectionStatus.NAN, CorrectionStatus.MODIFIED]
-    assert source.corrections[1].delta_u == 0.0
-    assert source.corrections[0].delta_u == pytest.approx(source.corrections[2].delta_u, abs=1e-9)
-    assert source.corrections[0].delta_u > 0.0
-
-
 def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
     source = started("--bypass", *PATIENT)
     source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
@@ -183,25 +170,6 @@ def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> No
     assert source.corrections[0].certificate_before > 0.0
     source.wait(lambda: any("BYPASSED" in status.message for status in source.diagnostics))
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
-
-
-def test_a_metric_of_the_papers_law_bypasses_the_compensated_one_and_answers_the_papers_as_ever(
-    started: Callable[..., Source], still: FloatArray
-) -> None:
-    source = started(*PATIENT)
-    laws = create_publisher(source.node, LAW_STATE)
-    source.wait(lambda: laws.get_subscription_count() > 0)
-    sample = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
-    for sequence in range(200):
-        if 20 <= sequence < 60:
-            laws.publish(LawStateMessage(sequence=sequence, law=1))
-            source.executor.spin_once(timeout_sec=0.002)  # before the sample, as a plant does
-        source.publish(sequence, sample)
-        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
-    statuses = [message.status for message in source.corrections]
-    assert set(statuses[:20]) == {CorrectionStatus.MODIFIED} == set(statuses[120:])
-    assert set(statuses[25:100]) == {CorrectionStatus.BYPASSED}
-    assert all(message.delta_u == 0.0 for message in source.corrections[25:100])
 
 
 @pytest.fixture

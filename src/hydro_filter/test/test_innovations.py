@@ -83,18 +83,6 @@ def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilt
         assert not len(mismatches(done)) and done.bounded
 
 
-STUDIED = ("wide", "switched-slow", "high")
-
-
-@pytest.mark.parametrize(
-    "cases", [("wide-slow", "unstable-slow", "base"), pytest.param(STUDIED, marks=pytest.mark.study)]
-)
-def test_minutes_on_the_learned_bench_raise_no_alarm(contraction_filter: LoopFilter, cases: tuple[str, ...]) -> None:
-    for seed, case in enumerate(cases):
-        done = played(contraction_filter, becoming(at=()), 30.0, CASES[case].draw(seed, 30.0), seed)
-        assert not len(mismatches(done)) and done.bounded, case
-
-
 def test_a_mismatch_stays_until_the_bench_is_the_learned_one_again_for_seconds_of_motion(
     contraction_filter: LoopFilter,
 ) -> None:

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter's loop of a bench file."""
 
+from __future__ import annotations
+
 import os
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +15,40 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.model.loop import effects_to_compile, loop_of, memories, rest_measurement
-from hydro_filter.model.observer import follow, settle
+from hydro_filter.model.coordinates import LOOP
+from hydro_filter.model.force_law import PAPER_SCALES
+from hydro_filter.model.linearization import linearize
+from hydro_filter.model.loop import (
+    SUBSTEPS,
+    effects_to_compile,
+    loop_of,
+    memories,
+    rest_measurement,
+    step_of,
+    without_disturbances,
+)
+from hydro_filter.model.observer import follow, hydraulic_slopes, model_state, settle
+from hydro_filter.model.parts import Loop
 from hydro_filter.model.state import POSITION, VELOCITY
 from hydro_filter.model.terms import hidden_state_numbers
+from hydro_sim.box import force_law
 from hydro_sim.compilations import VARIABLE, read_compilations
 from hydro_sim.files.learned_bench import load_model
+from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.grammar import LAWS
 from hydro_sim.model.laws import Law
 
 Entry = dict[str, Any]
+
+
 LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
+
+
 LEAK: Entry = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
 
 
@@ -131,3 +152,125 @@ def test_bristles_bend_by_the_motion_that_was_measured() -> None:
     level = coulomb + breakaway * np.exp(-((speed / width) ** 2))
     moved = count * speed * SAMPLE_PERIOD
     assert bent == pytest.approx(level * (1.0 - np.exp(-stiffness * moved / level)), rel=1e-3)
+
+
+LIMIT = 1e-6
+
+
+COUNT = 40
+
+
+Case = tuple[FloatArray, FloatArray, float]
+
+
+@pytest.fixture(scope="module")
+def loop(bench: Bench) -> Loop:
+    return loop_of(load_model(), bench)
+
+
+@pytest.fixture(scope="module")
+def cases(loop: Loop, states: FloatArray) -> list[Case]:
+    """x, simulated states with the spool well on one side, current."""
+    rng, p, made = np.random.default_rng(2), loop.model, list[Case]()
+    for k, side in enumerate(rng.choice([-1.0, 1.0], COUNT)):
+        memory, current = memories()[0], float(side * rng.uniform(2e-3, 0.05))
+        settle(loop, memory, states[k], current, 0.0)
+        hidden, n = memory["hidden"].copy(), len(p.rest)
+        hidden[p.spool], hidden[p.spool_rate] = current * rng.uniform(0.8, 1.2), rng.normal(0, 1)
+        hidden[n], hidden[n + 1] = hidden[p.spool] + p.after, hidden[p.spool_rate]
+        made.append((states[k], hidden, current))
+    return made
+
+
+def state_of(loop: Loop, x: FloatArray, hidden: FloatArray) -> FloatArray:
+    """State of the loop's model."""
+    whole = np.empty(len(loop.model.rest))
+    model_state(loop.model, hidden, x, whole, True)
+    return np.asarray(whole[loop.model.from_whole])
+
+
+def displaced(loop: Loop, y: FloatArray, opening: float, q: FloatArray) -> FloatArray:
+    """A state with a displacement q of the loop, in units of its scale (docstring of `coordinates`)."""
+    p, change, moved = loop.model, q * loop.scale, y.copy()
+    gain, _, _, soft_a, soft_b = hydraulic_slopes(p, y, opening)
+    total = p.gain[0] * p.area * (soft_a + p.ratio * soft_b)
+    moved[0] += soft_a / total * change[0]
+    moved[1] -= soft_b / total * change[0]
+    moved[p.loop_spool] += change[1] / gain
+    moved[p.loop_spool_rate] += change[2] / gain
+    moved[p.loop_cell] += change[3] / p.gain[1]
+    moved[p.loop_cell_rate] += change[4] / p.gain[1]
+    moved[2] += change[5]
+    moved[3] += change[6]
+    return moved
+
+
+def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: list[Case]) -> None:
+    step, p = step_of(loop), loop.model
+    model, kept = BenchModel(without_disturbances(load_model()), substeps=SUBSTEPS), p.memories[1]
+    for x, hidden, current in cases:
+        linearize(loop, hidden, x, current, current, 60.0, PAPER_SCALES, step)
+        before, opening = state_of(loop, x, hidden), hidden[len(p.rest)]
+        after = before.copy()
+        model.sample(p.loop_k, after, current)
+        later = hydraulic_slopes(p, after, opening)[0]
+
+        def shown(  # q a sample later
+            q: FloatArray, change: float, y: FloatArray = before, later: float = later, opening: float = opening,
+            current: float = current,
+        ) -> FloatArray:  # fmt: skip
+            begun = displaced(loop, y, opening, q)
+            ended = begun.copy()
+            model.sample(p.loop_k, ended, current + change)
+            speed = kept * q[7] * loop.scale[7] + (1.0 - kept) * (ended[2] - begun[2]) / SAMPLE_PERIOD
+            force = p.gain[0] * p.area * (ended[0] - p.ratio * ended[1])
+            spool, cell = later * ended[[p.loop_spool, p.loop_spool_rate]], ended[[p.loop_cell, p.loop_cell_rate]]
+            return np.array([force, *spool, *cell, ended[2], ended[3], speed]) / loop.scale
+
+        exact = np.column_stack([step.transition, step.push * 0.01])
+        numeric, width, none = np.empty((LOOP, LOOP + 1)), 1e-4, np.zeros(LOOP)
+        for k in range(LOOP):
+            q = width * np.eye(LOOP)[k]
+            sides = [shown(sign * q, 0.0) for sign in (1, -1, 2, -2)]
+            numeric[:, k] = (8.0 * (sides[0] - sides[1]) - (sides[2] - sides[3])) / (12.0 * width)
+        near, far = (shown(none, 0.01 * s) - shown(none, -0.01 * s) for s in (width, 2 * width))
+        numeric[:, LOOP] = (8.0 * near - far) / (12.0 * width)
+        assert np.abs(exact - numeric).max() <= LIMIT * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (0.3, 1.0), (0.0, 2.5)])
+def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scales: tuple[float, float]) -> None:
+    """With what f_h is made of, and on the spool's side of zero."""
+    step, bench, p = step_of(loop), loop.bench[0], loop.model
+    for x, hidden, current in cases:
+        opening = hidden[len(p.rest)]
+        side = np.copysign(current, opening)
+        linearize(loop, hidden, x, current, current, -35.0, scales, step)
+        g = scales[1] * hydraulics.input_gain(bench, x[6], x[4], x[5], side)
+        driven = max(g, loop.gain_floor) * side
+        # the f_c' that gives this current
+        wanted = driven + scales[0] * hydraulics.velocity_term(bench, x[6], x[7]) + 35.0 * 110.0
+        y = state_of(loop, x, hidden)
+
+        change_of = partial(displaced, loop, y, opening)
+
+        def law(
+            q: FloatArray, x: FloatArray = x, wanted: float = wanted, change_of: Any = change_of, y: Any = y
+        ) -> float:
+            moved, change = x.copy(), q * loop.scale
+            moved[4:6] += (change_of(q) - y)[:2]
+            moved[2] += change[3]
+            moved[6] += change[5]
+            moved[7] += change[7]
+            force = x[2] + 110.0
+            known = force - moved[2], 0.0, wanted, -35.0, loop.gain_floor
+            return float(force_law.nominal_current(bench, moved, *known, *scales))
+
+        numeric, width = np.zeros(LOOP), 1e-4
+        for k in range(LOOP):
+            q = width * np.eye(LOOP)[k]
+            numeric[k] = (8.0 * (law(q) - law(-q)) - (law(2 * q) - law(-2 * q))) / (12.0 * width)
+        assert law(np.zeros(LOOP)) == pytest.approx(side, rel=1e-9)
+        if abs(g / loop.gain_floor - 1.0) < 0.01:
+            continue  # a kink lies within the difference's reach
+        np.testing.assert_allclose(step.feedback, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())

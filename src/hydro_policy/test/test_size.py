@@ -15,12 +15,10 @@ from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.design import MetricDesign, design_table
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
-from hydro_filter.training.data import STABLE, UNSTABLE, DataSettings, roll_out
 from hydro_filter.validation.trial import Trial, run
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
-from hydro_policy.envs.environment import Environment, Transitions
 from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
@@ -69,16 +67,6 @@ def similar(effects: bool) -> tuple[Bench, Bench]:
     return one, replace(other, **numbers)
 
 
-def episode(bench: Bench, steps: int = 200) -> list[Transitions]:
-    """Two benches side by side under drawn actions; the second has a larger reference."""
-    task = resized(TaskSettings(), NOMINAL, bench.size)
-    plants = [AnalyticPlant(bench, settings=Sensors.of_size(bench.size)) for _ in range(2)]
-    fleet = VectorBench([bench] * 2, plants, resized(BoxConfig(), NOMINAL, bench.size))
-    environment, rng = Environment(fleet, task), np.random.default_rng(0)
-    environment.begin([task.reference(number, seed=4) for number in range(2)], [1, 2])
-    return [environment.step(rng.uniform(-1.0, 1.0, (2, 2))) for _ in range(steps)]
-
-
 def test_the_size_of_the_similar_bench() -> None:
     one, other = (bench.size for bench in similar(effects=False))
     assert one == NOMINAL
@@ -88,28 +76,6 @@ def test_the_size_of_the_similar_bench() -> None:
         assert resized(each, one, one) == each
     assert BoxConfig().of_bench(Bench.nominal()) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
     assert Range.of_force(one.force) == Range()
-
-
-def test_the_numbers_of_the_nominal_bench_are_those_of_its_figures() -> None:
-    task, monitor, box = TaskSettings(), TrainingSettings().monitor, BoxConfig()
-    assert (task.force_scale, task.amplitude_min, task.amplitude_max) == (300.0, 200.0, 300.0)
-    assert (monitor.peak_error, monitor.chatter) == (300.0, 0.7)
-    assert (CompensatorSettings().force_scale, CompensatorSettings().reversal) == (300.0, 60.0)
-    assert (box.load_force_limit, box.force_range, box.recovery_margin) == (700.0, 5000.0, 20.0)
-    assert (Sensors().force_noise, Sensors().pressure_noise, Sensors().position_step) == (0.6, 6e3, 1e-6)
-    assert (Range().force_max, Range().offset_max, Range().force_rate_max) == (440.0, 220.0, 4000.0)
-    assert EvaluationSettings(steps=True).cases[-1].signal.amplitude == 200.0
-    assert loop_of(Bench.nominal(), Bench.nominal()).model.allowed.tolist() == [7.5, 15.0, 12.0, 3e3, 3e3]
-
-
-@pytest.mark.parametrize("effects", [False, True])
-def test_observations_and_rewards_are_those_of_the_nominal_bench(effects: bool) -> None:
-    worst = 0.0
-    for here, there in zip(*map(episode, similar(effects)), strict=True):
-        worst = max(worst, float(np.abs(here.following - there.following).max()))
-        worst = max(worst, float(np.abs(here.reward / there.reward - 1.0).max()))
-    print(f"{worst:g}")
-    assert worst < 1e-9
 
 
 def learning(bench: Bench) -> Pretraining:
@@ -182,27 +148,6 @@ def test_the_filter_corrects_a_similar_bench_alike(effects: bool) -> None:
         np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-8)
         assert also_told == told and CorrectionStatus.MISMATCH not in told
     assert np.abs(here).max() > 1e-3 and CorrectionStatus.MODIFIED in told
-
-
-def test_what_the_filter_allows_is_a_share_of_the_size() -> None:
-    here, there = (loop_of(bench, bench).model for bench in similar(effects=True))
-    assert there.allowed / here.allowed == pytest.approx([FORCE, FORCE, FORCE, PRESSURE, PRESSURE], rel=1e-12)
-    assert (there.bend_max / here.bend_max, there.creep / here.creep) == pytest.approx((FORCE, LENGTH), rel=1e-12)
-
-
-def test_rollouts_of_a_similar_bench_have_the_same_labels() -> None:
-    """References are rounded to 0.1 mN, the same on every bench."""
-    settings = DataSettings(rollouts=8)
-    here, there = (
-        [roll_out(AnalyticPlant(b, settings=Sensors.of_size(b.size)), b, settings, index) for index in range(8)]
-        for b in similar(effects=False)
-    )
-    assert [one.label for one in here] == [one.label for one in there]
-    assert {STABLE, UNSTABLE} <= {one.label for one in here}
-    for one, other in zip(here, there, strict=True):
-        length = min(len(one.states), len(other.states))
-        wanted = [each.states["reference_force"][:length] for each in (one, other)]
-        assert other.gains == one.gains and np.abs(wanted[1] / FORCE - wanted[0]).max() < 3e-4
 
 
 def test_a_box_takes_references_as_far_as_its_line_tells() -> None:

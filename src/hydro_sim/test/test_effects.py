@@ -9,16 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation.schedules import Segment
 from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects import grown
-from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
-
-SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 
 
 def effect(name: str, **parameters: float) -> dict[str, Any]:
@@ -81,35 +80,43 @@ def test_wrong_numbers_are_put_right(
     )
 
 
-def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:
-    """No form is a dead branch: each changes a run by more than rounding, and none is left behind by reset."""
-    schedule = Schedule(reference=SINE, gains=(60.0, 10.0), seconds=0.6)
-    nominal = simulate(AnalyticPlant(bench, noise=0.0), bench, schedule)
-    for name in CATALOGUE:
-        form = CATALOGUE[name]
-        sizes = SIZES | {"coefficient": COEFFICIENTS.get(name.split()[0], 0.0)} | GROWN.get(name, {})
-        numbers = {quantity.name: sizes[quantity.name] for quantity in form.parameters}
-        changed = with_effects(bench, *NEEDS.get(name, ()), effect(name, **numbers))
-        assert kind_of(changed.effects[-1])[0] is form
-        plant = AnalyticPlant(changed, noise=0.0)
-        run = simulate(plant, bench, schedule)
-        assert np.isfinite(run["load_force"]).all(), name
-        shown = max(np.ptp(run[field] - nominal[field]) + abs(np.mean(run[field] - nominal[field])) for field in SEEN)
-        assert shown > 1e-2, name
-        assert simulate(plant, bench, schedule).tobytes() == run.tobytes(), name
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.0)
 
 
-GROWN = {one.id: one.seen for one in grown.EFFECTS}
-SEEN = ("load_force", "hydraulic_force", "pressure_a", "pressure_b")
-SIZES = {
-    "ratio": 0.95, "current": 2e-4, "time": 2e-3, "bandwidth": 80.0, "damping": 0.8, "half_width": 2e-4,
-    "half_width_negative": 1e-4, "softness": 5e-5, "rate": 0.02, "resistance": 5e9, "time_constant": 0.02,
-    "volume_fraction": 0.01, "force": 10.0, "force_positive": 12.0, "force_negative": 8.0, "breakaway_force": 5.0,
-    "velocity": 0.01, "stiffness": 3e4, "position": 0.041, "width": 5e-4, "pressure": 5e4, "mass": 0.3,
-    "coefficient_positive": 50.0, "coefficient_negative": -20.0,
-}  # fmt: skip
-COEFFICIENTS = {
-    "leakage_internal": 1e-12, "leakage_external": 1e-12, "spring_hardening": 5e6, "friction_viscous": 40.0,
-    "valve_null_leakage": 3e-10,
-}  # fmt: skip
-NEEDS = {"friction_presliding": (effect("friction_coulomb", force=10.0),)}
+CASES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
+    ("transport_delay", {"time": 2e-3}, {}),
+    ("valve_lag", {"bandwidth": 60.0, "damping": 0.9}, {}),
+    ("valve_deadband", {"half_width": 1e-4}, {}),
+    ("valve_gain", {"ratio": 0.85}, {}),
+    ("leakage_internal", {"coefficient": 3e-13}, {}),
+    ("friction_coulomb", {"force": 15.0}, {}),
+    ("supply_droop", {"resistance": 5e10, "time_constant": 0.02}, {}),
+    ("entrained_air", {"volume_fraction": 0.02}, {}),
+    ("load_cell_gain", {"ratio": 1.1}, {"cell": "load_force"}),
+    ("sensor_lag", {"bandwidth": 15.0, "damping": 0.7}, {"sensor": "load_force"}),
+    ("spring_hardening", {"coefficient": 2e7}, {}),
+    ("backlash", {"width": 1e-3}, {"form": "play"}),
+]
+"""Id, parameters, options; the words are the same for the emulator and for a corrected.yaml."""
+
+
+def rmse(states: StateArray) -> float:
+    return float(np.sqrt(np.mean((states["reference_force"] - states["load_force"])[1000:] ** 2)))
+
+
+@pytest.mark.parametrize(("name", "parameters", "options"), CASES, ids=[case[0] for case in CASES])
+def test_tracking_error_is_that_of_the_truth(
+    name: str, parameters: dict[str, Any], options: dict[str, Any], bench: Bench
+) -> None:
+    segment = Segment.of(SINE, 4.0, kp=60.0, ki=10.0)
+    truth = truth_from_mapping({"profile": "nominal", "effects": {name: {**parameters, **options}}})
+    expected = rmse(record_offline(truth, [segment], seed=3).states)
+    schedule = Schedule(reference=SINE, gains=(60.0, 10.0), seconds=4.0)
+    corrected = replace(bench, effects=({"id": name, **options, "parameters": parameters},))
+    simulated = rmse(simulate(AnalyticPlant(corrected), bench, schedule))
+    left_out = rmse(simulate(AnalyticPlant(bench), bench, schedule))
+    with_it, without = simulated / expected - 1.0, left_out / expected - 1.0
+    print(f"{name}: truth {expected:.2f} N, with it {with_it:+.2%}, without {without:+.2%}")
+    assert simulated == pytest.approx(expected, rel=0.01)
+    if abs(without) > 0.05:
+        assert abs(with_it) < 0.1 * abs(without)

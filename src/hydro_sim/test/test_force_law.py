@@ -9,14 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.serial.frames import INTEGRAL_FORMS
-from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_sim.box import force_law
-from hydro_sim.model import equations, hydraulics
+from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_sim.box import force_law, reference
+from hydro_sim.box.reference import REFERENCE_DTYPE
+from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 
 PAPER = INTEGRAL_FORMS.index("paper")
+
+
 FORMS = (PAPER, force_law.BUMPLESS)
 
 
@@ -105,3 +109,105 @@ def test_integral_stands_still_only_while_it_would_saturate_further(form: int, k
     assert after(-push, 0.07, 0.05) == pytest.approx(1.0 - math.copysign(grown, grown * push))
     assert after(-push, -0.07, -0.05) == 1.0
     assert after(push, 0.02, 0.02) == pytest.approx(1.0 + math.copysign(grown, grown * push))
+
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
+
+
+def generator(signal: ReferenceSignal) -> np.ndarray:
+    state = np.zeros(1, REFERENCE_DTYPE)
+    want(state, signal)
+    return state
+
+
+def want(state: np.ndarray, signal: ReferenceSignal) -> None:
+    values = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
+    state["wanted"] = np.array([values], reference.SIGNAL_DTYPE)
+
+
+@given(
+    waveform=st.sampled_from(Waveform),
+    offset=st.floats(-100.0, 100.0),
+    frequency=st.floats(0.1, 5.0),
+    phase=st.floats(-7.0, 7.0),
+    start=st.floats(0.0, 20.0),
+)
+@settings(max_examples=60, deadline=None)
+def test_rate_is_the_derivative_and_amplitude_the_bound(
+    waveform: Waveform, offset: float, frequency: float, phase: float, start: float
+) -> None:
+    signal = ReferenceSignal(waveform=waveform, amplitude=300.0, offset=offset, frequency=frequency, phase=phase)
+    times = start + np.linspace(0.0, 2.0, 500)
+    step = 1e-7
+    _, rates = reference.sample(signal, times)
+    ahead, behind = (reference.sample(signal, times + shift)[0] for shift in (step, -step))
+    values, _ = reference.sample(signal, times)
+    np.testing.assert_allclose(rates, (ahead - behind) / (2.0 * step), atol=0.2)
+    assert np.max(np.abs(values - offset)) <= 300.0 * (1.0 + 1e-12)
+
+
+def trace(state: np.ndarray, times: FloatArray, changes: dict[int, ReferenceSignal]) -> FloatArray:
+    """Value and rate at each time, shape (n, 2), with the signals wanted from given samples on."""
+    out = []
+    for k, time in enumerate(times):
+        if k in changes:
+            want(state, changes[k])
+        out.append(reference.advance(state[0], time)[:2])
+    return np.array(out)
+
+
+def test_arming_fades_in_from_the_measured_force() -> None:
+    state = generator(SINE)
+    reference.begin(state[0], -120.0, 4.0)
+    assert reference.advance(state[0], 4.0)[:2] == (-120.0, 0.0)
+    values = trace(state, 4.0 + 1e-3 * np.arange(1000), {})
+    np.testing.assert_allclose(values[300:, 0], reference.sample(SINE, 1e-3 * np.arange(300, 1000))[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("changes", [(700,), (700, 800), (50, 120, 900)])
+def test_changes_at_any_time_leave_value_and_rate_continuous(changes: tuple[int, ...]) -> None:
+    """Also in the middle of a fade: the rate is everywhere the derivative of the value, and finite."""
+    others = [
+        ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=250.0, frequency=1.0, phase=0.3),
+        ReferenceSignal(offset=-200.0),
+        ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=0.7, phase=1.0),
+    ]
+    state = generator(SINE)
+    reference.begin(state[0], 0.0, 0.0)
+    step = 1e-3
+    values = trace(state, step * np.arange(2500), dict(zip(changes, others, strict=False)))
+    slopes = np.diff(values[:, 0]) / step
+    np.testing.assert_allclose(slopes, 0.5 * (values[1:, 1] + values[:-1, 1]), atol=5.0)
+    assert np.max(np.abs(np.diff(values[:, 1]))) < 200.0
+
+
+def differentiated(position: FloatArray, settings: Sensors) -> FloatArray:
+    """Velocities, shape (n,), that the box finds for sampled positions, shape (n,)."""
+    constants, last, x = settings.constants(0.0), np.zeros(1, CONDITIONING_DTYPE), np.zeros(8)
+    raw = np.zeros(5)
+    raw[4] = position[0]
+    sensors.restart(last[0], raw, x)
+    velocity = [0.0]
+    for value in position[1:]:
+        raw[4] = value
+        sensors.condition(constants[0], last[0], raw, x)
+        velocity.append(x[7])
+    return np.array(velocity)
+
+
+@pytest.mark.parametrize("age", [5e-4, 1e-3, 2e-3])
+def test_a_velocity_is_as_old_as_its_setting_says(age: float) -> None:
+    times = 1e-3 * np.arange(400)
+    acceleration = 3.0
+    velocity = differentiated(0.5 * acceleration * times**2, Sensors(velocity_age=age))
+    np.testing.assert_allclose(velocity[100:], acceleration * (times[100:] - age), rtol=1e-9)
+
+
+def test_readings_have_the_stated_noise_and_steps(bench: Bench) -> None:
+    plant = AnalyticPlant(bench)
+    samples = np.array([plant.reset(seed) for seed in range(2000)])
+    spread = samples.std(axis=0)
+    assert spread[[0, 2]] == pytest.approx(0.6, rel=0.05)
+    assert spread[[4, 5]] == pytest.approx(6e3, rel=0.05)
+    steps = samples[:, 6] / 1e-6
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)

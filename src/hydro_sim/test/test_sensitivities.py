@@ -12,7 +12,7 @@ import pytest
 from hydro_bridge.signals import FloatArray
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
-from hydro_sim.model.sensitivities import Sensitivities, Track
+from hydro_sim.model.sensitivities import Sensitivities
 
 NOISE: FloatArray = np.array([0.6, 0.6, 6e3, 6e3, 3e-7])
 
@@ -76,24 +76,3 @@ def test_sensitivities_are_those_of_differences(name: str) -> None:
         difference = (ends[0] - ends[1]) / (2.0 * step)
         allowed = 1e-3 * np.max(np.abs(difference)) + 2e-3
         assert np.max(np.abs(dz[:, :, j] / NOISE - difference)) < allowed, (j, np.max(np.abs(difference)))
-
-
-def test_the_filter_finds_states_that_nothing_measures() -> None:
-    """Noise on the readings, a start that is off: the velocity comes out, and what the supply gives within 2 %."""
-    model, exact = _made("bristles")
-    k, y, _ = model.begin(model.values)
-    current, states, readings = wave(1500), [], []
-    for one in current:
-        readings.append(model.sample(k, y, one))
-        states.append(y.copy())
-    measured = np.array(readings) + NOISE * np.random.default_rng(1).standard_normal((1500, 5))
-    scales = np.array([state.scale for state in model.states])[: exact.held]
-    start = model.begin(model.values)[1]
-    start[:4] += [3e4, -2e4, 1e-4, 0.01]
-    track = Track(start, np.diag(scales**2))
-    found = exact.follow(k, track, current, measured, (1e-6 * scales) ** 2, NOISE**2)
-    np.testing.assert_array_equal(found[-1], track.y)
-    error = np.sqrt(np.mean((found - np.array(states))[500:] ** 2, axis=0))
-    assert error[0] < 3e3 and error[1] < 3e3 and error[3] < 5e-4
-    drawn = [state.name for state in model.states].index("demand")
-    assert error[drawn] < 0.02 * np.ptp(np.array(states)[500:, drawn])

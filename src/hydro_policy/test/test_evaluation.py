@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of an evaluation says what each controller may ask for, and which is the best."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_bridge.safety.guard import GuardSettings
+from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.signals import STATE_DTYPE, Flag
+from hydro_policy.compensation.estimator import LoadCell
+from hydro_policy.compensation.live import LiveCompensation
+from hydro_policy.evaluation import report
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings
+from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.runs.run import RunRecord, TrainingSettings
+from hydro_policy.sac.algorithm import Losses, Sac
+from hydro_policy.sac.snapshot import actor_parameters, dump
+from hydro_policy.sessions.run_state import Progress, RunState
+from hydro_policy.task.cases import EvaluationSettings, Score, Trace, score
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_sim.files import load_force
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from tests.offline_graph import OfflineGraph
+
+
+def test_the_best_is_told_with_its_distance() -> None:
+    graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
+    session = EvaluationSession(EvaluationSettings(frequencies=(1.0, 2.0)), [FixedGains(90.0, 15.0)], graph)
+    for name, errors in {"good": (1.0, 2.0), "next": (4.0, 4.0), "stopped": (0.1, math.nan)}.items():
+        for case, rmse in zip(("1 Hz", "2 Hz"), errors, strict=True):
+            session.scores.append(Score(controller=name, case=case, frequency=1.0, repeat=0, rmse=rmse))
+    assert report.best(session) == "Best: good, with 0.25 to 0.50 times the error of the next, next."
+    felt = {"good": 9.0, "next": 3.0, "stopped": 1.0}
+    session.scores = [replace(one, true_rmse=felt[one.controller] + 0.0 * one.rmse) for one in session.scores]
+    assert report.best(session).startswith("Best: good"), "the measured force is what is controlled"
+    session.compensation = LiveCompensation(BoxLaw(), cell=LoadCell(bandwidth=25.0))
+    assert report.best(session) == (
+        "Best: next, with 0.33 to 0.33 times the error of the next, good, as the specimen feels it."
+    )
+    del session.scores[2:4]
+    assert report.best(session) == ""
+
+
+def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path: Path) -> None:
+    ring = load_force.create(tmp_path / "load_force")
+    trace = Trace("one", "1 Hz", 1.0, np.zeros(3, STATE_DTYPE))
+    trace.states["sequence"], trace.states["load_force"] = (7, 8, load_force.SAMPLES + 9), 1.0
+    for sequence in trace.states["sequence"]:
+        load_force.keep(ring, int(sequence), 3.0)
+    found = score(trace, 0, felt=load_force.read(tmp_path / "load_force", trace.states["sequence"]))
+    assert (found.rmse, found.true_rmse) == (1.0, 3.0)
+    trace.states["sequence"][2] = 9  # not kept any more
+    assert math.isnan(
+        score(trace, 0, felt=load_force.read(tmp_path / "load_force", trace.states["sequence"])).true_rmse
+    )
+
+    graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
+    session = EvaluationSession(EvaluationSettings(frequencies=(1.0,)), [FixedGains(90.0, 15.0)], graph)
+    session.scores.append(replace(found, controller="fixed (90, 15)", repeat=0))
+    assert report.table(session).rows[0]["1 Hz"] == "1.00 (3.00)"
+
+
+CASES = ("0.5 Hz", "1 Hz", "1.5 Hz", "2 Hz")
+
+
+FIXED = np.array([5.0, 12.0, 20.0, 40.0])
+
+
+def scores(runs: np.ndarray, controller: str = EXAMINED) -> list[Score]:
+    """Of runs, N, shape (repeats, cases)."""
+    return [
+        Score(controller=controller, case=case, frequency=1.0, repeat=repeat, rmse=float(value))
+        for repeat, row in enumerate(runs)
+        for case, value in zip(CASES, row, strict=True)
+    ]
+
+
+class Learner:
+    """Gives one state after another."""
+
+    entropy_coefficient, updates, losses = 0.0, 0, Losses()
+
+    def __init__(self) -> None:
+        self.states: list[bytes] = []
+        self.learn()
+
+    def learn(self) -> None:
+        """Another state."""
+        settings = replace(TrainingSettings().sac, seed=len(self.states))
+        self.states.append(dump(Sac(OBSERVATIONS, ACTIONS, settings)))
+
+    def snapshot(self) -> bytes:
+        return self.states[-1]
+
+    def save_policy(self, good: bytes) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("score", "errors", "best_error", "better"),
+    [
+        (0.9, [0.0, 0.0], 0.0, True),
+        (0.9, [0.05, 0.05], 0.05, False),
+        (0.9, [0.03, 0.03], 0.03, True),
+        (0.9, [0.0, 0.07], 0.0, False),
+        (0.9, [0.0] * 40 + [0.05], 0.0, False),
+        (0.9, [0.1, *[0.01] * 8], 0.1, False),
+        (0.9, [0.03] * 9, 0.03, False),
+    ],
+)
+def test_better_is_better_by_more_than_the_noise(
+    score: float, errors: list[float], best_error: float, better: bool
+) -> None:
+    """The best score's own noise counts, and so does how often a run has compared."""
+    assert significantly_better(score, 1.0, errors, best_error) is better
+
+
+def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> None:
+    learner, progress = Learner(), Progress(reference_rmse=FIXED.tolist())
+    state = RunState(TrainingSettings(), learner, progress, None, RunRecord())  # type: ignore[arg-type]
+    came = actor_parameters(learner.states[0])
+
+    def examined(share: float, scatter: float) -> bool:
+        state.propose()
+        return state.add_exam(scores(share * FIXED * np.array([[1.0 - scatter], [1.0 + scatter]])))
+
+    assert examined(0.5, 0.04)
+    learner.learn()
+    assert not examined(0.48, 0.04), "better by less than the scatter"
+    np.testing.assert_array_equal(state.best, came)
+    assert progress.best_score == pytest.approx(0.5)
+    assert examined(0.3, 0.04)
+    np.testing.assert_array_equal(state.best, actor_parameters(learner.states[1]))
+    assert np.any(state.best != came)
+
+
+LIMIT = 127.0
+
+
+def landscape(kp: float, ki: float) -> list[float]:
+    """Best near (113, 22); unstable beyond `LIMIT`."""
+    if kp > LIMIT:
+        return [float("inf"), float("inf")]  # what a session tells of a pair that was stopped
+    bowl = 1.0 + ((kp - 113.0) / 60.0) ** 2 + ((ki - 22.0) / 40.0) ** 2
+    return [5.0 * bowl, 40.0 * bowl]
+
+
+def test_search_finds_the_best_pair_and_never_climbs_beyond_the_first_that_is_stopped() -> None:
+    search = GridSearch(GridSettings())
+    while (pair := search.next()) is not None:
+        search.tell(pair, landscape(*pair))
+    assert abs(search.best[0] - 113.0) <= 7.5 and abs(search.best[1] - 22.0) <= 7.5
+    assert max(kp for kp, _ in search.tried) <= LIMIT + GridSettings().kp_step
+    assert [kp for kp, _ in search.tried if kp > LIMIT] == [150.0, 135.0, 127.5], "each below those stopped before"
+    assert len(search.tried) < 30
+    assert np.isinf(search.scores[(150.0, 15.0)])
+    assert search.found
+
+
+def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_track_well() -> None:
+    bench = replace(Bench.nominal(), load_cell_bandwidth=25.0)  # unstable beyond some 100 1/s
+    graph = OfflineGraph(AnalyticPlant(bench), bench, guard=GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0))
+    evaluation = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=1.0)
+    settings = GridSettings(kp_min=60.0, ki_values=(15.0,), refinements=1)
+    session = GridSession(settings, evaluation, graph)
+    graph.run(session, 120.0)
+    assert session.finished
+    tried = session.search.tried
+    assert 90.0 < max(kp for kp, _ in tried) < 200.0, "it rose to the edge and not far beyond"
+    best = tried[session.search.best]
+    assert np.mean(best / tried[(60.0, 15.0)]) < 1.0
+    assert not any("force_limit" in sentence for sentence in graph.sentences)
+    assert not int(graph.box.state["faults"][0]) & Flag.FORCE_LIMIT

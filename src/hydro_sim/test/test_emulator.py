@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The truth's YAML: strict keys, ranges, profiles, and every effect of the contract."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings
+from hydro_bridge.serial.protocol import Hello, State
+from hydro_bridge.serial.stream import Decoder
+from hydro_bridge.settings import SettingsError
+from hydro_bridge.signals import STATE_DTYPE, Command, StateArray
+from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
+from hydro_sim.emulator.command import main
+from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
+from hydro_sim.emulator.line.link import BoxLink
+from hydro_sim.emulator.line.terminal import Terminal
+from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.offline import fit_to, record_offline
+from hydro_sim.emulator.realtime import execute
+from hydro_sim.emulator.truth.config import load_truth, profile, truth_from_mapping, truth_to_mapping
+from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
+from hydro_sim.excitation.schedules import Segment, load_schedule
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
+
+
+def test_nominal_profile_is_the_shipped_bench() -> None:
+    truth = truth_to_mapping(profile("nominal"))
+    assert truth["bench"].pop("load_cell_damping") == pytest.approx(LOAD_CELL_DAMPING)
+    assert truth["bench"] == Bench.nominal().to_mapping()
+    assert truth["effects"] == {}
+    assert truth["outside"] == {}
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        ({"effect": {}}, "truth.effect is not a known setting; did you mean effects?"),
+        ({"effects": {"leakage_internl": {}}}, "did you mean leakage_internal?"),
+        ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be within [0, 1e-10] m3/s/Pa, not -1"),
+        ({"effects": {"valve_deadband": {"half_width": 1e-3, "form": "round"}}}, "must be one of hard, soft"),
+        ({"effects": {"load_cell_gain": [{"ratio": 1.1}, {"ratio": 1.2}]}}, "names the same cell twice"),
+        (
+            {"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}},
+            "give friction_coulomb form",
+        ),
+        ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
+        ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
+        ({"bench": {"spring_rest_position": 0.09}}, "must lie within the stroke"),
+        ({"effects": {"friction_viscous": {"coefficient": -61}}}, "takes away more than all"),
+    ],
+)
+def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        truth_from_mapping(data)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "bin.yaml"
+    file.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(SettingsError, match=f"^{file} cannot be read: it is not UTF-8 text$"):
+        load_truth(file)
+
+
+def test_schedule_is_read_strictly_and_fitted(tmp_path: Path) -> None:
+    file = tmp_path / "schedule.yaml"
+    file.write_text(
+        "segments:\n- {seconds: 2, waveform: sine, amplitude: 300, frequency: 0.5, kp: 60}\n- {seconds: 1}\n"
+    )
+    segments = load_schedule(file)
+    assert segments[0] == Segment(seconds=2.0, amplitude=300.0, frequency=0.5, kp=60.0)
+    assert [segment.seconds for segment in fit_to(segments, 4.5)] == [2.0, 1.0, 1.5]
+    file.write_text("segments:\n- {seconds: 2, wave: sine}\n")
+    with pytest.raises(SettingsError, match=r"segments\[0\].wave is not a known setting"):
+        load_schedule(file)
+
+
+SEGMENTS = [
+    Segment(seconds=0.6, amplitude=250.0, frequency=2.0),
+    Segment(seconds=0.4, waveform="hold", offset=-80.0, kp=60.0, ki=5.0),
+]
+
+
+EVERYTHING = truth_from_mapping(
+    {
+        "effects": {"transport_delay": {"time": 1.3e-3}, "entrained_air": {"volume_fraction": 0.005}},
+        "outside": {"load_walk": {"force": 10.0}},
+    }
+)
+
+
+def columns(states: StateArray) -> dict[str, bytes]:
+    """Every bit that means something; records have padding between their fields."""
+    return {name: states[name].tobytes() for name in states.dtype.names or ()}
+
+
+def test_offline_is_bitwise_what_the_real_time_loop_steps() -> None:
+    box = BoxConfig()
+    offline = record_offline(EVERYTHING, SEGMENTS, box=box, seed=7)
+    machine = Machine(EVERYTHING, box=box, seed=7)
+    machine.warm_up()
+    stepped = np.empty(1000, STATE_DTYPE)
+    physical = np.empty((1000, len(TRUTH_FIELDS)))
+    for k in range(1000):
+        segment = SEGMENTS[0] if k < 600 else SEGMENTS[1]
+        changes = {"delta_kp": segment.kp - box.base_kp, "delta_ki": segment.ki - box.base_ki}
+        armed = Command(arm=True, reference=segment.signal, filter_fresh=True, **changes)
+        machine.receive(armed if k else Command())
+        stepped[k] = machine.tick()
+        physical[k] = machine.physical
+    assert columns(offline.states) == columns(stepped)
+    assert offline.physical.tobytes() == physical.tobytes()
+    assert np.ptp(stepped["load_force"]) > 100.0
+
+
+def test_a_seed_gives_one_recording_and_another_seed_another_noise() -> None:
+    first, again, other = (record_offline(profile("default"), SEGMENTS, seed=seed) for seed in (1, 1, 2))
+    assert columns(first.states) == columns(again.states)
+    difference = first.states["pressure_a"] - other.states["pressure_a"]
+    assert difference[:50].std() == pytest.approx(np.sqrt(2) * 6e3, rel=0.5)
+
+
+def test_command_writes_a_bag_and_keeps_the_truth_out_of_it(tmp_path: Path) -> None:
+    truth = tmp_path / "truth.yaml"
+    truth.write_text("profile: nominal\neffects: {leakage_internal: {coefficient: 1e-12}}\n")
+    bag, log = tmp_path / "bag", tmp_path / "free.npz"
+    words = ["--offline", "--truth", str(truth), "--seconds", "1", "--out", str(bag), "--noise-free", str(log)]
+    assert main(words) == 0
+    states = read_bag(bag).state
+    assert np.array_equal(states["sequence"], np.arange(1000))
+    with np.load(log) as free:
+        assert free["noise_free"].dtype == STATE_DTYPE
+        assert np.array_equal(free["noise_free"]["valve_current"], states["valve_current"])
+        assert free["physical"].shape == (1000, len(TRUTH_FIELDS))
+        assert tuple(free["physical_fields"]) == TRUTH_FIELDS
+    for file in bag.iterdir():
+        assert b"leakage" not in file.read_bytes()
+
+
+FRAMES = [bytes([0, *([1 + k % 200] * 20), 0]) for k in range(2000)]
+
+
+def carried(seed: int = 0, **chances: float) -> tuple[list[bytes], FaultyLine]:
+    line = FaultyLine(LinkFaults(**chances), np.random.default_rng(seed))  # type: ignore[arg-type]
+    return [line.carry(frame, 0.0) for frame in FRAMES], line
+
+
+@pytest.mark.parametrize(
+    ("name", "length"),
+    [("corrupt", 22), ("lose", 21), ("drop", 0), ("duplicate", 44)],
+)
+def test_fault_does_what_it_says_as_often_as_it_says(name: str, length: int) -> None:
+    out, line = carried(**{name: 0.2})
+    hit = [after for before, after in zip(FRAMES, out, strict=True) if after != before]
+    assert len(hit) == pytest.approx(400, abs=60)
+    assert line.counts[name] == pytest.approx(len(hit), abs=5)  # two flips of one bit may cancel
+    assert all(len(after) == length for after in hit)
+
+
+def test_reordering_swaps_neighbours_and_loses_nothing() -> None:
+    out, line = carried(reorder=0.3)
+    joined = b"".join(out)
+    assert line.counts["reorder"] > 300
+    assert sorted(joined) == sorted(b"".join(FRAMES[: len(joined) // 22]))
+    first = next(k for k, after in enumerate(out) if not after)
+    assert out[first + 1] == FRAMES[first + 1] + FRAMES[first]
+
+
+@pytest.fixture
+def link(tmp_path: Path) -> Iterator[BoxLink]:
+    made = BoxLink(Terminal(tmp_path / "port"), box_info(Bench.nominal(), BoxConfig(), EMULATED_BOX), LinkFaults())
+    yield made
+    made.terminal.unplug()
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return Machine(profile("default"))
+
+
+def opened(link: BoxLink) -> Port:
+    port = Port(PortSettings(path=str(link.terminal.path)))
+    port.open()
+    return port
+
+
+def test_nobody_listening_costs_nothing_and_leaves_nothing_stale(link: BoxLink, machine: Machine) -> None:
+    for _ in range(200):
+        link.send(machine.tick(), 0.0)
+    assert (link.report.unheard, link.report.sent) == (200, 0)
+    port = opened(link)
+    link.send(machine.tick(), 0.0)
+    hello, state = Decoder().feed(port.read(1.0))
+    assert isinstance(hello, Hello) and hello.info is not None and hello.info.delta_u_max == pytest.approx(0.1)
+    assert isinstance(state, State) and state.sequence >= 200
+    port.close()
+
+
+def test_a_reader_that_does_not_read_loses_whole_frames_only(link: BoxLink, machine: Machine) -> None:
+    port = opened(link)
+    for _ in range(2000):
+        link.send(machine.tick(), 0.0)
+    assert link.report.blocked > 1000
+    decoder = Decoder()
+    for _ in range(20):
+        decoder.feed(port.read(0.05))
+        link.send(machine.tick(), 0.0)
+    while piece := port.read(0.2):
+        decoder.feed(piece)
+    assert decoder.counts.crc_errors == decoder.counts.malformed == 0
+    assert decoder.counts.frames == link.report.sent + 1
+    port.close()
+
+
+def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link: BoxLink, machine: Machine) -> None:
+    port = opened(link)
+    link.unplug(2.0, now=10.0)
+    assert not link.terminal.path.exists()
+    with pytest.raises(PortLostError):
+        port.read(0.5)
+    link.poll(11.9)
+    assert not link.terminal.plugged
+    link.poll(12.0)
+    again = opened(link)
+    link.send(machine.tick(), 12.0)
+    assert again.read(1.0)
+    again.close()
+
+
+def test_a_place_taken_by_a_file_is_refused_and_the_file_kept(tmp_path: Path) -> None:
+    (tmp_path / "port").write_text("precious")
+    with pytest.raises(SettingsError, match="exists and is not a link"):
+        Terminal(tmp_path / "port")
+    assert (tmp_path / "port").read_text() == "precious"
+
+
+def test_orders_are_obeyed_or_refused_in_one_sentence(link: BoxLink, machine: Machine) -> None:
+    execute("corrupt 0.25", machine, link, 0.0)
+    execute("duplicate 0.5", machine, link, 0.0)
+    assert link.up.faults == link.down.faults == LinkFaults(corrupt=0.25, duplicate=0.5)
+    execute("clear", machine, link, 0.0)
+    assert link.up.faults == LinkFaults()
+    machine.tick()
+    execute("reboot", machine, link, 0.0)
+    assert machine.time == 0.0 and int(machine.tick()["sequence"]) == 0
+    for order in ("", "melt", "corrupt", "corrupt 2", "corrupt x", "clear 1", "unplug -1"):
+        with pytest.raises(SettingsError, match="order"):
+            execute(order, machine, link, 0.0)
