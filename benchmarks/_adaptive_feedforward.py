@@ -43,7 +43,7 @@ class Feedforward(Residual):
         super().__init__(count)
 
     def reset(self) -> None:
-        """Begin anew, with all weights zero."""
+        """Start again, with all weights zero."""
         super().reset()
         n, terms = self._count, 2 if self._kind == "amplitude_phase" else TAPS
         self._weights: FloatArray = np.zeros((n, terms))

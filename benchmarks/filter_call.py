@@ -33,7 +33,7 @@ BURST = 1000
 
 
 def runs(bench: Bench, contraction_filter: LoopFilter, count: int) -> list[Sample]:
-    """`count` samples of a 200 N sine, the gains drawn anew every half second: stable and unstable ones in turn."""
+    """`count` samples of a 200 N sine, the gains drawn again every half second: stable and unstable ones in turn."""
     samples: list[Sample] = []
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
     while len(samples) < count:

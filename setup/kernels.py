@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compile the numerical kernels ahead of every run, and tell whether that is done.
 
-numba keeps what it has compiled beside the sources and begins anew where a source, the Python or the processor is
+numba keeps what it has compiled beside the sources and starts again where a source, the Python or the processor is
 another. What the warm-up read and left is written into a stamp; while all of it is as it was, nothing has to be done.
 """
 

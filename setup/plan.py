@@ -20,7 +20,7 @@ from setup.progress import Steps
 def carry_out(layout: Layout = HERE, *, force: bool = False, kernels: bool = True) -> None:
     """Bring the checkout up to date; interrupted anywhere, the next call goes on, as a stamp follows its step.
 
-    `force`: everything anew. `kernels`: compile them, too.
+    `force`: everything again. `kernels`: compile them, too.
     """
     ros = host.sourced_ros(os.environ, layout.venv)
     wheels_digest = _wheels_digest(layout, ros)

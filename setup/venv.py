@@ -41,7 +41,7 @@ def is_usable(layout: Layout, system_packages: bool) -> bool:
 
 
 def create(layout: Layout, system_packages: bool) -> None:
-    """Make the environment anew."""
+    """Make the environment again."""
     options = ["--clear", *(["--system-site-packages"] if system_packages else [])]
     run_logged([base_python(), "-m", "venv", *options, str(layout.venv)], layout.log("venv"), clean_environment())
 

@@ -111,7 +111,7 @@ def test_a_number_that_is_none_in_any_column_is_none_for_the_decision(
             fresh = replay(programs[precision], precision, np.array([row]))
             read = column < READ
             assert found[1].tolist() == [0.0, 0.0, 0.0, 4.0] if read else found[1, 3] != 4.0, column
-            assert not read or found[2].tolist() == fresh[0].tolist(), "the memory began anew"
+            assert not read or found[2].tolist() == fresh[0].tolist(), "the memory began again"
 
 
 @pytest.mark.parametrize("precision", WORDS)

@@ -122,12 +122,16 @@ def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:
     (tmp_path / "bench.yaml").write_text("one: 1\n")
     for gate in made.gates[:3]:
         gate.status, gate.files = PASSED, digests(tmp_path, ["bench.yaml"])
-    made.gates[3].status, made.adopted = FAILED, "compensated"
+    made.gates[3].status, made.adopted, made.comparison = (
+        FAILED,
+        "compensated",
+        {"compensated": {"name": "compensated"}},
+    )
     made.write(tmp_path)
     again = Record.load(tmp_path, NAMES)
     assert again == made
     assert again.hold(tmp_path, len(NAMES)) == 3
-    assert again.hold(tmp_path, 2) == 2 and not again.adopted
+    assert again.hold(tmp_path, 2) == 2 and not again.adopted and not again.comparison
     (tmp_path / "bench.yaml").write_text("one: 2\n")
     assert Record.load(tmp_path, NAMES).hold(tmp_path, len(NAMES)) == 0
 

@@ -207,7 +207,7 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
     sequence = probe.last(STATE).sequence
     os.kill(process.child("/recorder "), signal.SIGKILL)
     probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text, 5.0)
-    for _ in range(5):  # anew where the machine stood still
+    for _ in range(5):  # again where the machine stood still
         probe.forget()
         probe.spin(2.0)
         if training.phase() == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150:

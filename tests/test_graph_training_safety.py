@@ -73,7 +73,7 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
     events = [event for event in json.loads(run.record.read_text())["events"] if event["kind"] in ("stop", "episode")]
     stops = [event for event in events if event["kind"] == "stop"]
     assert [stop["rollbacks"] for stop in stops] == list(range(1, len(stops) + 1))
-    # An episode that was completed, because this machine held its gains up, is a good policy: counted anew from there.
+    # An episode that was completed, because this machine held its gains up, is a good policy: counted again from there.
     assert [event["kind"] for event in events][-3:] in (["stop"] * 2, ["episode", *["stop"] * 2])
     flags = np.array([state.flags for _, state in probe.heard[STATE]])
     assert (flags & Flag.ARMED).any()

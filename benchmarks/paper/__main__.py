@@ -4,7 +4,7 @@
 Each piece's result is kept as JSON in the folder, and a piece that is done is not repeated: after Ctrl-C the same
 command goes on. The results that came with the program (benchmarks/paper/results) count as made: --fresh runs them
 again. Seed by seed, so that a run that was interrupted has all comparisons of the seeds that it finished. The report is
-written anew from what is there; what is not there is "not run yet".
+written again from what is there; what is not there is "not run yet".
 """
 
 from __future__ import annotations

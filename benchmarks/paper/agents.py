@@ -104,7 +104,7 @@ def pretrained(store: Store, authority: str, seed: int, beside: Path | None = No
 
 
 def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Result:
-    """A run of `pretrain`; what is there of a run of another length, or of one without a checkpoint, is begun anew."""
+    """A run of `pretrain`; what is there of a run of another length, or of one without a checkpoint, is begun again."""
     table, run = folder.with_suffix(".curve"), RunDirectory(folder)
     words = ["--resume", str(folder)]
     if not (run.latest.is_dir() and run.load_settings().episodes == episodes):

@@ -115,7 +115,7 @@ class PaperFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Start again."""
         self._count = 0
 
     def skip(self) -> None:

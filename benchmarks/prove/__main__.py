@@ -78,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--minutes", type=float, default=float("inf"),
                          help="begin no new case after so long; the same command goes on later")  # fmt: skip
     options.add_argument("--again", action="store_true",
-                         help="diagnose anew what another version of the diagnosis answered")  # fmt: skip
+                         help="diagnose again what another version of the diagnosis answered")  # fmt: skip
     add_json_argument(options)
     return options
 
@@ -192,7 +192,7 @@ def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_f
     write_whole(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
     if engines != [engine()]:
         others = ", ".join(other for other in engines if other != engine())
-        print(f"warning: cases were diagnosed by another version ({others}): --again diagnoses them anew",
+        print(f"warning: cases were diagnosed by another version ({others}): --again diagnoses them again",
               file=sys.stderr)  # fmt: skip
     print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The processes of a soak, started as by a user, anew when one has ended; their memory and words."""
+"""The processes of a soak, started as by a user, again when one has ended; their memory and words."""
 
 from __future__ import annotations
 

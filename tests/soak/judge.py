@@ -41,7 +41,7 @@ class Outcome:
     ended: dict[str, int] = field(default_factory=dict)
     """How processes ended."""
     restarted: list[str] = field(default_factory=list)
-    """Those that the soak started anew."""
+    """Those that the soak started again."""
     back_after: float | None = None
     """s from its beginning until a policy acted again; None: it did not."""
     lost: int = 0

@@ -19,7 +19,7 @@ class Direction:
     """One way of the line: frames that passed, and what a stranger makes of them.
 
     What is hostile is noise, damaged frames, frames of another version, and frames that have passed already. A HELLO is
-    never sent again: that opens a conversation anew, and the wire has no key (network.md).
+    never sent again: that opens a conversation again, and the wire has no key (network.md).
     """
 
     def __init__(self, random: Random) -> None:

@@ -61,7 +61,7 @@ def safe(records: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def boots(records: NDArray[np.void]) -> NDArray[np.int64]:
-    """In which life of the box each of them was: its numbers begin anew with each."""
+    """In which life of the box each of them was: its numbers start again with each."""
     return np.concatenate([[0], np.cumsum(np.diff(records["sequence"].astype(np.int64)) < 0)])[: len(records)]
 
 

@@ -8,7 +8,7 @@
         path: str = "/dev/ttyUSB0"
         '''Device, or link to one.'''
         silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
-        '''Without a byte, after which the port is closed and opened anew.'''
+        '''Without a byte, after which the port is closed and opened again.'''
         parity: Literal["none", "even"] = "none"
 
 Checks, YAML files, ROS parameters, help texts and reference pages are derived from them. msgspec converts and checks

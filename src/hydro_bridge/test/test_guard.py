@@ -243,7 +243,7 @@ def test_a_correction_answers_one_sample_once_and_in_order():
     guard.note_sample(None)
     guard.note_sample(1)
     guard.set_correction(0.01, CorrectionStatus.MODIFIED, 1, 0.0)
-    assert guard.command(0.0).delta_u == 0.01, "a box that starts anew counts anew"
+    assert guard.command(0.0).delta_u == 0.01, "a box that starts again counts again"
 
 
 def test_no_correction_asks_for_more_than_the_valves_current():

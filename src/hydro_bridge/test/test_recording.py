@@ -299,7 +299,7 @@ def test_an_interrupted_sequence_is_reported(make_states):
     twice = continuity(np.concatenate([states[:10], states[9:]]))
     assert (twice.duplicates, twice.lost) == (1, 0)
     assert continuity(make_states(10, first=2**32 - 5)).whole
-    assert continuity(np.concatenate([make_states(5, first=10**7), make_states(5)])).whole, "the box began anew"
+    assert continuity(np.concatenate([make_states(5, first=10**7), make_states(5)])).whole, "the box began again"
     assert continuity(states[[0, 2, 1, 3]]).backward == 1 and continuity(states[:1]).whole
 
 

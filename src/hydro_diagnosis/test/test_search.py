@@ -212,3 +212,19 @@ def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none(effect: Effect) 
     assert not is_significant(claim(effect, **absent))
     assert not is_significant(claim(effect, **{**absent, first.name: 0.97 * first.neutral}))
     assert is_significant(claim(effect, **{**absent, first.name: 0.5 * first.neutral}))
+def test_a_dead_time_and_a_simple_lag_become_a_lag_of_second_order(record: Callable[..., StateArray]) -> None:
+    problem = problem_with(record, claim_of("valve_lag", 90.0, 0.9))
+    looking = Search(problem, [effect.adapted(NOMINAL) for effect in LIBRARY])
+    imitated = fit(problem, (claim_of("transport_delay", 1e-3), claim_of("valve_lag:first_order", 80.0)))
+    found = Outcome(problem, imitated, fit(problem, ()))
+    assert looking._merge(found)
+    assert [claim.effect.label for claim in found.fit.claims] == ["valve_lag"]
+    assert list(found.fit.claims[0].values.values()) == pytest.approx([90.0, 0.9], rel=0.05)
+
+
+def test_what_only_mends_a_form_hides_no_cause_elsewhere(record: Callable[..., StateArray]) -> None:
+    """The lag is a small part of a wide overlap's effect, and pays in full only beside the leak."""
+    causes = {"valve_deadband": (3e-3,), "supply_pressure": (0.75,), "valve_lag": (90.0, 0.9),
+              "leakage_internal": (2e-12,), "friction_coulomb": (20.0,)}  # fmt: skip
+    found = search(problem_with(record, *(claim_of(label, *sizes) for label, sizes in causes.items())))
+    assert {claim.effect.id for claim in found.fit.claims} == set(causes)

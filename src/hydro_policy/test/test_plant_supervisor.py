@@ -9,6 +9,7 @@ from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import (
+    BYPASSED,
     FITS,
     HOW_TO_ARM,
     HOW_TO_GET_A_FILTER,
@@ -119,7 +120,7 @@ def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out
     run(watch, STALE, 1.0, 5.0)
     run(watch, 0, 5.0, 9.0)
     assert heard.armings == [False]
-    assert sum(HOW_TO_ARM in sentence for sentence in heard.said) == 2, "asked anew"
+    assert sum(HOW_TO_ARM in sentence for sentence in heard.said) == 2, "asked again"
 
 
 def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it() -> None:
@@ -228,7 +229,7 @@ def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_dis
     assert watch.calming and not watch.may_begin(3.4), "0.9 s armed in a row, whatever was before"
     run(watch, ARMED, 3.4, 3.6)
     assert not watch.calming
-    assert watch.may_begin(3.6) != rearm, "armed anew where no person is needed for it"
+    assert watch.may_begin(3.6) != rearm, "armed again where no person is needed for it"
     assert heard.armings == ([False, True, False] if rearm else [])
 
 
@@ -238,6 +239,17 @@ def test_a_filter_that_decides_nothing_any_more_does_not_say_that_its_model_fits
     watch.on_correction(CorrectionStatus.MISMATCH)
     watch.on_correction(CorrectionStatus.BYPASSED)
     assert heard.said == [MISMATCH, UNWATCHED] and not watch.mismatched
+
+
+def test_a_bypassed_filter_is_told_once_and_not_waited_for() -> None:
+    heard = Heard()
+    watch = PlantSupervisor(heard, rearm=True)
+    for _ in range(3):
+        watch.on_correction(CorrectionStatus.BYPASSED)
+        watch.on_correction(CorrectionStatus.PASS)
+    watch.on_correction(CorrectionStatus.BYPASSED)
+    run(watch, STALE, 0.0, 0.5)
+    assert heard.said == [BYPASSED] and heard.armings == [False, True]
 
 
 def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:

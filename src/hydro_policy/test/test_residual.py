@@ -138,4 +138,4 @@ def test_nothing_that_is_no_number_gets_out(monkeypatch: pytest.MonkeyPatch) -> 
         value = residual.step(*samples, np.array([[1.0, 0.02, 5e-4, 0.0]]), counted)
         assert np.isfinite(value).all() and np.isfinite(residual.inputs).all() and not value.any()
         assert residual.inputs.shape == (1, INPUTS)
-    assert residual.age[0] == 99, "a sample that is no number begins it anew"
+    assert residual.age[0] == 99, "a sample that is no number begins it again"

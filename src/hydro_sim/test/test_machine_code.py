@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled models: kept, made anew where damaged, and refused in a sentence."""
+"""Compiled models: kept, made again where damaged, and refused in a sentence."""
 
 from __future__ import annotations
 

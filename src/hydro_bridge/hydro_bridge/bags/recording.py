@@ -19,7 +19,7 @@ from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter
 from hydro_bridge.signals import StateArray
 
-_RESTART = 600_000  # a sequence that jumps further was started anew (as in stream.SequenceTracker)
+_RESTART = 600_000  # a sequence that jumps further was started again (as in stream.SequenceTracker)
 
 
 @dataclass(frozen=True, kw_only=True)

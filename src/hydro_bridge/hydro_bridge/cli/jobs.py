@@ -39,7 +39,7 @@ SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1},
 }
-"""Dask's own MALLOC_TRIM_THRESHOLD_ makes each large array anew by the kernel: four times the processor time here."""
+"""Dask's own MALLOC_TRIM_THRESHOLD_ makes each large array again by the kernel: four times the processor time here."""
 DEATHS = 3
 """Processes that may be killed by one job."""
 

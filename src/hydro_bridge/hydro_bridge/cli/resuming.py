@@ -42,7 +42,7 @@ def refuse_changes(parser: argparse.ArgumentParser, words: Sequence[str], what: 
     ]
     if wrong:
         raise UserError(
-            f"{what} resumes with the options of its start, without {' and '.join(wrong)}: drop that, or start anew"
+            f"{what} resumes with the options of its start, without {' and '.join(wrong)}: drop that, or start again"
         )
 
 

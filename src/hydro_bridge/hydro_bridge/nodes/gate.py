@@ -224,7 +224,7 @@ class Gate:
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
-        """Begin anew with another holder: no reference or law, and after a silent holder no armed plant, remains."""
+        """Start again with another holder: no reference or law, and after a silent holder no armed plant, remains."""
         if succeeds and self._plant.guard.armed:
             self._plant.arm(False)
         with self._plant.lock:

@@ -178,7 +178,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="replayer",
         description="Publish a recording in the place of the bench: filter, trainer and recorder see the same topics.",
-        epilog="`ros2 bag play BAG` works too; this one stamps each sample anew, so that none is taken for stale.",
+        epilog="`ros2 bag play BAG` works too; this one stamps each sample again, so that none is taken for stale.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
     parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")

@@ -38,7 +38,7 @@ class PortSettings:
     baud: Annotated[int, quantity("Bit/s", 1000000, 12000000)] = 2_000_000
     """Speed of the line; a STATE of version 3 each millisecond takes 1290000, one of version 2 930000."""
     silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
-    """Without a byte, after which the port is closed and opened anew."""
+    """Without a byte, after which the port is closed and opened again."""
     backoff_first: Annotated[float, quantity("s", 0.01, 10.0)] = 0.1
     """Before the second attempt to open; doubles with each."""
     backoff_max: Annotated[float, quantity("s", 0.1, 60.0)] = 2.0
@@ -152,7 +152,7 @@ def _reason(path: str, error: Exception) -> str:
     if number == errno.ENOENT:
         return f"{path} is not there: is the box plugged in and switched on?"
     if number == errno.EACCES:
-        return f"{path} may not be opened: add yourself to the group that owns it (usually dialout) and log in anew"
+        return f"{path} may not be opened: add yourself to the group that owns it (usually dialout) and log in again"
     if number in _TAKEN:
         return f"{path} is in use by another program"
     return f"{path} cannot be opened: {_text(error)}"

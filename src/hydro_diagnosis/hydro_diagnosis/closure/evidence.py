@@ -67,7 +67,7 @@ class Blocks:
 class HeldOutBlocks:
     """Columns of candidates beside a fit, and how well any set of them predicts blocks that it was not fitted to.
 
-    `problem`: the least-squares problem. `found`: the present fit; its parameters are estimated anew with each set.
+    `problem`: the least-squares problem. `found`: the present fit; its parameters are estimated again with each set.
     `columns`: by candidate: derivatives of the residual, shape (n, numbers).
     """
 

@@ -2,7 +2,7 @@
 """Selection of closure terms: a law of few terms if it does nearly as well as a smooth function, else that function.
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
-each, all numbers, those of the names too, are estimated anew. Where such laws leave something, names and laws are
+each, all numbers, those of the names too, are estimated again. Where such laws leave something, names and laws are
 searched together: names that the judgement dropped may come back, and names that it made may go.
 
 Three further searches mend what forward selection misses. `merged`: a name and a law, or two laws, may share what one

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Confidence intervals of parameters: 95 % by profile likelihood, widened by systematic errors.
 
-A parameter is moved, all others are fitted anew, and the deviance must rise by 3.84. Residuals are not quite
+A parameter is moved, all others are fitted again, and the deviance must rise by 3.84. Residuals are not quite
 independent and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to
 the curvature (the sandwich), and by more where blocks resemble their neighbours (slow noise, drift); where a remainder
 is left unexplained that ratio grows by itself. The systematic part covers the residuals' own discretisation, a fraction

@@ -3,7 +3,7 @@
 
 The effect that stands for a wrong number (`effects`) stands for an unknown one too. Its range is that of an error, so
 the recordings are fitted first from a few sizes of the number, beside the causes that every bench may have, and the
-bench is written anew until it moves no more. Then the search has that effect in each of its fits.
+bench is written again until it moves no more. Then the search has that effect in each of its fits.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SIZES = (1.0, 0.1, 10.0)
 EXPLAINED = 1.5
 """Mean square of the residuals over the noise's, below which no other beginning is tried."""
 ROUNDS = 12
-"""Times at most that the bench is written anew from one beginning."""
+"""Times at most that the bench is written again from one beginning."""
 SETTLED = 0.01
 """Share of a number by which it may still move."""
 SECONDS = 12.0

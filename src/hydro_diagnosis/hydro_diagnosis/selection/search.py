@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import permutations
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from hydro_diagnosis.selection.outcome import MINOR, Outcome, SearchSettings, St
 SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
 SAME_UNCERTAINTY = 1e-3
-"""Relative change of the doubt below which fits with other claims are not made anew."""
+"""Relative change of the doubt below which fits with other claims are not made again."""
 
 
 @dataclass
@@ -64,7 +65,7 @@ class Shortlists:
         self._signatures = Signatures()
 
     def renew(self) -> None:
-        """Compute what candidates do to the residuals anew, from the next base on."""
+        """Compute what candidates do to the residuals again, from the next base on."""
         self._signatures = Signatures()
 
     def beside(self, problem: Problem, base: Fit, promised: float, but: str = "") -> list[Fit]:
@@ -86,12 +87,16 @@ class Shortlists:
         screened.fits.sort(key=lambda one: score(problem, one))
         return [one for one in screened.fits if one.claims[-1].effect.label != but]
 
-    def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000) -> None:
-        """Fit in full those that score `enough` with one claim more than a base, the best and `most` of them."""
+    def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000, kin: str = "") -> None:
+        """Fit in full those that score `enough` with one claim more than a base, the best and `most` of them.
+
+        `kin`: family that is fitted in full whatever it scores: secants stop short of a spool's two numbers.
+        """
         screened = self._screened[_labels(base)]
         for k, one in enumerate(screened.fits[:most]):
-            label = one.claims[-1].effect.label
-            if label not in screened.polished and score(problem, one) <= enough:
+            newest = one.claims[-1].effect
+            label = newest.label
+            if label not in screened.polished and (score(problem, one) <= enough or (kin and newest.family == kin)):
                 screened.fits[k] = fit(problem, one.claims, tolerance=SCREEN_TOLERANCE)
                 screened.polished.add(label)
         screened.fits.sort(key=lambda one: score(problem, one))
@@ -155,7 +160,9 @@ class Search:
             if ranked:
                 idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
-            elif not self._backward(outcome) and (self._exhausted or not self._swap(outcome, 0.0)):
+            elif not self._backward(outcome) and (
+                self._exhausted or not (self._swap(outcome, 0.0) or self._merge(outcome))
+            ):
                 break
             for _ in range(SWAPS):
                 if self._exhausted or not self._swap(outcome, PROMISING):
@@ -198,7 +205,8 @@ class Search:
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
         """Fits with one claim more that pay, the best first.
 
-        Where the best only mends the form of its kin, what others explain of that is mimicry: then `_plainer` alone.
+        Where the best only mends the form of its kin, what others explain there is mimicry: then `_plainer`, and what
+        acts elsewhere.
         """
         enough = score(problem, base) - self.settings.threshold
         self._shortlists.renew()
@@ -208,11 +216,23 @@ class Search:
             self._shortlists.polish(problem, base, best + CONTENDING * (score(problem, base) - best), POLISHED)
         better = [one for one in self._shortlists.beside(problem, base, 0.0) if score(problem, one) <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
-        if evidence and form_error(problem, base, evidence[0], self.settings.form_error):
-            evidence = []
+        mends = bool(evidence) and form_error(problem, base, evidence[0], self.settings.form_error)
+        if mends and not self._completed(problem, base, evidence[0]):
+            evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
         if noticeable(problem, base.residual):
             evidence += self._plainer(problem, base, enough)
         return sorted(evidence, key=lambda one: score(problem, one))
+
+    def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
+        """Return whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
+        enough = score(problem, found) - self.settings.threshold
+        self._shortlists.beside(problem, found, 0.0)
+        self._shortlists.polish(problem, found, enough, POLISHED)
+        for pair in self._shortlists.beside(problem, found, 0.0)[:POLISHED]:
+            clean = remaining(problem, base.residual).keys() - remaining(problem, pair.residual).keys()
+            if clean and clean & remaining(problem, fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
+                return True
+        return False
 
     def _plainer(self, problem: Problem, base: Fit, enough: float) -> list[Fit]:
         """Fits with a plainer form of a claim beside one of its kin, no more parameters in all, that score `enough`.
@@ -248,7 +268,7 @@ class Search:
             present = score(problem, outcome.fit)
             evidence = max(score(problem, base) - present, 0.0)
             self._shortlists.beside(problem, base, promising * evidence, label)
-            self._shortlists.polish(problem, base, present + CONTENDING * evidence)
+            self._shortlists.polish(problem, base, present + CONTENDING * evidence, kin=claim.effect.family)
             fits = self._shortlists.beside(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if self._pays_in_place(outcome, one, claim.effect)]
@@ -256,6 +276,28 @@ class Search:
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
+
+    def _merge(self, outcome: Outcome) -> bool:
+        """Try a richer form of a claim in its place and that of one of its kin, no more parameters in all.
+
+        A dead time and a spool of first order take the form of one of second order, and then no single swap pays.
+        """
+        problem, present = outcome.problem, outcome.fit
+        for plain, kin in permutations(present.judged, 2):
+            spare = len(plain.effect.parameters) + len(kin.effect.parameters)
+            richer = [one for one in self.library if one.id == plain.effect.id and one.family == kin.effect.family
+                      and len(plain.effect.parameters) < len(one.parameters) <= spare]  # fmt: skip
+            others = tuple(one for one in present.claims if one is not plain and one is not kin)
+            needed = {need for one in others for need in one.effect.needs}
+            if not richer or kin.effect.id in (plain.effect.id, *needed):
+                continue
+            for prospect in screen(problem, fit(problem, others), richer):
+                merged = fit(problem, (*others, prospect.claim))
+                if score(problem, merged) < score(problem, present) and all_significant(problem, merged):
+                    labels = f"{plain.effect.label}, {kin.effect.label} -> {prospect.claim.effect.label}"
+                    self._accept(outcome, merged, "swap", labels)
+                    return True
+        return False
 
     def _pays_in_place(self, outcome: Outcome, other: Fit, effect: Effect) -> bool:
         """Return whether the newest claim of `other` may take the place of `effect`.
@@ -377,6 +419,17 @@ def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
         if added < share**2 * signature:
             return True
     return False
+
+
+def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
+    """Return whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
+    before, one, two = (mean_squares(problem, each.residual) for each in (base, mended, other))
+    counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
+    removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}
+    shared = sum(
+        part for name, part in removed.items() if before[name] - one[name] > MINOR * (before[name] - two[name])
+    )
+    return shared < MINOR * sum(removed.values())
 
 
 def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:

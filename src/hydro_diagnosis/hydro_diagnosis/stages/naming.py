@@ -2,7 +2,7 @@
 """Second and third stage: causes of the table are searched for and judged, the remainder is modelled by laws.
 
 Names and laws are tried on the held-out recordings, and withdrawn where they predict these worse. Names that the
-recordings contradict are dropped, and what they leave is modelled anew.
+recordings contradict are dropped, and what they leave is modelled again.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _next_recording(found: StageResult) -> dict[str, Any] | None:
 
 
 def _assess(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
-    """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged anew."""
+    """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged again."""
     assessment = assess(problem, outcome.fit, outcome.nothing)
     while True:
         sure, bounds = without_insignificant(problem, assessment.fit)

@@ -120,7 +120,7 @@ class ScheduledMetric:
             of = f"{of} ({where})"
         return (
             f"the metric {name} is not a certificate: {of} do not decay; "
-            "make it anew on a model that predicts this bench (`ros2 run hydro_sim validate` says how well)"
+            "make it again on a model that predicts this bench (`ros2 run hydro_sim validate` says how well)"
         )
 
     @property
@@ -159,7 +159,7 @@ class ScheduledMetric:
                 f"{path} has structure {header['structure']!r}, not a metric's: `learn_metric` makes one"
             )
         if any(np.any(tensors.get(prefix + name, 0.0)) for name in NETWORK for prefix in ("", f"{ANOTHER}.")):
-            raise WeightsError(f"{path} has a network on top of its table: make it anew with `learn_metric`")
+            raise WeightsError(f"{path} has a network on top of its table: make it again with `learn_metric`")
         try:
             made, other = made_for(header), header.get(ANOTHER)
             another = None if other is None else cls._of(tensors, other, made, f"{ANOTHER}.")

@@ -6,7 +6,7 @@ ros2 run hydro_filter filter [--metric FILE] [--model FILE] [--bench FILE] [--by
 States are answered in order, each once, with the epoch of the session (/hydro/authority). States of two plants are not
 answered, and beside another filter none. After a hold-up those older than `state_age_max` are answered STALE without
 being acted upon. The filter follows the valve's spool from sample to sample: where samples are missing it begins
-anew.
+again.
 
 Where the model is not this bench's every answer is MISMATCH: nothing is corrected, and the plant narrows the gains.
 Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
@@ -249,7 +249,7 @@ class FilterNode(Node):
         return self._unknown if law.law == Law.COMPENSATED else f"law {law.law} is unknown"
 
     def _law_near(self, sequence: int) -> Any:
-        """Return the last law that is not the paper's; None if the paper's acts: the filter begins anew with it."""
+        """Return the last law that is not the paper's; None if the paper's acts: the filter starts again with it."""
         if self._law is None or (sequence - self._law.sequence + ANOTHER_LAW) & 0xFFFFFFFF < 2 * ANOTHER_LAW:
             return self._law
         self._law = None

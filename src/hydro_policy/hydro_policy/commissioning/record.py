@@ -24,6 +24,10 @@ PAGE = "report.html"
 PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
 
 
+_FOUND = {"diagnosis": ("causes",), "metric": ("certified_gains",), "controllers": ("comparison", "watch")}
+"""Fields of a record that a gate fills."""
+
+
 class GateError(Exception):
     """A gate failed; the message is the reason, one sentence."""
 
@@ -99,6 +103,8 @@ class Record:
             count += 1
         for gate in self.gates[count:]:
             gate.status, gate.reason, gate.files, self.adopted = PENDING, "", {}, ""
+            for field_name in _FOUND.get(gate.name, ()):
+                getattr(self, field_name).clear()
         return count
 
     @property

@@ -214,7 +214,7 @@ class Compensator:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, at neutral coefficients."""
+        """Start again, at neutral coefficients."""
         count = len(self.coefficients)
         self.coefficients[:] = NEUTRAL
         self._memory = _Memory(
@@ -252,7 +252,7 @@ class Compensator:
             f_c as it acted and f [N], shape (n, 10).
         active
             Benches whose samples count, shape (n,). False while disarmed, saturated, tripped, or where samples are
-            missing: the coefficients hold, and the filter begins anew behind it.
+            missing: the coefficients hold, and the filter starts again behind it.
         reference_rate
             f_r' [N/s], shape (n, 10); absent: the valve has no terms.
 

@@ -69,7 +69,7 @@ class LiveCompensation:
         self._taken, self._told, self._seen = -1, -1, -1
 
     def reset(self, *, learned: bool = False) -> None:
-        """Begin anew, at neutral coefficients; frozen ones stay, and get no residual."""
+        """Start again, at neutral coefficients; frozen ones stay, and get no residual."""
         self._adapted.reset(learned=learned)
         self._steps.clear()
 
@@ -152,7 +152,7 @@ class LiveCompensation:
         if not step.complete:
             return
         del self._steps[number]
-        if number != self._taken + 1:  # samples are missing: what is filtered begins anew
+        if number != self._taken + 1:  # samples are missing: what is filtered starts again
             self._take(step, good=False)
         self._taken = number
         self._take(step, good=step.good)

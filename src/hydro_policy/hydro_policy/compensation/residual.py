@@ -120,7 +120,7 @@ class Network:
                 return cls.load(shipped)
         tensors, header = weights.load(path)
         if header["structure"] != STRUCTURE or tensors["mean"].shape != (INPUTS,):
-            raise weights.WeightsError(f"{path} holds no residual of this version: train it anew")
+            raise weights.WeightsError(f"{path} holds no residual of this version: train it again")
         count = sum(name.startswith("weight") for name in tensors)
         layers = tuple((tensors[f"weight_{k}"].astype(float), tensors[f"bias_{k}"].astype(float)) for k in range(count))
         return cls(tensors["mean"].astype(float), tensors["spread"].astype(float), layers)
@@ -148,7 +148,7 @@ class Residual:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, knowing nothing of the bench."""
+        """Start again, knowing nothing of the bench."""
         n, samples = self._count, KEPT * SAMPLES_PER_STEP
         self.value: FloatArray = np.zeros(n)
         """w [N], to be added to a_3 of the next policy step, shape (n,)."""
@@ -186,7 +186,7 @@ class Residual:
 
         `reference`, `rate`, `measured`: f_r [N], f_r' [N/s] and f [N], shape (n, 10). `coefficients`: a_0 to a_3 of the
         law without a residual, shape (n, 4). `counted`: benches whose samples count (`Compensator.counted`), shape
-        (n,); others begin anew.
+        (n,); others start again.
         """
         fine = counted & np.isfinite(reference).all(1) & np.isfinite(rate).all(1) & np.isfinite(measured).all(1)
         fine &= np.isfinite(coefficients).all(1)
@@ -320,7 +320,7 @@ class AdaptedLaw:
         return a
 
     def reset(self, *, learned: bool) -> None:
-        """Begin anew, at neutral coefficients; frozen ones stay, and get no residual."""
+        """Start again, at neutral coefficients; frozen ones stay, and get no residual."""
         self.learned = learned and self.residual is not None
         if not self.estimator.frozen.all():
             self.estimator.reset()

@@ -48,7 +48,7 @@ LAW_TRIALS = 3
 """Times that a plant is armed with another law than the one commanded, before the runs under that are given up."""
 NOT_TAKEN_UP = "the plant does not take up the force law that is commanded"
 FROZEN = "A person had frozen the coefficients of the compensated law."
-ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed anew with that"
+ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed again with that"
 
 __all__ = ["EvaluationSession", "EvaluationSettings", "Score", "Trace"]
 

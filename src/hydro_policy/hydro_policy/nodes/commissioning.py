@@ -63,7 +63,7 @@ class Site:
     arm: str
     """`auto` or `ask`, as `--rearm` of `evaluate`."""
     compensated: bool
-    """Whether a metric of the compensated law alone will do: it is commissioned anew, and that law was adopted."""
+    """Whether a metric of the compensated law alone will do: it is commissioned again, and that law was adopted."""
     policy: bool
     """Whether a policy is to be trained."""
     log: IO[str]

@@ -262,7 +262,7 @@ class TrainingSession:
         self._outputs.say(sentence, warning=True)
 
     def _pause(self, reason: str, where: str) -> None:
-        sentence = f"paused in {where} at step {self.current.steps}: {reason}; it begins anew once the plant is armed"
+        sentence = f"paused in {where} at step {self.current.steps}: {reason}; it starts again once the plant is armed"
         self.phase, self.exam, self._fresh = Phase.PAUSED, None, True
         self.progress.interruptions += 1
         self.explorer.forget()

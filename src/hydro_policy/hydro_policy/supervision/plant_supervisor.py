@@ -134,14 +134,17 @@ IDLE = 2.0
 LOST_AFTER = 0.1  # s without a sample
 
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
-UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law begins anew"
+UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law starts again"
 MISMATCH = (
     "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
     f"range, nothing is learned or begun; {ANEW}"
 )
 FITS = "the filter's model fits again: going on"
+BYPASSED = "the filter decides nothing (BYPASSED): a guard that requires it keeps base gains under the paper's law"
 UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
-CALM_AGAIN = "calm again: disarmed and armed anew, so that the force law begins anew"
+_ANSWERS = (CorrectionStatus.MISMATCH, CorrectionStatus.BYPASSED)
+"""Statuses of a filter that answers, though the plant counts its corrections as stale."""
+CALM_AGAIN = "calm again: disarmed and armed again, so that the force law starts again"
 
 
 class PlantSupervisor:
@@ -169,7 +172,7 @@ class PlantSupervisor:
         self._outputs, self._override = outputs, override or GainOverride()
         self._arming = Arming(outputs, rearm)
         samples = plant(lambda: not self.lost)
-        answers = corrections(lambda: self.mismatched or not self._flags & Flag.FILTER_STALE)
+        answers = corrections(lambda: self._status in _ANSWERS or not self._flags & Flag.FILTER_STALE)
         fitting = fitting_filter(lambda: not self.mismatched)
         needed = (samples, *requirements, answers, fitting)  # the filter's answers, after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
@@ -179,13 +182,18 @@ class PlantSupervisor:
         self._flags = int(Flag.FILTER_STALE)
         self._told: str | None = None
         self._calm_until: float | None = None  # math.inf: requested, but not armed yet
-        self.mismatched = False
-        """Whether the filter's last status was that its model is not this bench's."""
+        self._status: int = CorrectionStatus.PASS  # the filter's last one
+        self._bypassed = False  # the user was told
 
     @property
     def lost(self) -> bool:
         """Whether no samples arrive."""
         return self._seen == -math.inf
+
+    @property
+    def mismatched(self) -> bool:
+        """Whether the filter's last status was that its model is not this bench's."""
+        return self._status == CorrectionStatus.MISMATCH
 
     @property
     def armed(self) -> bool:
@@ -223,10 +231,13 @@ class PlantSupervisor:
 
     def on_correction(self, status: int) -> None:
         """Process the status of a correction."""
-        if (status == CorrectionStatus.MISMATCH) != self.mismatched:
-            self.mismatched = not self.mismatched
+        before, self._status = self._status, status
+        if self.mismatched != (before == CorrectionStatus.MISMATCH):
             after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
             self._outputs.say(MISMATCH if self.mismatched else after, warning=self.mismatched)
+        elif status == CorrectionStatus.BYPASSED and not self._bypassed:
+            self._bypassed = True
+            self._outputs.say(BYPASSED)
 
     def may_begin(self, now: float) -> bool:
         """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""
@@ -240,11 +251,11 @@ class PlantSupervisor:
         """Return why no controller may act on the armed plant; empty if one may."""
         if not self._spoilt and now - self._acted > IDLE:
             waited = f"armed for {now - self._acted:.1f} s while no controller acted"
-            return f"{waited}: it is disarmed, so that the force law begins anew"
+            return f"{waited}: it is disarmed, so that the force law starts again"
         return self._spoilt
 
     def spoil(self, why: str) -> None:
-        """Let no controller begin until the plant has been disarmed and armed anew; `why` is reported."""
+        """Let no controller begin until the plant has been disarmed and armed again; `why` is reported."""
         self._spoilt = self._spoilt or why
 
     @property

@@ -12,7 +12,7 @@
         └──────────────────────────────────────── disarm ──────────────────────────────────────────────┘
 
 An arm that comes before any disarm (the box restarted under a running graph, or the link was gone for 200 ms) trips: a
-person or the trainer must arm anew. Outcomes: the failure table of failures.md. Source: paper eq. fl_rl.
+person or the trainer must arm again. Outcomes: the failure table of failures.md. Source: paper eq. fl_rl.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ class FirmwareLink(BoxLink):
         return None
 
     def reboot(self) -> None:
-        """Do nothing: the machine's restart powers the box on anew."""
+        """Do nothing: the machine's restart powers the box on again."""
 
     def _frames(self, sample: np.void) -> bytes:
         counts = self.firmware.counts()

@@ -97,7 +97,7 @@ class Machine:
         return self.samples * SAMPLE_PERIOD
 
     def warm_up(self) -> None:
-        """Run everything once, so that all is compiled, and start anew."""
+        """Run everything once, so that all is compiled, and start again."""
         self.receive(Command())
         self.tick()
         self.plant.reset(self._seed)

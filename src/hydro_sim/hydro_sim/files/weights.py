@@ -56,7 +56,7 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(f"{path} holds no weights: its header has no readable entry 'hydro'") from error
     if kind[0] != FORMAT:
-        raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: make it anew")
+        raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: make it again")
     try:
         check_numbers(tensors)
     except UnsoundError as error:

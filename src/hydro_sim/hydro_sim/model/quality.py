@@ -57,7 +57,7 @@ class Quality:
         for name, kind, what in (("over_noise", int | float, "number"), ("worst", int | float, "number"),
                                  ("worst_reading", str, "name")):  # fmt: skip
             if not isinstance(content.get(name), kind):
-                raise ValueError(f"'learned' needs the {what} {name!r}, as `learn` writes it: learn the file anew")
+                raise ValueError(f"'learned' needs the {what} {name!r}, as `learn` writes it: learn the file again")
         over_noise, worst = float(content["over_noise"]), float(content["worst"])
         return cls(over_noise=over_noise, worst=worst, worst_reading=content["worst_reading"])
 

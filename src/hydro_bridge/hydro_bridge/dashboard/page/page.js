@@ -5,7 +5,7 @@ import { Curve, Plots, shown } from "./plots.js";
 import { Series, decoded } from "./series.js";
 
 const SILENT = 700; // ms without a word of the dashboard: the connection is lost
-const BEHIND = 2000; // ms of lag beyond which the page drops what is under way and connects anew, to show now
+const BEHIND = 2000; // ms of lag beyond which the page drops what is under way and connects again, to show now
 const REDRAW = 95; // ms between two drawings: a person sees no more, and this machine may control a bench
 const AGAIN = 500; // ms until the next attempt to connect
 const APART = 400; // ms: a second press that comes sooner is one that bounced, or a key that is held

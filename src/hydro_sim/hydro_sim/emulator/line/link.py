@@ -129,7 +129,7 @@ class BoxLink:
         self._replug_at = now + seconds
 
     def reboot(self) -> None:
-        """Reset after a power cycle: the box greets anew, has no command, and loses any partial one."""
+        """Reset after a power cycle: the box greets again, has no command, and loses any partial one."""
         self.last_command = 0
         self.decoder.reset()
         self._waiting.clear()
