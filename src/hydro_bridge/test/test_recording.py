@@ -326,7 +326,7 @@ def replayed(thousands, speed):
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_messages_come_at_their_times_freshly_stamped(thousands, speed):
     late = []
-    while len(late) < 5 and min(late, default=1.0) >= 0.02:  # anew where the machine was busy with something else
+    while len(late) < 5 and min(late, default=1.0) >= 0.02:  # again where the machine was busy with something else
         stamps, arrivals = replayed(thousands, speed).T
         np.testing.assert_allclose(np.diff(stamps), 1e-3 / speed, atol=2e-6)
         assert np.all(arrivals - stamps > -1e-3)

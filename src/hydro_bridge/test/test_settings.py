@@ -113,5 +113,5 @@ def test_words_that_say_otherwise_are_refused_in_one_sentence(words, told):
     with pytest.raises(UserError) as refused:
         refuse_changes(parser(), words, "runs/a", BEGUN)
     assert (
-        str(refused.value) == f"runs/a resumes with the options of its start, without {told}: drop that, or start anew"
+        str(refused.value) == f"runs/a resumes with the options of its start, without {told}: drop that, or start again"
     )

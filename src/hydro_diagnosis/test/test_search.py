@@ -212,6 +212,8 @@ def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none(effect: Effect) 
     assert not is_significant(claim(effect, **absent))
     assert not is_significant(claim(effect, **{**absent, first.name: 0.97 * first.neutral}))
     assert is_significant(claim(effect, **{**absent, first.name: 0.5 * first.neutral}))
+
+
 def test_a_dead_time_and_a_simple_lag_become_a_lag_of_second_order(record: Callable[..., StateArray]) -> None:
     problem = problem_with(record, claim_of("valve_lag", 90.0, 0.9))
     looking = Search(problem, [effect.adapted(NOMINAL) for effect in LIBRARY])

@@ -200,5 +200,5 @@ def test_save_load_and_the_files_of_earlier_versions(tmp_path: Path) -> None:
         np.testing.assert_array_equal(loaded.matrix(gain), given.matrix(gain))
     last["b3"][7] = 0.1
     weights.save(path, {**tensors, **last}, header)
-    with pytest.raises(weights.WeightsError, match=r"has a network on top of its table.*make it anew with `learn_met"):
+    with pytest.raises(weights.WeightsError, match=r"has a network on top of its table.*make it again with `learn_met"):
         ScheduledMetric.load(path)

@@ -307,5 +307,5 @@ def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy()
         session.override.release()
         while phase is Phase.EVALUATING and session.phase is not Phase.TRAINING:
             graph.run(session, 0.1, learner)
-    assert len(session.run.record.of("exam")) == 1, "the examination began anew and came to its end"
+    assert len(session.run.record.of("exam")) == 1, "the examination began again and came to its end"
     assert not session.run.record.of("stop")

@@ -224,7 +224,7 @@ class Search:
         return sorted(evidence, key=lambda one: score(problem, one))
 
     def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
-        """Return whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
+        """Whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
         enough = score(problem, found) - self.settings.threshold
         self._shortlists.beside(problem, found, 0.0)
         self._shortlists.polish(problem, found, enough, POLISHED)
@@ -422,7 +422,7 @@ def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
 
 
 def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
-    """Return whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
+    """Whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
     before, one, two = (mean_squares(problem, each.residual) for each in (base, mended, other))
     counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
     removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}
