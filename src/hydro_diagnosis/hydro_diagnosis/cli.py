@@ -7,8 +7,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.process import endings
@@ -17,9 +15,6 @@ from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.growing import command as growing
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.stage_bar import StageBar, silent
-
-if TYPE_CHECKING:
-    from hydro_diagnosis.report.diagnosis import Diagnosis
 
 PAGE = "--page"
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
@@ -134,7 +129,8 @@ def run(arguments: Sequence[str]) -> int:
         return endings.status(interruption)
     write_files(found, chosen.out)
     refresh_index(chosen.out)
-    _say(found, chosen.out)
+    print(found)
+    print(f"{chosen.out / 'report.html'}, report.json, corrected.yaml ({found.report.seconds:.1f} s)")
     return 0
 
 
@@ -142,35 +138,6 @@ def run(arguments: Sequence[str]) -> int:
 def main() -> int:
     """Entry point; 2 for input that cannot be diagnosed, 130 when interrupted."""
     return run(sys.argv[1:])
-
-
-def _say(found: Diagnosis, folder: Path) -> None:
-    report = found.report
-    print(f"verdict: {report.verdict}")
-    for effect in report.effects:
-        print(f"  {effect.id}: {effect.sentence}")
-        for name, estimate in effect.parameters.items():
-            bounds = (
-                "not identifiable"
-                if estimate.ci95 is None
-                else f"95 % {estimate.ci95[0]:.5g} to {estimate.ci95[1]:.5g}"
-            )
-            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
-            print(f"    {name} = {estimate.value:.5g}{unit} ({bounds})")
-    for number in report.estimated:
-        print(f"  {number.sentence}")
-    for closure in report.closures:
-        print(f"  without a name, in {closure.equation}: {closure.expression}")
-        print(f"    {closure.sentence} Closes {closure.share_closed * 100:.3g} % of the held-out gap.")
-    if report.remainder:
-        places = ", ".join(place["equation"] for place in report.remainder["location"])
-        depends = ", ".join(report.remainder["depends_on"]) or "none of the variables tried"
-        print(f"  unexplained: part of {places}; it depends on {depends}")
-        for likeness in report.remainder["looks_like"]:
-            print(f"  {likeness}")
-    for note in found.notes:
-        print(f"  note: {note}")
-    print(f"{folder / 'report.html'}, report.json, corrected.yaml ({report.seconds:.1f} s)")
 
 
 if __name__ == "__main__":

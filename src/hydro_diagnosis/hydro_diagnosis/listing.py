@@ -461,7 +461,8 @@ def main() -> int:
         maps.append(listed(path.name, found, columns, table, bench))
         said = improbable(path, found, maps[-1], bench)
         if columns is None:
-            said += [_advice(maps[-1]), *found.notes, *missing(maps[-1]), *_spare_pressures(found, maps[-1])]
+            said += [_advice(maps[-1]), *missing(maps[-1]), *_spare_pressures(found, maps[-1])]
+        said += found.notes
         remarks += [f"{path.name}: {sentence}" for sentence in said]
     table.show(chosen.json)
     for remark in remarks:

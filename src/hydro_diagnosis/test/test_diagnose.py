@@ -184,7 +184,9 @@ def test_explained(valid: Callable[[Any], Any], written: Path) -> None:
 
 
 def test_no_mismatch(valid: Callable[[Any], Any], csv: Path) -> None:
-    report = json.loads(diagnose([csv]).report.to_json())
+    found = diagnose([csv])
+    assert "fitted on the first two thirds of " in str(found) and len(repr(found)) < 2000
+    report = json.loads(found.report.to_json())
     valid(report)
     assert report["verdict"] == "no_mismatch"
     assert report["recordings"] == [{"name": csv.stem, "begin": None}]

@@ -45,7 +45,7 @@ def test_nan_run_is_cut_out_and_listed(tmp_path: Path, nominal: StateArray, fram
     data.loc[4000:4400, "pressure_a"] = np.nan
     recording = read(data, tmp_path)
     assert len(recording.segments) == 2
-    assert any("pressure_a is not a number in 401 samples" in note for note in recording.quality)
+    assert any("no number of pressure_a in 401 samples from 4." in note for note in recording.quality)
 
 
 def test_frozen_sensor_is_left_out_and_listed(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:

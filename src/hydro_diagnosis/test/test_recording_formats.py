@@ -117,3 +117,16 @@ def test_each_suffix_that_is_said_to_be_read_has_a_reader(tmp_path: Path) -> Non
         (file := tmp_path / f"empty{suffix}").touch()
         with pytest.raises(InputError, match=f"empty{suffix}: ."):
             read_columns(file)
+
+
+def test_parts_of_one_recording_are_joined_in_time_and_told_of_else(tmp_path: Path) -> None:
+    head = "Bench 4;run 1\nt [ms];x [mm]\n"
+    parts = ["".join(f"{k},0;{k * k / 100:.2f}\n".replace(".", ",") for k in range(a, a + 50)) for a in (0, 50)]
+    for between in (head, head.split("\n", 1)[1], "# event\n"):
+        (tmp_path / "a.csv").write_text(head + parts[0] + between + parts[1] + "end\n")
+        found = read_columns(tmp_path / "a.csv")
+        assert [len(values) for values in found.series.values()] == [100, 100] and not found.clocks
+        assert "joined" in found.notes[0]
+    (tmp_path / "a.csv").write_text(head + parts[1] + head + parts[0])
+    found = read_columns(tmp_path / "a.csv")
+    assert len(found.series) == 4 and "the time begins again" in found.notes[0]

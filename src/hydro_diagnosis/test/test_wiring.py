@@ -217,7 +217,7 @@ def test_current_a_row_late_is_repaired_and_a_row_early_is_a_dead_time(nominal: 
         assert found.report.verdict == verdict
         assert [effect.id for effect in found.report.effects] == names
         late = "valve_current was recorded about 1 ms late: the recordings were diagnosed as repaired"
-        assert any(late in note for note in found.notes) == (rows > 0)
+        assert any(late in note for note in found.report.data_quality) == (rows > 0)
 
 
 def test_both_explanations_are_told_where_both_fit(runs: list[Channels], tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -172,11 +172,45 @@ def delimited_columns(path: Path) -> Columns:
     units: dict[str, str] = {}
     clocks: dict[str, str] = {}
     other: list[str] = []
-    for header, frame in _blocks(path, encoding, separator, decimal):
+    blocks, notes = _joined(_blocks(path, encoding, separator, decimal))
+    for header, frame in blocks:
         _take(header, frame, series, units, clocks, other)
     if len({len(values) for values in series.values()}) == 1 and len(set(clocks.values())) <= 1:
         clocks = {}
-    return Columns(series, {}, tuple(other), units, clocks)
+    return Columns(series, {}, tuple(other), units, clocks, tuple(notes))
+
+
+def _joined(blocks: Iterable[tuple[Header, pd.DataFrame]]) -> tuple[list[tuple[Header, pd.DataFrame]], list[str]]:
+    """Blocks, those put together whose header is the same, or without names, while the time goes on; and notes."""
+    found: list[tuple[Header, pd.DataFrame]] = []
+    joined = again = 0
+    for header, frame in blocks:
+        before, above = found[-1] if found else (header, frame)
+        alike = header.names in (before.names, tuple(_filled_cells([], len(before.names))))
+        if found and alike and _goes_on(before.names, above, frame):
+            found[-1] = before, pd.concat([above, frame], ignore_index=True)
+            joined += 1
+            continue
+        again += bool(found) and alike
+        found.append((header, frame))
+    notes = []
+    if joined:
+        times = "once" if joined == 1 else f"{joined} times"
+        notes.append(f"a header or other words stand among the numbers {times}: what follows was joined to them")
+    if again:
+        notes.append(
+            f"its header comes {again + 1} times and the time begins again: the later parts are columns of their own "
+            "and a map takes one part only; give each part as a file of its own"
+        )
+    return found, notes
+
+
+def _goes_on(names: tuple[str, ...], above: pd.DataFrame, below: pd.DataFrame) -> bool:
+    """Return whether the times of one block follow those of another: of the column named so, else of the first."""
+    time = next((k for k, name in enumerate(names) if named_like_time(name)), 0)
+    parts = [frame[time].to_numpy(dtype=np.float64) for frame in (above, below)]
+    last, first = parts[0][np.isfinite(parts[0])], parts[1][np.isfinite(parts[1])]
+    return len(last) > 1 and len(first) > 0 and runs_forward(last) and first[0] >= last[-1]
 
 
 def _encoding(head: bytes) -> str:
@@ -227,8 +261,15 @@ def _blocks(path: Path, encoding: str, separator: str, decimal: str) -> Iterator
     except (ValueError, pd.errors.ParserError):
         pass
     rest = path.read_text(encoding=encoding, errors="replace").splitlines()
+    some = False
     while rest:
-        header = header_of(rest[:400], separator, decimal)
+        try:
+            header = header_of(rest[:400], separator, decimal)
+        except ValueError:
+            if some:
+                return  # words below the last number
+            raise
+        some = True
         end = next((k for k in range(header.length + 1, len(rest)) if _TEXT.match(rest[k])), len(rest))
         yield header, _numbers(StringIO("\n".join(rest[:end])), header, separator, decimal, strict=False)
         rest = rest[end:]

@@ -232,7 +232,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     if not any(name in columns for name in MEASURED):
         raise UnusableRecordingError(f"{table.name}: no sensor in it is alive")
     _refuse_useless(table.name, columns, bench)
-    bad = _bad_samples(columns, step, bench, notes)
+    bad = _bad_samples(columns, table.time, step, bench, notes)
     outside = _outside_equations(columns, bench, notes)
     bad |= outside
     segments = _segments(table.name, step, index, columns, bad, notes, shaken)
@@ -267,9 +267,16 @@ def _grid(table: RawTable, notes: list[str]) -> tuple[float, npt.NDArray[np.int6
         notes.append(f"the time steps back {back} times; the recording is cut there")
     lost = int(np.sum(whole[(whole > 1) & (whole < 10**6)] - 1))
     if lost:
-        notes.append(f"{lost} samples are missing")
+        notes.append(_lost(lost, whole, time))
     whole[whole < 0] = 10**6
     return step, np.concatenate([[0], np.cumsum(whole)])
+
+
+def _lost(lost: int, whole: Rows, time: FloatArray) -> str:
+    """Note on missing samples, and where most of them are; `whole`: rows from each sample to the next."""
+    gaps = np.where(whole < 10**6, whole, 0)
+    most = int(np.argmax(gaps))
+    return f"{lost} samples are missing, {gaps[most] - 1} of them after {time[most]:.3f} s"
 
 
 def _alive(table: RawTable, notes: list[str]) -> dict[str, FloatArray]:
@@ -309,18 +316,24 @@ def _stands(columns: dict[str, FloatArray]) -> bool:
     return len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MOVING
 
 
-def _bad_samples(columns: dict[str, FloatArray], step: float, bench: Bench, notes: list[str]) -> Mask:
-    bad = np.zeros(len(next(iter(columns.values()))), dtype=bool)
+def _bad_samples(columns: dict[str, FloatArray], time: FloatArray, step: float, bench: Bench, notes: list[str]) -> Mask:
+    bad = np.zeros(len(time), dtype=bool)
+    empty: dict[str, list[str]] = {}
+    last = len(time) - 1
     for channel, values in columns.items():
         if channel not in MEASURED and channel != "valve_current":
             continue
         missing = ~np.isfinite(values)
         if missing.any():
-            notes.append(f"{channel} is not a number in {int(missing.sum())} samples")
+            count, first = int(missing.sum()), int(np.argmax(missing))
+            where = "in the last row: the file ends within it" if first == last else f"from {time[first]:.3f} s on"
+            samples = f"in {count} samples " if count > 1 else ""
+            empty.setdefault(f"{samples}{where}", []).append(channel)
         frozen = _frozen(channel, columns, step, bench)
         if frozen.any():
             notes.append(f"{channel} is frozen in {int(frozen.sum())} samples; the recording is cut there")
         bad |= missing | frozen
+    notes += [f"no number of {', '.join(channels)} {where}" for where, channels in empty.items()]
     return bad
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING
@@ -20,7 +21,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass
+def _seconds(models: Sequence[SegmentModel]) -> dict[str, float]:
+    """Length [s] of what is used of each recording."""
+    lengths: dict[str, float] = {}
+    for model in models:
+        name = model.segment.recording
+        lengths[name] = lengths.get(name, 0.0) + len(model.segment) * model.segment.step
+    return lengths
+
+
+@dataclass(repr=False)
 class Diagnosis:
     """A report and the data behind it."""
 
@@ -30,8 +40,39 @@ class Diagnosis:
     assessment: Assessment
     outcome: Outcome
     holdout: list[SegmentModel] = field(default_factory=list)
-    notes: tuple[str, ...] = ()
-    """What the verdict does not say, of `data_quality` what is not about the data alone."""
+
+    def __str__(self) -> str:
+        """Return what the command prints."""
+        report, lines = self.report, [f"verdict: {self.report.verdict}", f"  {self.used}"]
+        for effect in report.effects:
+            lines.append(f"  {effect.id}: {effect.sentence}")
+            for name, estimate in effect.parameters.items():
+                bounds = "not identifiable" if estimate.ci95 is None else "95 % {:.5g} to {:.5g}".format(*estimate.ci95)
+                unit = "" if estimate.unit == "-" else f" {estimate.unit}"
+                lines.append(f"    {name} = {estimate.value:.5g}{unit} ({bounds})")
+        lines += [f"  {number.sentence}" for number in report.estimated]
+        for closure in report.closures:
+            lines.append(f"  without a name, in {closure.equation}: {closure.expression}")
+            lines.append(f"    {closure.sentence} Closes {closure.share_closed * 100:.3g} % of the held-out gap.")
+        if report.remainder:
+            places = ", ".join(place["equation"] for place in report.remainder["location"])
+            depends = ", ".join(report.remainder["depends_on"]) or "none of the variables tried"
+            lines.append(f"  unexplained: part of {places}; it depends on {depends}")
+            lines += [f"  {likeness}" for likeness in report.remainder["looks_like"]]
+        return "\n".join([*lines, *(f"  note: {note}" for note in report.data_quality)])
+
+    __repr__ = __str__
+
+    @property
+    def used(self) -> str:
+        """Recordings that were fitted and checked on, and how much of each."""
+        fitted, checked = (_seconds(models) for models in (self.problem.models, self.holdout))
+        if fitted.keys() == checked.keys():  # of the only one
+            ((name, first),) = fitted.items()
+            (last,) = checked.values()
+            return f"fitted on the first two thirds of {name} ({first:.4g} s); checked on its last third ({last:.4g} s)"
+        said = (", ".join(f"{name} ({length:.4g} s)" for name, length in one.items()) for one in (fitted, checked))
+        return "fitted on {}; checked on {}".format(*said)
 
     @property
     def corrected(self) -> Bench:

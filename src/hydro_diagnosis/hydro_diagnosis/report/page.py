@@ -170,8 +170,7 @@ def rendered(found: Diagnosis) -> str:
     return _environment().get_template("report.html").render(
         title="Diagnosis",
         report=report,
-        fitted=_names(found.problem.models),
-        checked=_names(found.holdout),
+        used=found.used,
         verdict=_VERDICTS[report.verdict],
         effects=[(effect, _picture(found, effect)) for effect in report.effects],
         comparison=comparison,
@@ -188,10 +187,6 @@ def _environment() -> Environment:
     made = environment("hydro_diagnosis", "report/templates")
     made.filters.update(heading=_heading, range=_range, bounds=_bounds, gain=_gain, number=_number)
     return made
-
-
-def _names(models: Sequence[SegmentModel]) -> str:
-    return ", ".join(dict.fromkeys(model.segment.recording for model in models))
 
 
 def _heading(identifier: str) -> str:

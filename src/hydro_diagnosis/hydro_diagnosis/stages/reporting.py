@@ -244,7 +244,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
         steps=_steps(search),
         **{**case.facts, "data_quality": [*case.facts["data_quality"], *notes]},
     )
-    return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.models, notes)
+    return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.models)
 
 
 def interrupted_report(case: Case, search: Search, begun: float) -> Report:
