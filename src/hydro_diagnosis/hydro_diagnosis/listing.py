@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 from math import inf
@@ -75,6 +75,8 @@ _APART = 0.1
 """s, between rows at most where a time states no unit: a force loop that is logged at all is logged at 10 Hz."""
 ABOUT, EXACT = 0.05, 1e-3
 """Shares of a force that the pressures may leave: of any force of the bench, of the hydraulic force."""
+FOLLOWED = 0.5
+"""Share of a reference that the spring's force may leave: the force lags behind it."""
 MOST = 16
 """Columns at most that are tried for every field."""
 SILENT = 1e-4
@@ -157,6 +159,10 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
         take("pressure_a", nearest("pressure_a", found.series[sources["piston_position"].column], unsure=2))
     take("pressure_a", only("pressure_a"))
     take("pressure_b", only("pressure_b"))
+    forces = left.get("force", [])
+    silent = [name for name in forces if _noise(found.series[name]) < SILENT]
+    if len(silent) == 1 and len(forces) > 1:
+        take("reference_force", silent[0])
     if {"pressure_a", "pressure_b"} <= sources.keys():
         a, b = (found.series[sources[field].column] for field in ("pressure_a", "pressure_b"))
         if len(a) == len(b):
@@ -180,57 +186,71 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
     if len(free) > MOST or len(found.series[clock]) < 100 * MEAN:
         return
 
-    def sized(field: str) -> dict[Source, FloatArray]:
+    def sized(field: str, taken: set[str]) -> dict[Source, FloatArray]:
         """Means over `MEAN` rows [SI] of the columns in each unit in which their numbers are of the field's size."""
         units = ("", *_LIKELY.get(_QUANTITY_OF[field], ()))
-        values = {Source(name, unit=unit): UNITS.get(unit, 1.0) * free[name] for name in free for unit in units}
-        return {source: means(one, MEAN) for source, one in values.items() if _fits(field, one, bench)}
+        there = {Source(name, unit=unit): UNITS.get(unit, 1.0) * free[name] for name in free for unit in units}
+        sizes = {source: means(one, MEAN) for source, one in there.items() if source.column not in taken}
+        return {source: one for source, one in sizes.items() if _fits(field, one, bench)}
 
-    def take(field: str, *fitting: Source) -> None:
-        if len(fitting) == 1:
-            sources[field] = fitting[0]
-            del free[fitting[0].column]
+    def solved(force: Source, a: Source, b: Source) -> dict[str, Source]:
+        """Return the fields, if this force is about that of these pressures."""
+        taken, fields = {a.column, b.column}, {"pressure_a": a, "pressure_b": b}
 
-    forces, pressures = sized("load_force"), sized("pressure_a")
-    triples = [
-        (_balance(forces[force], pressures[a], pressures[b], bench), force, a, b)
+        def take(field: str, fitting: Sequence[Source]) -> None:
+            if len(fitting) == 1:
+                fields[field] = fitting[0]
+                taken.add(fitting[0].column)
+
+        take("hydraulic_force", [force] if _balance(forces[force], pressures[a], pressures[b], bench, ABOUT) < EXACT
+             else [])  # fmt: skip
+        places = sized("piston_position", taken | {force.column})
+        springs = {place: line(one, forces[force], 1) for place, one in places.items()}
+        springs = {place: spring for place, spring in springs.items() if _like_spring(*spring, bench)}
+        if not springs:
+            return fields
+        place = min(springs, key=lambda one: springs[one][1])
+        take("piston_position", [place])
+        slopes = {one: line(places[place], values, 1) for one, values in sized("load_force", taken).items()}
+        silent = [one for one in slopes if _noise(free[one.column]) < SILENT]
+        take("load_force", [one for one in slopes if one not in silent and _like_spring(*slopes[one], bench)])
+        take("reference_force", [one for one in silent if _like_spring(*slopes[one], bench, FOLLOWED)])
+        speed = np.diff(places[place])
+        currents = {one: abs(_correlation(values[1:], speed)) for one, values in sized("valve_current", taken).items()}
+        best = max(currents.values(), default=0.0)
+        take("valve_current", [one for one, alike in currents.items() if alike > 0.5 and alike == best])
+        return fields
+
+    forces, pressures = sized("load_force", set()), sized("pressure_a", set())
+    triples = {
+        (force, a, b): _balance(forces[force], pressures[a], pressures[b], bench)
         for a, b in permutations(pressures, 2)
         for force in forces
         if a.unit == b.unit and len({force.column, a.column, b.column}) == 3
-    ]
-    left, force, a, b = min(triples, key=lambda found: found[0], default=(1.0, Source(""), Source(""), Source("")))
-    if left > ABOUT:
-        return
-    take("pressure_a", a)
-    take("pressure_b", b)
-    if _balance(forces[force], pressures[a], pressures[b], bench, ABOUT) < EXACT:
-        take("hydraulic_force", force)
-    places = {place: one for place, one in sized("piston_position").items() if place.column != force.column}
-    springs = {place: line(one, forces[force], 1) for place, one in places.items()}
-    springs = {place: spring for place, spring in springs.items() if _like_spring(*spring, bench)}
-    if not springs:
-        return
-    place = min(springs, key=lambda one: springs[one][1])
-    take("piston_position", place)
-    travel = places[place]
-    alike = [one for one, values in sized("load_force").items() if _like_spring(*line(travel, values, 1), bench)]
-    silent = [one for one in alike if _noise(free[one.column]) < SILENT]
-    take("load_force", *(one for one in alike if one not in silent))
-    take("reference_force", *silent)
-    currents = {one: abs(_correlation(values[1:], np.diff(travel))) for one, values in sized("valve_current").items()}
-    take("valve_current", *(one for one, alike in currents.items() if alike > 0.5 and alike == max(currents.values())))
+    }
+    ways = [(solved(*triple), left) for triple, left in triples.items() if left < ABOUT]
+    fields, _ = max(ways, key=lambda way: (len(way[0]), -way[1]), default=({}, 0.0))
+    sources.update(fields)
 
 
 def _balance(force: FloatArray, a: FloatArray, b: FloatArray, bench: Bench, within: float = 0.3) -> float:
-    """Share of a force that A_A p_A - A_B p_B leaves, with areas that are fitted; 1 if they are not the bench's."""
-    terms = np.column_stack([a, -b, np.ones(len(a))])
-    areas, *_ = np.linalg.lstsq(terms, force, rcond=None)
-    near = np.abs(areas[:2] / (bench.piston_area * np.array([1.0, bench.area_ratio])) - 1.0) < within
-    return float(np.var(force - terms @ areas) / np.var(force)) if near.all() else 1.0
+    """Share of a force that A_A p_A - A_B p_B leaves, with areas that are fitted; 1 if they are not the bench's.
+
+    Where one pressure rises as the other falls, which the areas of a double rod make, only their sum can be fitted.
+    """
+    areas = bench.piston_area * np.array([1.0, bench.area_ratio])
+    both, one = np.column_stack([a, -b]) * areas, (areas[0] * a - areas[1] * b)[:, None]
+    left = 1.0
+    for terms in (both, one):
+        terms = np.column_stack([terms, np.ones(len(a))])
+        factors, *_ = np.linalg.lstsq(terms, force, rcond=None)
+        if np.all(np.abs(factors[:-1] - 1.0) < within):
+            left = min(left, float(np.var(force - terms @ factors) / np.var(force)))
+    return left
 
 
-def _like_spring(slope: float, left: float, bench: Bench) -> bool:
-    return left < 0.1 and 0.5 < slope / bench.spring_stiffness < 2.0
+def _like_spring(slope: float, left: float, bench: Bench, most: float = 0.1) -> bool:
+    return left < most and 0.5 < slope / bench.spring_stiffness < 2.0
 
 
 def _noise(values: FloatArray) -> float:
@@ -461,12 +481,14 @@ def main() -> int:
         maps.append(listed(path.name, found, columns, table, bench))
         said = improbable(path, found, maps[-1], bench)
         if columns is None:
-            said += [_advice(maps[-1]), *missing(maps[-1]), *_spare_pressures(found, maps[-1])]
+            said += [_advice(maps[-1], chosen.bench), *missing(maps[-1]), *_spare_pressures(found, maps[-1])]
         said += found.notes
         remarks += [f"{path.name}: {sentence}" for sentence in said]
     table.show(chosen.json)
     for remark in remarks:
         print(remark)
+    if chosen.write and maps[0].sources.keys() <= {"time"}:
+        raise InputError(f"{chosen.write} was not written: no signal of {chosen.recordings[0].name} is known")
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
         write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
@@ -474,16 +496,16 @@ def main() -> int:
     return 0
 
 
-def _advice(proposal: ColumnMap) -> str:
+def _advice(proposal: ColumnMap, bench: Path | None) -> str:
     if not proposal.sources:
         return "no column looks like a field: map them by --columns time=NAME,piston_position=NAME,..."
     if not proposal.corrections().sources:
         return "its columns carry the fields' own names: no map is needed"
     if set(proposal.sources) == {"time"}:
         return (
-            "names and units say nothing of its columns, and they do not fulfil the bench's equations: "
-            f"give the rig's numbers by --bench FILE, or map them by --columns {proposal},piston_position=NAME[mm],"
-            "pressure_a=NAME[bar],..."
+            "names and units say nothing of its columns, and they do not fulfil the equations of "
+            + (f"{bench}: " if bench else "the nominal bench: give the rig's numbers by --bench FILE, or ")
+            + f'map them by --columns "{proposal},piston_position=NAME[mm],pressure_a=NAME[bar],..."'
         )
     return f'proposed, to be checked: --columns "{proposal}"'
 

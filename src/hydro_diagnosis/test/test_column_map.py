@@ -293,6 +293,34 @@ def test_a_matrix_without_names_and_units_is_mapped_by_the_equations_of_the_benc
     assert set(proposed(columns_of(path), larger).sources) == {"time"}, "another bench's numbers fulfil no equation"
 
 
+def test_a_double_rod_without_names_is_mapped_though_one_pressure_falls_as_the_other_rises() -> None:
+    """No hydraulic force; the load cell is 4 % off and has noise, the reference leads it by 24 ms and has none."""
+    bench = replace(Bench.nominal(), piston_area=8e-4, area_ratio=1.0, spring_stiffness=60e3, stroke=0.16)
+    time, noise = 2e-3 * np.arange(6000), np.random.default_rng(1).normal(size=(6, 6000))
+
+    def force(at: Array) -> Array:
+        return np.asarray(900.0 * np.sin(5.0 * at) + 500.0 * np.sin(17.0 * at))
+
+    rate = np.gradient(force(time), time)
+    pushed = (force(time) + 45.0 * np.sign(rate)) / (2.0 * bench.piston_area * 1e5)
+    series = {
+        "c1": 1e3 * time, "c2": 1e-3 * (1.04 * force(time) + 2.0 * noise[0]), "c3": 1e-3 * force(time + 0.024),
+        "c4": 60.0 + pushed + 0.1 * noise[1], "c5": 60.0 - pushed + 0.1 * noise[2],
+        "c6": 40.0 + force(time) / 60.0 + 1e-3 * noise[3], "c7": 1e-3 * rate + 0.01 * noise[4],
+        "c8": 41.0 + 0.03 * time + 0.05 * noise[5],
+    }  # fmt: skip
+    units = {"time": "ms", "load_force": "kN", "reference_force": "kN", "pressure_a": "bar", "pressure_b": "bar",
+             "piston_position": "mm", "valve_current": "mA"}  # fmt: skip
+    expected = {field: f"c{number}" for field, number in zip(units, (1, 2, 3, 4, 5, 6, 7), strict=True)}
+    for named in (False, True):
+        names = {f"c{k}": f"c{k} [{unit}]" for k, unit in enumerate((*units.values(), "°C"), 1)} if named else {}
+        found = proposed(Columns({names.get(name, name): values for name, values in series.items()}), bench)
+        assert {field: source.column for field, source in found.sources.items()} == {
+            field: names.get(name, name) for field, name in expected.items()
+        }
+        assert {field: source.unit for field, source in found.sources.items()} == units
+
+
 def test_temperatures_and_flows_are_no_pressures_and_positions(tmp_path: Path, nominal: StateArray) -> None:
     """Named and sized as if they were, in brackets behind the name or in a row of units."""
     states = nominal[:3000]

@@ -225,7 +225,7 @@ def test_both_explanations_are_told_where_both_fit(runs: list[Channels], tmp_pat
     paths = [written(moved("valve_current", -25)(one), tmp_path / f"run{k}.csv") for k, one in enumerate(runs)]
     case = read(paths)
     assert case.question.columns is None
-    assert "early, but as recorded their causes leave" in case.wiring
+    assert "early, but were diagnosed as recorded (in a trial of both, " in case.wiring
     assert 'diagnose with --columns "valve_current=valve_current@-2' in case.wiring
 
 

@@ -320,9 +320,11 @@ def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
             f"map.yaml` propose a map; there are {there}"
         )
     if not set(chosen.sources) - {"time"}:
+        lacks, hint = "no column carries the name of a BenchState field", " (`inspect` proposes a map)"
+        if columns is not None:
+            lacks, hint = "the map names no signal beside the time", ""
         raise InputError(
-            f"{path}: no column carries the name of a BenchState field, for instance piston_position: map them by "
-            f"--columns time=NAME,piston_position=NAME,... (`inspect` proposes a map); there are {there}"
+            f"{path}: {lacks}: map them by --columns time=NAME,piston_position=NAME[mm],...{hint}; there are {there}"
         )
     try:
         time, fields, notes = fields_of(found, chosen)

@@ -423,16 +423,15 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
                 repairs, other, there = again, nearer, closer
     clearer = min(gain(here.fitted, there.fitted), gain(here.held, there.held))
     simpler = there.numbers + sum(_fitted(repair) for repair in repairs) < here.numbers
+    both = (
+        f"in a trial of both, {times(here.held):.3g} times the noise was left on what was held out as recorded, "
+        f"{times(there.held):.3g} times as repaired"
+    )
     if clearer >= CLEAR or (clearer > -ALIKE and simpler):
-        beside = (
-            f"held-out residual of the best causes: {times(here.held):.3g} times the noise as recorded, "
-            f"{times(there.held):.3g} times repaired"
-        )
-        return replace(other, wiring=_told(repairs, other.question, beside))
+        return replace(other, wiring=_told(repairs, other.question, both))
     note = (
-        f"the recordings look as if {_words(repairs)}, but as recorded their causes leave {times(here.held):.3g} times "
-        f"the noise on what was held out, repaired {times(there.held):.3g} times: they were diagnosed as recorded; if "
-        f'it is a mistake of wiring all the same, diagnose with --columns "{other.question.columns}"'
+        f"the recordings look as if {_words(repairs)}, but were diagnosed as recorded ({both}); if it is a mistake of "
+        f'wiring all the same, diagnose with --columns "{other.question.columns}"'
     )
     return replace(case, wiring=note)
 
