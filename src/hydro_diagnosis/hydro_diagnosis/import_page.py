@@ -97,10 +97,13 @@ class Import:
         for message in self._connection:
             if isinstance(message, bytes):
                 continue  # the rest of a file that was refused
+            name = ""
             try:
-                self._answer(_DECODER.decode(message))
+                request = _DECODER.decode(message)
+                name = request.name if isinstance(request, Upload) else ""
+                self._answer(request)
             except (InputError, UserError, OSError, ValueError, msgspec.DecodeError) as error:
-                self._send("error", sentence=" ".join(str(error).replace(f"{self._folder}/", "").split()))
+                self._send("error", sentence=" ".join(str(error).replace(f"{self._folder}/", "").split()), name=name)
 
     def _answer(self, request: Upload | Check | Diagnose) -> None:
         if isinstance(request, Upload):
@@ -177,15 +180,15 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def serve_imports(port: int, bench: Bench) -> Server:
-    """Return a server of the page at a port, any free one for 0; call its `serve_forever`.
+def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Server:
+    """Return a server of the page at a port, any free one for 0; call its `serve_forever`. `name`: the bench's.
 
     Raises UserError: the port cannot be listened at.
     """
     page = environment("hydro_diagnosis", "page").get_template("import.html")
     files = {
         "/": (
-            page.render(title="Import recordings", fields=TARGETS, units=sorted(UNITS)).encode(),
+            page.render(title="Import recordings", fields=TARGETS, units=sorted(UNITS), bench=name).encode(),
             "text/html; charset=utf-8",
         ),
         f"/{_SCRIPT}": (
@@ -228,7 +231,8 @@ def run(arguments: Sequence[str]) -> int:
     options.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
     chosen = options.parse_args(arguments)
     bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
-    with serve_imports(chosen.port, bench) as server:
+    name = [chosen.bench.name] if chosen.bench else []
+    with serve_imports(chosen.port, bench, *name) as server:
         address = f"http://{HOST}:{server.socket.getsockname()[1]}/"
         print(f"drop recordings on the page: {address} (Ctrl-C ends it)", flush=True)
         if chosen.open:

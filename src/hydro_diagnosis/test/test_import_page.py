@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import yaml
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -99,7 +100,8 @@ def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on(
 ) -> None:
     with connect(f"ws://{address}/socket", max_size=None) as connection:
         page = Page(connection)
-        assert sentence in page.upload(name, content)["sentence"]
+        refused = page.upload(name, content)
+        assert sentence in refused["sentence"] and refused["name"] == name
         assert page.upload("known.yaml", b"piston_area: 4.9e-4")["kind"] == "bench"
         assert page.upload("monday.csv", recordings[0].read_bytes())["kind"] == "columns"
         page.send("diagnose", columns={"time": {"column": "t"}}, fit=["../monday.csv"], check=[])
@@ -117,7 +119,13 @@ def test_a_person_gets_from_files_to_the_report_in_a_browser(
 ) -> None:
     with browser.browser(tmp_path / "profile") as page:
         page.open(f"http://{address}/")
-        page.driver.find_element("id", "files").send_keys("\n".join(map(str, recordings)))
+        assert page.text("bench") == "the nominal one"
+        (tmp_path / "rig.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
+        files = [*recordings, tmp_path / "rig.yaml"]
+        page.run("window.early = false; new MutationObserver(() => { window.early ||= document.getElementById('list')"
+                 ".rows.length === 1 && !document.getElementById('run').disabled })"
+                 ".observe(document.body, { subtree: true, childList: true, attributes: true })")  # fmt: skip
+        page.driver.find_element("id", "files").send_keys("\n".join(map(str, files)))
         page.wait("document.querySelectorAll('#list tr').length == 2")
         assert page.run("return document.querySelectorAll('#columns select')[1].value") == "piston_position"
         page.run("document.querySelectorAll('#columns input[name=offset]')[1].value = '0'")
@@ -125,4 +133,7 @@ def test_a_person_gets_from_files_to_the_report_in_a_browser(
         page.click("run")
         page.wait("!document.getElementById('result').hidden", timeout=120.0)
         assert page.text("stage") == "no mismatch" and page.text("error") == ""
+        assert page.run("const bar = document.getElementById('bar'); return bar.value === bar.max")
+        assert page.text("bench") == "rig.yaml" and page.text("loading") == ""
+        assert not page.run("return window.early"), "Diagnose can be pressed while a file is being read"
         assert page.run("return document.getElementById('save-corrected').href").startswith("blob:")

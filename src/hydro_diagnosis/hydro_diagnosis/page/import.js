@@ -7,6 +7,8 @@ const GIVEN = [["unit", "in"], ["scale", "factor"], ["offset", "offset"]]; // of
 const $ = (id) => document.getElementById(id);
 const socket = new WebSocket(`ws://${location.host}/socket`);
 const recordings = new Map(); // name: "fit" or "check"
+const arriving = new Set(); // names of files of which the server has not answered
+let queue = Promise.resolve(); // one message or file after the other
 let rows = [];
 
 function cell(row, content, name = "td") {
@@ -17,14 +19,25 @@ function cell(row, content, name = "td") {
 
 function send(kind, content) {
   $("error").textContent = "";
-  socket.send(JSON.stringify({ type: kind, ...content }));
+  queue = queue.then(() => socket.send(JSON.stringify({ type: kind, ...content })));
 }
 
-async function upload(files) {
-  for (const file of files) {
+function upload(files) {
+  const bench = ({ name }) => /\.ya?ml$/.test(name); // first: it tells what numbers are likely
+  for (const file of [...files].sort((one, other) => bench(other) - bench(one))) {
     send("upload", { name: file.name, size: file.size });
-    for (let at = 0; at < file.size; at += PIECE) socket.send(await file.slice(at, at + PIECE).arrayBuffer());
+    for (let at = 0; at < file.size; at += PIECE) {
+      queue = queue.then(async () => socket.send(await file.slice(at, at + PIECE).arrayBuffer()));
+    }
+    arriving.add(file.name);
   }
+  arrived();
+}
+
+function arrived(name) {
+  arriving.delete(name);
+  $("run").disabled = arriving.size > 0 || !$("bar").hidden;
+  $("loading").textContent = arriving.size ? `reading ${[...arriving].join(", ")}` : "";
 }
 
 function list() {
@@ -93,12 +106,13 @@ function save(id, text, kind) {
 }
 
 function running(now) {
-  $("run").disabled = now;
   $("bar").hidden = !now;
+  arrived();
 }
 
 const ANSWERS = {
   columns({ name, rows: found, proposed, ...remarks }) {
+    arrived(name);
     recordings.set(name, recordings.get(name) ?? "fit");
     list();
     if (rows.length) return; // the map of the first recording holds for all
@@ -107,7 +121,8 @@ const ANSWERS = {
     tell(remarks);
   },
   bench({ name }) {
-    $("stage").textContent = `bench: ${name}`;
+    arrived(name);
+    $("bench").textContent = name;
   },
   checked: tell,
   progress({ text, done, stages }) {
@@ -117,14 +132,16 @@ const ANSWERS = {
   },
   report({ verdict, report, corrected, columns: map }) {
     running(false);
+    $("bar").value = $("bar").max;
     $("stage").textContent = verdict.replaceAll("_", " ");
     $("report").src = save("save-report", report, "text/html");
     save("save-corrected", corrected, "text/yaml");
     save("save-columns", map, "text/yaml");
     $("result").hidden = false;
   },
-  error({ sentence }) {
-    running(false);
+  error({ sentence, name }) {
+    if (name) arrived(name);
+    else running(false);
     $("error").textContent = sentence;
   },
 };
@@ -134,6 +151,7 @@ socket.onmessage = ({ data }) => {
   ANSWERS[answer.kind](answer);
 };
 socket.onclose = () => {
+  arriving.clear();
   running(false);
   $("error").textContent = "the program behind this page has ended: start `diagnose --page` again, and reload";
 };
