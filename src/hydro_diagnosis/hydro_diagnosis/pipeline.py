@@ -81,13 +81,14 @@ def diagnose(
     )  # fmt: skip
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
         case = read_repaired(question, progress)
-    search = Search(case.problem, case.candidates, settings or NAMES, progress)
+    given = None not in case.numbers.values()
+    search = Search(case.problem, case.candidates, settings or NAMES, progress, given=given)
     try:
         with threadpool_limits(1, "blas"):
             names = search_causes(search, case.held)
             before, case = case, reconsider_wiring(case, names, progress)
             if case.problem is not before.problem:
-                search = Search(case.problem, case.candidates, settings or NAMES, progress)
+                search = Search(case.problem, case.candidates, settings or NAMES, progress, given=given)
                 names = search_causes(search, case.held)
             return build_report(case, search, model_claims(names, search), begun)
     except KeyboardInterrupt as interruption:

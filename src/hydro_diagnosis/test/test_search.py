@@ -16,6 +16,7 @@ from hydro_diagnosis.effects.base import FitParameter
 from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.fit import fit, mean_squares, noticeable, score
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.unknown_numbers import estimated_claims
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.report.corrected_bench import corrected_bench
@@ -230,3 +231,13 @@ def test_what_only_mends_a_form_hides_no_cause_elsewhere(record: Callable[..., S
               "leakage_internal": (2e-12,), "friction_coulomb": (20.0,)}  # fmt: skip
     found = search(problem_with(record, *(claim_of(label, *sizes) for label, sizes in causes.items())))
     assert {claim.effect.id for claim in found.fit.claims} == set(causes)
+
+
+def test_a_number_that_was_given_is_estimated_beside_the_causes(record: Callable[..., StateArray]) -> None:
+    """Seen: what 0.4 mA of overlap do was taken for oil ten times as stiff, and the overlap not named."""
+    causes = {"valve_deadband": (2e-3,), "valve_lag": (70.0, 0.8), "leakage_internal": (1e-12,)}
+    problem = problem_with(record, *(claim_of(label, *sizes) for label, sizes in causes.items()))
+    problem.estimated = estimated_claims(NOMINAL, ["bulk_modulus"])
+    found = Search(problem, [effect.adapted(NOMINAL) for effect in LIBRARY], given=True).run().fit
+    assert {claim.effect.id for claim in found.judged} == set(causes)
+    assert found.claims[0].effect.estimated and found.claims[0].values["ratio"] == pytest.approx(1.0, abs=0.02)

@@ -9,7 +9,8 @@ parameter plus a threshold; so must each parameter that a cause has more than th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 
 import numpy as np
@@ -119,7 +120,7 @@ MAX_REWEIGHT_ITERATIONS = 6
 
 
 class Search:
-    """One search over one problem."""
+    """One search over one problem; `given`: whether the numbers to be estimated begin as the bench file has them."""
 
     def __init__(
         self,
@@ -127,8 +128,11 @@ class Search:
         library: Sequence[Effect],
         settings: SearchSettings | None = None,
         progress: Callable[[str], None] = lambda text: None,
+        *,
+        given: bool = False,
     ) -> None:
         self.problem = problem
+        self.given = given
         self.library = tuple(library)
         self.settings = settings or SearchSettings()
         self.progress = progress
@@ -139,6 +143,8 @@ class Search:
 
     def run(self) -> Outcome:
         """Search; where something remains, search again from other first claims, and keep the best outcome."""
+        if self.problem.estimated and self.given and (beside := self._beside_given()):
+            return beside
         nothing = fit(self.problem, ())
         restarts = self._ranked(self.problem, nothing)
         best = self._from(nothing, restarts[:1])
@@ -149,6 +155,26 @@ class Search:
             best = self._better(best, self._from(nothing, [opening]))
         self.steps[:] = best.steps
         return best
+
+    def _beside_given(self) -> Outcome | None:
+        """Return the outcome with the estimated numbers held where they begin, and estimated beside its claims.
+
+        None where something remains. Beside causes that are not found yet a number would leave what it was given as.
+        """
+        held = copy(self.problem)
+        held.estimated = ()
+        looked = Search(held, self.library, self.settings, self.progress)
+        outcome = looked.run()
+        if noticeable(outcome.problem, outcome.fit.residual):
+            return None
+        sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
+        numbers = [replace(one, values=sizes.pop(one.effect.label, one.values)) for one in self.problem.estimated]
+        others = [claim for claim in outcome.fit.claims if claim.effect.label in sizes]
+        outcome.problem, outcome.fit = self._weighed(fit(self.problem, (*numbers, *others)))
+        outcome.nothing = fit(outcome.problem, ())
+        self._backward(outcome)
+        self.steps[:] = outcome.steps
+        return outcome
 
     def _from(self, nothing: Fit, opening: Sequence[Fit]) -> Outcome:
         """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""

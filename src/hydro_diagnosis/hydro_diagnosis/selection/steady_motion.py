@@ -122,16 +122,21 @@ def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> Iterator
             modelled.append(chambers.net_flows(bench, oil, everything, model.memory)[0])
         stiff = chambers.compliances(bench, oil, everything)[0]
         p_a, p_b = (model.smooth(model.channels["pressure_" + chamber]) for chamber in "ab")
-        measured = bench.piston_area * speed(model) + np.gradient(p_a, model.step) / stiff
+        measured = bench.piston_area * model.v + np.gradient(p_a, model.step) / stiff
         over = p_a - p_b if rest else model.channels["valve_current"]
         there = at_rest(model) if rest else steady(model)
-        at, one, before, after = (model.kept(signal) for signal in (over, measured, modelled[1], modelled[0]))
+        at, one, before, after = (model.kept(_mean(model, each)) for each in (over, measured, *modelled[::-1]))
         yield _chosen(model, there[model.rows], at, one, before, after, k)
 
 
 def speed(model: SegmentModel) -> FloatArray:
     """Velocity [m/s] in the mean over `STEADY` around each sample, shape (n,): an encoder's steps are not in it."""
-    return np.asarray(uniform_filter1d(model.v, _count(model)))
+    return _mean(model, model.v)
+
+
+def _mean(model: SegmentModel, signal: FloatArray) -> FloatArray:
+    """A signal in the mean over `STEADY` around each sample, shape (n,)."""
+    return np.asarray(uniform_filter1d(signal, _count(model)))
 
 
 def steady(model: SegmentModel) -> npt.NDArray[np.bool_]:
