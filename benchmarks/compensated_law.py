@@ -42,7 +42,7 @@ from hydro_policy.envs.vector_env import DEAD_TIME_MAX
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 
 CANDIDATES = (

@@ -28,7 +28,7 @@ from hydro_diagnosis.diagnose_many import diagnosed, write_study
 from hydro_diagnosis.trends import NEUTRAL, Series, series_of
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 
 DAYS = 365
 NUMBERS = {

@@ -22,7 +22,7 @@ from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import Flag
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 
 GAINS = (60.0, 90.0, 120.0, 200.0, 300.0)

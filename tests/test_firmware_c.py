@@ -16,7 +16,7 @@ from hydro_bridge.conformance.command import FAIL, PASS, run, shipped
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.files import bench_file
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.configuration import header, values
+from hydro_sim.box.header import header, values
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 from tests.firmware_filter import FIRMWARE, firmware_module

@@ -13,8 +13,7 @@ pytest.importorskip("selenium")
 
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, Flag
-from hydro_bridge.viewer.recorded import read_recorded
-from hydro_bridge.viewer.view import rendered
+from hydro_bridge.viewer.view import read_recorded, rendered
 from tests.browser import MISSING, Page, browser
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=MISSING)

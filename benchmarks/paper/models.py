@@ -20,7 +20,7 @@ from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store
 from hydro_bridge.signals import matrix
 from hydro_sim.emulator.offline import Recording, record_offline
 from hydro_sim.emulator.truth.config import profile
-from hydro_sim.excitation.drawn import draw
+from hydro_sim.excitation import draw
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.recordings import Data

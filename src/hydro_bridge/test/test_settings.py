@@ -8,12 +8,10 @@ from typing import Annotated, Literal
 
 import pytest
 
-from hydro_bridge.cli.console import UserError
-from hydro_bridge.cli.resuming import NEW_ONLY, refuse_changes
-from hydro_bridge.files.settings_file import from_mapping, to_mapping
+from hydro_bridge.cli.console import NEW_ONLY, UserError, refuse_changes
 from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.port import PortSettings
-from hydro_bridge.settings import SettingsError, check, describe, quantity
+from hydro_bridge.settings import SettingsError, check, describe, from_mapping, quantity, to_mapping
 
 
 @dataclass(frozen=True, kw_only=True)

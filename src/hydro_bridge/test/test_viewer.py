@@ -17,12 +17,10 @@ from rosbags.typesys import get_types_from_msg
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.bags.schema import definition
-from hydro_bridge.dashboard.series import STATE_COLUMNS
-from hydro_bridge.dashboard.thinning import SLOT, GrowingThinner, Thinner
+from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, Thinner
 from hydro_bridge.signals import Flag
-from hydro_bridge.viewer.recorded import read_recorded
 from hydro_bridge.viewer.runs import ORDERS, list_runs, refresh_index, write_index
-from hydro_bridge.viewer.view import main, rendered
+from hydro_bridge.viewer.view import main, read_recorded, rendered
 
 ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
 

@@ -17,7 +17,7 @@ from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.stages.reading import baseline
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 from hydro_sim.files.learned_bench import shipped
 from hydro_sim.model.bench import Bench
 

@@ -20,7 +20,7 @@ from hydro_diagnosis.preprocessing.streaming import read_bag_within
 from hydro_diagnosis.recording import Recording, UnusableRecordingError
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()

@@ -26,7 +26,7 @@ from hydro_diagnosis.stages.reading import Case, Question
 from hydro_diagnosis.wiring import inspect_table, reversed_sign
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate

@@ -52,7 +52,7 @@ from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
 from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
 from hydro_sim.emulator.offline import record_offline  # noqa: E402
-from hydro_sim.excitation.schedules import Segment  # noqa: E402
+from hydro_sim.excitation import Segment  # noqa: E402
 from hydro_sim.files.learned_bench import digest as digest_of  # noqa: E402
 from hydro_sim.files.pairing import MadeFor  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402

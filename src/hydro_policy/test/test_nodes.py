@@ -25,7 +25,7 @@ from hydro_bridge.ros.companion import CompanionError, executable_path
 from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
-from hydro_bridge.viewer.recorded import read_recorded
+from hydro_bridge.viewer.view import read_recorded
 from hydro_filter.controller.factory import LEARNED
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim

@@ -12,8 +12,7 @@ from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.compensation.period import Period
-from hydro_policy.compensation.residual import INPUTS, RESIDUAL_MAX, Network, Residual
+from hydro_policy.compensation.residual import INPUTS, RESIDUAL_MAX, Network, Period, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated

@@ -29,7 +29,7 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.step_aggregator import Step
 from hydro_sim.box.box import Box, BoxConfig, box_details
-from hydro_sim.excitation.drawn import Range
+from hydro_sim.excitation import Range
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors

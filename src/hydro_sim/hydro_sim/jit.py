@@ -13,3 +13,22 @@ from functools import partial
 import numba
 
 njit = partial(numba.njit, cache=True, error_model="numpy")
+
+
+@njit
+def copy_vector(into, values):
+    """into[i] = values[i] for all values, unchecked: `into` must be as long.
+
+    `into[:] = values` would compile the creation of an error message too, in each function that contains it and again
+    in each that calls one: two thirds of the compilation time of the networks' gradients.
+    """
+    for i in range(len(values)):
+        into[i] = values[i]
+
+
+@njit
+def copy_matrix(into, values):
+    """into[i, j] = values[i, j] for all values, as `copy_vector`."""
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            into[i, j] = values[i, j]

@@ -15,7 +15,7 @@ from hydro_bridge.files import bench_file
 from hydro_bridge.signals import StateArray
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation.drawn import draw
+from hydro_sim.excitation import draw
 from hydro_sim.files import recordings
 from hydro_sim.identification import bench_learning, learn, validate
 from hydro_sim.identification.bench_states import noise_of

@@ -12,7 +12,7 @@ import pytest
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant

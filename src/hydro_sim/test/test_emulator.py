@@ -26,7 +26,7 @@ from hydro_sim.emulator.offline import fit_to, record_offline
 from hydro_sim.emulator.realtime import execute
 from hydro_sim.emulator.truth.config import load_truth, profile, truth_from_mapping, truth_to_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
-from hydro_sim.excitation.schedules import Segment, load_schedule
+from hydro_sim.excitation import Segment, load_schedule
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 

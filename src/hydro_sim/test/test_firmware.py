@@ -23,10 +23,11 @@ from hydro_bridge.serial.protocol import (
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box, BoxConfig, box_details, box_info, law_state
-from hydro_sim.box.firmware import NAME, Firmware
+from hydro_sim.box.firmware import Firmware
+from hydro_sim.box.header import NAME
 from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors, condition, restart

@@ -11,7 +11,7 @@ import pytest
 from hydro_bridge.signals import ReferenceSignal, Waveform, matrix
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.truth.config import profile
-from hydro_sim.excitation.drawn import draw
+from hydro_sim.excitation import draw
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.files.recordings import Run
 from hydro_sim.identification import evaluation

@@ -16,7 +16,7 @@ from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile
-from hydro_sim.excitation import drawn as schedule
+from hydro_sim.excitation import draw
 from hydro_sim.files import recordings, weights
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, header_of, mismatch, stamp_of, stamped
@@ -51,7 +51,7 @@ def test_a_recording_too_short_to_share_is_refused_in_a_sentence() -> None:
 
 @pytest.fixture(scope="module")
 def recorded():
-    return record_offline(profile("default"), schedule.draw(24.0, 5), seed=5)
+    return record_offline(profile("default"), draw(24.0, 5), seed=5)
 
 
 def test_runs_do_not_cross_gaps_or_faults(recorded):

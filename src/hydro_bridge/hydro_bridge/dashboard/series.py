@@ -1,7 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns that the page plots, with their units, extracted from serialized messages.
+"""Columns that the page plots, extracted from serialized messages, and their thinning to screen resolution.
 
-`described` gives the page their names and units.
+`described` gives the page names and units. A slot keeps minimum and maximum: a pulse of one sample stays visible.
+
+`Thinner`, of a live series, keeps the last minute in a ring::
+
+    ring, shape (kept, columns, 2):   slot n is row n % kept;   [..., 0] minimum, [..., 1] maximum, NaN: no sample
+    n = floor(time / SLOT)            ... | closed | closed | open |    the open slot is still filling, not yet shown
+
+`GrowingThinner`, of a recording of unknown length, lets its slots grow with it::
+
+    slots of 10 ms   | 0 | 1 | 2 | 3 | ... | limit - 1 |     full, and another sample arrives:
+    slots of 20 ms   |   0   |   1   | ... |           |     pairs are merged; and so on
 """
 
 from __future__ import annotations
@@ -95,3 +105,150 @@ def state_values(table: npt.NDArray[np.void]) -> FloatArray:
 def values(columns: Sequence[Column], table: npt.NDArray[np.void]) -> FloatArray:
     """Return these columns of messages, shape (n, columns)."""
     return np.column_stack([table[column.field] * column.scale for column in columns])
+
+
+SLOT = 0.01
+"""s; a page of 10 s has 1000 slots, about one per pixel of a plot."""
+KEPT = 6000
+"""Slots kept for viewers that connect later: 60 s."""
+
+_AXES = 3
+
+
+@dataclass(frozen=True)
+class Slots:
+    """Consecutive closed slots."""
+
+    first: int
+    """Number of the first one: floor(time / SLOT)."""
+    values: npt.NDArray[np.float32]
+    """Minimum and maximum, shape (slots, columns, 2)."""
+
+    def encoded(self, series: int) -> bytes:
+        """Return the bytes for the page: u32 series, u32 columns, f64 first, float32 values, all little endian."""
+        assert self.values.ndim == _AXES
+        head = np.array([series, self.values.shape[1]], "<u4").tobytes() + np.array([self.first], "<f8").tobytes()
+        return head + np.ascontiguousarray(self.values, "<f4").tobytes()
+
+
+class Thinner:
+    """Thins one stream of samples.
+
+    `columns`: number of values in a sample. `kept`: slots in the ring.
+    """
+
+    def __init__(self, columns: int, kept: int = KEPT) -> None:
+        self._ring = np.full((kept, columns, 2), np.nan, np.float32)
+        self._begin = self._taken = self._open = 0
+
+    def add(self, times: FloatArray, values: FloatArray) -> None:
+        """Add samples.
+
+        Samples older than the open slot are skipped; if time falls back by more than the ring, as after the clock was
+        set, the series is restarted.
+
+        `times`: s, shape (n,), not falling. `values`: shape (n, columns). Non-finite values count as missing.
+        """
+        if not len(times):
+            return
+        slots = np.floor(times / SLOT).astype(np.int64)
+        kept = len(self._ring)
+        if not self._open or abs(int(slots[-1]) - self._open) >= kept:
+            self._restart(max(int(slots[0]), int(slots[-1]) - kept + 1))
+        good = slots >= self._open
+        slots, values = slots[good], values[good]
+        if not len(slots):
+            return
+        self._open_until(int(slots[-1]))
+        _reduce_into(self._ring, slots, values)
+
+    def take(self) -> Slots:
+        """Return the slots closed since the last call."""
+        slots = self._between(self._taken, self._open)
+        self._taken = self._open
+        return slots
+
+    def history(self) -> Slots:
+        """Return all taken slots that are still in the ring, which a new viewer gets before the next `take`."""
+        return self._between(max(self._begin, self._open - len(self._ring) + 1), self._taken)
+
+    def _restart(self, slot: int) -> None:
+        self._ring[:] = np.nan
+        self._begin = self._taken = self._open = slot
+
+    def _open_until(self, slot: int) -> None:
+        new = np.arange(self._open + 1, slot + 1)[-len(self._ring) :]
+        self._ring[new % len(self._ring)] = np.nan
+        self._open = slot
+        self._taken = max(self._taken, slot - len(self._ring) + 1)
+
+    def _between(self, first: int, end: int) -> Slots:
+        rows = np.arange(first, max(first, end)) % len(self._ring)
+        return Slots(first, self._ring[rows])
+
+
+LIMIT = 2**16
+"""Number of slots: 655 s at 10 ms; an hour is 5.6 times that, in slots of 80 ms."""
+JUMP = 3600.0
+"""s between two samples beyond which the later one's stamp is rejected."""
+
+
+class GrowingThinner:
+    """Thins one stream of samples from `begin` on.
+
+    `columns`: number of values in a sample. `begin`: start of the first slot, s. `limit`: number of slots kept, even.
+    """
+
+    def __init__(self, columns: int, begin: float, limit: int = LIMIT) -> None:
+        self._begin, self._last = begin, begin
+        self._table = np.full((limit, columns, 2), np.nan, np.float32)
+        self._end = 0
+        self.slot = SLOT
+        """s."""
+        self.left_out = 0
+        """Samples before `begin`, or more than `JUMP` after all previous ones."""
+
+    @property
+    def end(self) -> float:
+        """Time of the latest sample, s, on the clock of the samples."""
+        return self._last
+
+    def add(self, times: FloatArray, values: FloatArray) -> None:
+        """Add samples.
+
+        `times`: s, shape (n,). `values`: shape (n, columns). Non-finite values count as missing.
+        """
+        good = (times >= self._begin) & (times < self._last + JUMP)
+        self.left_out += int(len(times) - np.count_nonzero(good))
+        times, values = times[good], values[good]
+        if not len(times):
+            return
+        self._last = max(self._last, float(times.max()))
+        while self._last - self._begin >= self.slot * len(self._table):
+            self._merge()
+        slots = np.floor((times - self._begin) / self.slot).astype(np.int64)
+        order = np.argsort(slots, kind="stable")
+        _reduce_into(self._table, slots[order], values[order])
+        self._end = max(self._end, int(slots.max()) + 1)
+
+    def values(self, slot: float) -> npt.NDArray[np.float32]:
+        """Return minimum and maximum in slots of `slot` s, or this series' own if longer, shape (slots, columns, 2)."""
+        while self.slot < slot:
+            self._merge()
+        return self._table[: self._end]
+
+    def _merge(self) -> None:
+        half = len(self._table) // 2
+        self._table[:half, :, 0] = np.fmin(self._table[::2, :, 0], self._table[1::2, :, 0])
+        self._table[:half, :, 1] = np.fmax(self._table[::2, :, 1], self._table[1::2, :, 1])
+        self._table[half:] = np.nan
+        self._end = -(-self._end // 2)
+        self.slot *= 2.0
+
+
+def _reduce_into(table: npt.NDArray[np.float32], slots: npt.NDArray[np.int64], values: FloatArray) -> None:
+    """Extend minimum and maximum of slots, rows `slot % len(table)`, by the values of samples sorted by slot."""
+    numbers, starts = np.unique(slots, return_index=True)
+    rows, finite = numbers % len(table), np.where(np.isfinite(values), values, np.nan)
+    table[rows, :, 0] = np.fmin(table[rows, :, 0], np.fmin.reduceat(finite, starts, axis=0))
+    table[rows, :, 1] = np.fmax(table[rows, :, 1], np.fmax.reduceat(finite, starts, axis=0))

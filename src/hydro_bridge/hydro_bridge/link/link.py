@@ -16,7 +16,7 @@ from enum import Enum
 from math import isclose
 
 from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
-from hydro_bridge.process.latency import Latency
+from hydro_bridge.process.realtime import Latency
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings, narrowed
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import (

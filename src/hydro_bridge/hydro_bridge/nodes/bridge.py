@@ -37,7 +37,7 @@ class BridgeSide(Link):
     """Differences between the box and its bench file, if any."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.nodes.gate.PlantSide`."""
+        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
         report, flags = self.report, self.flags
         with self.lock:
             guard = asdict(self.guard.counts)

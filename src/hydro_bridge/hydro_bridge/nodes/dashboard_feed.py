@@ -18,8 +18,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from hydro_bridge.dashboard import series, status
+from hydro_bridge.dashboard.series import SLOT, Thinner
 from hydro_bridge.dashboard.server import PageServer
-from hydro_bridge.dashboard.thinning import SLOT, Thinner
 from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.topics import (
     AUTHORITY,

@@ -7,22 +7,41 @@
     /hydro/claim, /hydro/arm ─────────────────────────────────────> gate     ├─ PlantSide (serial line, simulation)
     /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law <── publish_… ──┘
 
-The gate decides whose commands are accepted. While two nodes publish one of these topics the status is ERROR, nothing
-can be armed, and an armed plant is disarmed.
+The gate accepts commands of the holder only, with its session's epoch, from a single publisher. While two nodes publish
+one of these topics the status is ERROR, nothing can be armed, and an armed plant is disarmed::
+
+    /hydro/claim      take the authority, arm with it, give it back; disarming is open to any named caller
+    /hydro/authority  its holder, and the epoch that commands must carry
+    /hydro/arm        disarms at once for any caller; never arms
+
+What a person has disarmed only a person arms again, as long as the same node holds the authority.
+
+A publisher is matched with the subscription before its messages can arrive. A second publisher is therefore known by
+the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
 """
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.subscription import Subscription
+from std_srvs.srv import SetBool
 
-from hydro_bridge.nodes.gate import Gate, PlantSide
-from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, with_publisher_conflicts
+from hydro_bridge.ros.diagnostics import (
+    CALLS,
+    DiagnosticsPublisher,
+    Level,
+    Status,
+    publisher_conflicts,
+    with_publisher_conflicts,
+)
 from hydro_bridge.ros.messages import (
     CORRECTIONS,
     STATES,
@@ -34,8 +53,12 @@ from hydro_bridge.ros.messages import (
     subscribe,
 )
 from hydro_bridge.ros.topics import (
+    ARM_SERVICE,
+    AUTHORITY,
     BOX,
     BOX_LAW,
+    CLAIM_SERVICE,
+    COMMANDS,
     CORRECTION,
     GAINS,
     LAW,
@@ -45,10 +68,242 @@ from hydro_bridge.ros.topics import (
     create_publisher,
     create_subscription,
 )
+from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.frames import BoxLaw, LawState
-from hydro_bridge.signals import Flag, Law, flag_names
-from hydro_msgs.msg import Gains, LawCommand, ReferenceSignal
+from hydro_bridge.signals import Flag, Law, ReferenceSignal, flag_names
+from hydro_msgs.msg import Authority as AuthorityMessage
+from hydro_msgs.msg import Gains, LawCommand
+from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+from hydro_msgs.srv import Claim
+
+
+class GateWords:
+    """Announces one authority.
+
+    `node`: node of the plant. `authority`: authority that is announced.
+    """
+
+    def __init__(self, node: Node, authority: Authority) -> None:
+        self._node, self._authority = node, authority
+        self._publisher = create_publisher(node, AUTHORITY)
+        self._told: Counter[str] = Counter()
+        self._corrected = False  # corrections were refused in the second before
+        self._last = ""
+        self._calls = node.get_logger().get_child(CALLS)
+
+    def tell(self) -> None:
+        """Publish the holder, and the epoch that commands must carry now."""
+        authority = self._authority
+        message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+        self._last = ""
+
+    def tell_refused(self) -> None:
+        """Log how many commands were refused since the last call, and the publishers of these topics.
+
+        The holder is announced again: messages of a restarted plant are ignored while its killed predecessor is still
+        in the graph, and the new plant cannot know that.
+        """
+        news = self._authority.refused - self._told
+        if news:
+            self.tell()
+        self._told = self._authority.refused.copy()
+        corrected, self._corrected = self._corrected, news[CORRECTION] > 0
+        if not corrected:  # those of a filter that has not received the epoch yet
+            del news[CORRECTION]
+        for topic, count in news.items():
+            names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
+            self._node.get_logger().warning(
+                f"refused: {count} of {topic} from nodes without authority ({', '.join(names) or 'gone'})"
+                ": the valve does not follow them; end what sends them, or wait until it has the authority"
+            )
+
+    def say(self, sentence: str) -> None:
+        """Log a sentence."""
+        self._node.get_logger().info(sentence)
+
+    def called(self, who: str, answer: str) -> None:
+        """Log a caller's request and the answer, once until either changes: some callers repeat their requests."""
+        sentence = f"{who}: {answer}"
+        if sentence != self._last:
+            self._calls.info(sentence)
+        self._last = sentence
+
+
+BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
+_LOOK = 0.1  # s between two checks of the publishers
+
+
+class PlantSide(Protocol):
+    """Plant behind a plant node; it runs in its own thread."""
+
+    guard: CommandGuard
+
+    @property
+    def lock(self) -> AbstractContextManager[Any]:
+        """Lock held while the guard is used."""
+
+    def send(self, corrects: int | None = None) -> None:
+        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
+
+    def arm(self, arm: bool) -> str:
+        """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
+
+    def status(self) -> Status:
+        """Status for /diagnostics."""
+
+
+class Gate:
+    """ROS interface of the authority over one plant.
+
+    `node`: node of the plant. `plant`: plant that is armed and disarmed. `tripped`: whether the box has disarmed by
+    itself.
+    """
+
+    def __init__(self, node: Node, plant: PlantSide, tripped: Callable[[], bool]) -> None:
+        self.authority = Authority()
+        self._node, self._plant, self._tripped = node, plant, tripped
+        self._armed, self._crowd = False, ""
+        self._disarmed_by_hand = 0  # claim of the holder at that time; 0: no person has
+        self._heard: dict[str, Subscription] = {}
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._words = GateWords(node, self.authority)
+        self._words.tell()
+        node.create_service(SetBool, ARM_SERVICE, self._on_arm)
+        node.create_service(Claim, CLAIM_SERVICE, self._on_claim)
+        node.create_timer(_LOOK, self._look, clock=steady)
+        node.create_timer(1.0, self._words.tell_refused, clock=steady)
+
+    def listen(self, topic: str, subscription: Subscription) -> None:
+        """Register `subscription` as the source of the commands of `topic`."""
+        self._heard[topic] = subscription
+
+    def admits(self, topic: str, epoch: int) -> bool:
+        """Return whether to accept a received command; a second publisher of its topic ends the session."""
+        if self._heard[topic].get_publisher_count() > 1:
+            self.authority.refused[topic] += 1
+            self._give_up(topic)
+            return False
+        self._follow()
+        now = time.monotonic()
+        admitted = self.authority.admits(topic, epoch, now)
+        if admitted and topic != CORRECTION:  # the filter continues without the holder
+            self.authority.renew(now)
+        return admitted
+
+    def crowd(self) -> str:
+        """Return a sentence about the topics with more than one publisher; empty if there is none."""
+        return publisher_conflicts(self._node, *COMMANDS, STATE, AUTHORITY)
+
+    def values(self) -> dict[str, object]:
+        """Values for /diagnostics."""
+        refused = {f"refused {topic}": self.authority.refused[topic] for topic in COMMANDS}
+        return {"authority": self.authority.holder or "nobody", **refused}
+
+    def _on_claim(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
+        self._follow()
+        held = self.authority.claim
+        if request.act == Claim.Request.TAKE:
+            trouble = self.authority.take(request.name, request.claim, time.monotonic())
+            done = "taken"
+        elif request.act == Claim.Request.ARM:
+            trouble, done = (
+                self._arm(request.claim, request.epoch, request.whom),
+                f"armed for {self.authority.holder or 'nobody: base gains'}",
+            )
+        elif request.act == Claim.Request.DISARM:
+            trouble, done = self._disarm(by_hand=request.claim != self.authority.claim), "disarmed"
+        elif request.act == Claim.Request.GIVE:
+            trouble = self._take_back(request.claim, request.whom)
+            done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
+        else:
+            trouble, done = f"act {request.act} is not known", ""
+        if self.authority.claim != held:
+            self._begin_anew(succeeds=bool(held))
+            self._words.say(f"{self.authority.holder or 'nobody'} commands this plant")
+            self._words.tell()
+        own = not trouble and (request.claim or request.act == Claim.Request.TAKE)
+        response.success, response.message = not trouble, trouble or done
+        response.claim, response.epoch = (self.authority.claim, self.authority.epoch) if own else (0, 0)
+        if request.act != Claim.Request.TAKE:
+            self._words.called(request.name or "somebody", response.message)
+        return response
+
+    def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        trouble = BY_NAME if request.data else self._disarm(by_hand=True)
+        response.success, response.message = not trouble, trouble or "disarmed"
+        self._words.called("somebody, by /hydro/arm", response.message)
+        return response
+
+    def _disarm(self, *, by_hand: bool) -> str:
+        if by_hand:
+            self._disarmed_by_hand = self.authority.claim
+        trouble = self._plant.arm(False)
+        self._follow()
+        return trouble
+
+    def _arm(self, claim: int, epoch: int, whom: str) -> str:
+        if whom and whom != self.authority.holder:
+            return f"{self.authority.holder or 'nobody'} commands this plant, not {whom}"
+        if claim not in (0, self.authority.claim):
+            return f"{self.authority.holder or 'nobody'} commands this plant now"
+        if epoch not in (0, self.authority.epoch):
+            return "the plant was disarmed, tripped or changed hands since: look, and ask again"
+        if claim and claim == self._disarmed_by_hand:
+            return BY_HAND
+        trouble = self.crowd() or self._plant.arm(True)
+        if not trouble:
+            self._disarmed_by_hand = 0
+        self._follow()
+        return trouble
+
+    def _take_back(self, claim: int, heir: str) -> str:
+        if not claim or claim != self.authority.claim:
+            return f"{self.authority.holder or 'nobody'} commands this plant now"
+        trouble = self._disarm(by_hand=False)
+        self.authority.give(claim, time.monotonic(), heir)
+        return trouble
+
+    def _begin_anew(self, *, succeeds: bool) -> None:
+        """Start again with another holder: no reference or law, and after a silent holder no armed plant, remains."""
+        if succeeds and self._plant.guard.armed:
+            self._plant.arm(False)
+        with self._plant.lock:
+            self._plant.guard.set_reference(ReferenceSignal())
+            self._plant.guard.release_law()
+        self._follow()
+
+    def _look(self) -> None:
+        self._follow()
+        before, self._crowd = self._crowd, self.crowd()
+        if before and not self._crowd:
+            self._words.tell()  # corrects any false message about the authority
+        if self._armed:
+            if self._crowd:
+                self._give_up(STATE)
+        elif self.authority.lapse(time.monotonic()):
+            self._begin_anew(succeeds=False)
+            self._words.say("nobody commands this plant: its commander has stopped sending")
+            self._words.tell()
+
+    def _follow(self) -> None:
+        """End the session on a disarm, whoever requested it, and on a trip."""
+        before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
+        if before and not self._armed:
+            self.authority.end(time.monotonic())
+            self._words.tell()
+
+    def _give_up(self, topic: str) -> None:
+        if not self._plant.guard.armed:
+            return
+        why = self.crowd() or f"two nodes published {topic}"
+        with self._plant.lock:
+            self._plant.guard.give_up(why)
+        self._plant.send()
+        self._follow()
 
 
 class PlantNode(Node):
@@ -132,7 +387,7 @@ class PlantNode(Node):
             self.side.guard.set_correction(message.delta_u, message.status, message.sequence, self._now())
         self.side.send(message.sequence)
 
-    def _on_reference(self, message: ReferenceSignal) -> None:
+    def _on_reference(self, message: ReferenceMessage) -> None:
         if not self.gate.admits(REFERENCE, message.epoch):
             return
         signal = reference_from_message(message)

@@ -11,6 +11,8 @@ import argparse
 import base64
 import gzip
 import webbrowser
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import cache
 from importlib import resources
@@ -22,12 +24,256 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.bags.reader import STATE_TOPIC, as_states
+from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
+from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import UserError, command, writable
-from hydro_bridge.dashboard import series
+from hydro_bridge.dashboard import series, status
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
-from hydro_bridge.viewer.marks import report_beside
-from hydro_bridge.viewer.recorded import Recorded, read_recorded
+from hydro_bridge.signals import FloatArray
+from hydro_bridge.viewer.marks import Mark, Marks, read_report_marks, report_beside
+
+APART = 2.0
+"""s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""
+
+
+class SampleClock:
+    """Tracks the samples of a recording as it is read, block by block."""
+
+    def __init__(self) -> None:
+        self._logged, self._time, self._rate = 0.0, 0.0, 0.0  # of the last sample; 0: none yet
+
+    def see(self, logged: npt.NDArray[np.int64], times: FloatArray) -> None:
+        """Add a block of samples: log times [ns] and stamps [s], both of shape (n,)."""
+        if not len(logged):
+            return
+        span = 1e-9 * float(logged[-1] - logged[0])
+        self._rate = float(times[-1] - times[0]) / span if span > 0.0 else self._rate
+        self._logged, self._time = 1e-9 * float(logged[-1]), float(times[-1])
+
+    def at(self, stamps: npt.ArrayLike, logged: npt.ArrayLike) -> FloatArray:
+        """Return the samples' time [s] of messages from their stamps [s] and log times [s], of one shape."""
+        stamps, logged = np.asarray(stamps, np.float64), np.asarray(logged, np.float64)
+        if not self._rate or abs(self._time - self._logged) <= APART:  # no samples yet, or one clock
+            return stamps
+        by_wall_clock = np.abs(stamps - logged) <= APART
+        return np.where(by_wall_clock, self._time + self._rate * (logged - self._logged), stamps)
+
+
+CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro/training", "/hydro/authority"
+POLICY_TOPIC, DIAGNOSTICS_TOPIC, LOG_TOPIC = "/hydro/policy", "/diagnostics", "/rosout"
+LAW_TOPIC = "/hydro/law_state"
+"""Without it the paper's law acted."""
+TOLD_BY = {
+    CORRECTION_TOPIC: "the filter's correction and certificate",
+    TRAINING_TOPIC: "episodes and examinations",
+    POLICY_TOPIC: "which weights acted",
+    AUTHORITY_TOPIC: "who commanded",
+    DIAGNOSTICS_TOPIC: "rollbacks and overrides",
+    LOG_TOPIC: "who asked to arm, disarm or override, and what the nodes warned of,",
+}
+"""What the page lacks if a topic was not recorded."""
+
+_NEEDED = {
+    STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
+    CORRECTION_TOPIC: frozenset(column.field for column in series.CORRECTION_COLUMNS),
+    LAW_TOPIC: frozenset(column.field for column in series.LAW_COLUMNS),
+    TRAINING_TOPIC: frozenset({"phase", "episode", "episode_return", "force_rmse", "learner_alive"}),
+    POLICY_TOPIC: frozenset({"weights"}),
+}
+_OBJECTS = {
+    AUTHORITY_TOPIC: "hydro_msgs/msg/Authority",
+    DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
+    LOG_TOPIC: "rcl_interfaces/msg/Log",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """Content of a recording's page."""
+
+    path: Path
+    begin: float
+    """s since 1970 of the first sample; all other times count from it."""
+    seconds: float
+    slot: float
+    """s."""
+    values: tuple[npt.NDArray[np.float32], ...]
+    """States, corrections and laws: minimum and maximum, shape (slots, columns, 2)."""
+    marks: list[Mark]
+    curve: dict[str, Any]
+    """Learning curve, as drawn by the live page."""
+    messages: dict[str, int]
+    """Number of messages by topic."""
+    metadata: dict[str, str]
+    attachments: list[str]
+    notes: list[str]
+    """Irregularities that the reader tolerated, and missing topics."""
+
+
+@dataclass
+class _Reading:
+    """Content read so far."""
+
+    span: tuple[float, float]
+    """Requested part, s from the first sample."""
+    begin: float = 0.0
+    """s, of the first sample."""
+    states: series.GrowingThinner | None = None
+    corrections: series.GrowingThinner | None = None
+    laws: series.GrowingThinner | None = None
+    marks: Marks = field(default_factory=Marks)
+    curve: status.Curve = field(default_factory=status.Curve)
+    clock: SampleClock = field(default_factory=SampleClock)
+    foreign: set[str] = field(default_factory=set)
+    """Topics whose messages are of another version or type."""
+
+    def within(self, table: Table) -> Table:
+        """Return the requested part, which counts from the first sample."""
+        if self.states is None:
+            return table[:0]
+        since = table["time"] - self.begin
+        return table[(since >= self.span[0]) & (since <= self.span[1])]
+
+    def take_states(self, table: Table) -> None:
+        """Add samples; all times count from the first one."""
+        if self.states is None and len(table):
+            self.begin = float(table["time"][0])
+            first = self.begin + self.span[0]
+            self.states = series.GrowingThinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA), first)
+            self.corrections = series.GrowingThinner(len(series.CORRECTION_COLUMNS), first)
+            self.laws = series.GrowingThinner(len(series.LAW_COLUMNS), first)
+        table = self.within(table)
+        if self.states is not None and len(table):
+            self.states.add(table["time"], series.state_values(table))
+            self.marks.states(table)
+
+    def take_corrections(self, table: Table) -> None:
+        """Add corrections."""
+        table = self.within(table)
+        if self.corrections is not None and len(table):
+            self.corrections.add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
+
+    def take_laws(self, table: Table) -> None:
+        """Add states of the compensated law."""
+        table = self.within(table)
+        if self.laws is not None and len(table):
+            self.laws.add(table["time"], series.values(series.LAW_COLUMNS, table))
+
+    def take_training(self, table: Table) -> None:
+        """Add the trainer's status."""
+        for row in self.within(table):
+            self.marks.training({name: row[name] for name in row.dtype.names})
+            phase, episode = int(row["phase"]), int(row["episode"])
+            names = ("force_rmse", "episode_return", "critic_loss", "actor_loss")  # old recordings have no losses
+            told = [float(row[name]) for name in names if name in row.dtype.names]
+            self.curve.add(phase, episode, *told)
+
+    def take_object(self, topic: str, time: float, message: Any) -> None:
+        """Add a message about the authority, of the diagnostics or of the log."""
+        if topic == LOG_TOPIC:
+            self.marks.log(time, int(message.level), message.name, message.msg)
+            return
+        if topic == AUTHORITY_TOPIC:
+            self.marks.authority(time, message.holder)
+            return
+        for node in message.status:
+            self.marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
+
+
+def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> Recorded:
+    """Read a recording for a page.
+
+    `path`: a rosbag2 folder or an .mcap file. `span`: part to show, s from the first sample; a shorter part is shown in
+    finer detail. `report`: report.json of a diagnosis whose windows are marked. Raises RecordingError: the recording is
+    missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
+    """
+    found = None if report is None else read_report_marks(report)
+    source = BagSource(Path(path))
+    reading = _Reading(span=span)
+    decoder = MessageDecoder(source)
+    tables: dict[str, Callable[[Table], None]] = {
+        STATE_TOPIC: lambda table: reading.take_states(as_states(table, source.path)),
+        CORRECTION_TOPIC: reading.take_corrections,
+        LAW_TOPIC: reading.take_laws,
+        TRAINING_TOPIC: reading.take_training,
+        POLICY_TOPIC: lambda table: reading.marks.steps(reading.within(table)),
+    }
+    messages: dict[str, int] = {}
+    for scan, channel, block, part in source.spans():
+        topic = channel.topic
+        messages[topic] = messages.get(topic, 0) + len(part.starts)
+        if topic in tables:
+            layout = source.layout(scan, channel)
+            if layout is not None and set(layout.table.names or ()) >= _NEEDED[topic]:
+                table = decode_span(scan.path, topic, layout, block, part)
+                if topic == STATE_TOPIC:
+                    reading.clock.see(part.log_times, table["time"])
+                elif topic in (TRAINING_TOPIC, POLICY_TOPIC):  # the trainer stamps by the wall clock
+                    table["time"] = reading.clock.at(table["time"], 1e-9 * part.log_times)
+                tables[topic](table)
+            else:
+                reading.foreign.add(topic)
+        elif topic in _OBJECTS:
+            if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
+                reading.foreign.add(topic)
+                continue
+            try:
+                for logged, message in decoder.objects(scan, channel, block, part):
+                    stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
+                    time = float(reading.clock.at(stamp.sec + 1e-9 * stamp.nanosec, logged))
+                    reading.take_object(topic, time, message)
+            except AttributeError:  # fields of another version
+                reading.foreign.add(topic)
+    for mark in found.of(Path(path), reading.begin) if found else ():
+        reading.marks.add(Mark(reading.begin + mark.time, mark.kind, mark.text))
+    return _finished(source, reading, messages)
+
+
+def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> Recorded:
+    states, corrections, laws = reading.states, reading.corrections, reading.laws
+    if states is None or corrections is None or laws is None:
+        raise source.without(STATE_TOPIC, messages)
+    begin = reading.begin + reading.span[0]
+    slot = max(states.slot, corrections.slot, laws.slot)
+    values = (states.values(slot), corrections.values(slot), laws.values(slot))
+    if not len(values[0]):
+        raise RecordingError(f"{source.path} has no samples from {reading.span[0]:g} to {reading.span[1]:g} s")
+    seconds = states.end - begin
+    metadata = {key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()}
+    return Recorded(
+        path=source.path,
+        begin=begin,
+        seconds=seconds,
+        slot=slot,
+        values=values,
+        marks=within(reading.marks.sorted(), begin, seconds),
+        curve=reading.curve.content(),
+        messages=messages,
+        metadata=metadata,
+        attachments=[name for scan in source.scans for name in scan.attachments],
+        notes=[*source.notes, *_lacking(messages, reading, states.left_out + corrections.left_out + laws.left_out)],
+    )
+
+
+def within(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
+    """Return the marks of a part of `seconds` s from `begin` on, first the holder then; times count from `begin`."""
+    held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
+    shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
+    return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
+
+
+def _lacking(messages: dict[str, int], reading: _Reading, left_out: int) -> list[str]:
+    notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOLD_BY.items()
+             if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
+    notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(reading.foreign)]
+    if left_out:
+        notes.append(f"{left_out} samples have stamps from before the first one, or from an hour after the one before")
+    if reading.marks.dropped:
+        notes.append(f"{reading.marks.dropped} more marks are not shown: give a part of it by --from and --to")
+    return notes
+
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:"
 

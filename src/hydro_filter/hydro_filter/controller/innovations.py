@@ -36,8 +36,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.observer import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.parts import MEMORY_DTYPE, NONE
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
-from hydro_sim import copies
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_vector, njit
 
 EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
 SUSPECTS = (
@@ -100,10 +99,10 @@ def update(model, limit, m, x, hidden):
     if m.seen > SETTLING:
         _judge(model, limit, m, x)
     m.seen += 1
-    copies.vector(m.last, m.middle)
+    copy_vector(m.last, m.middle)
     m.middle[F_H], m.middle[F_L], m.middle[X_P] = x[HYDRAULIC_FORCE], x[LOAD_FORCE], x[POSITION]
     m.middle[P_A], m.middle[P_B] = x[PRESSURE_A], x[PRESSURE_B]
-    copies.vector(m.hidden, hidden)
+    copy_vector(m.hidden, hidden)
 
 
 @njit

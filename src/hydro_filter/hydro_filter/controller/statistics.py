@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from hydro_bridge.process.latency import Latency
+from hydro_bridge.process.realtime import Latency
 from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate.qp import QpCounts
 

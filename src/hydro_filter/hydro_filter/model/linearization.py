@@ -22,8 +22,7 @@ from hydro_filter.model.coordinates import (
 from hydro_filter.model.observer import hydraulic_slopes, model_state, set_opening
 from hydro_filter.model.parts import NONE
 from hydro_filter.model.state import PRESSURE_A
-from hydro_sim import copies
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import machine_code
 
 CLOSED = 1e-9
@@ -71,7 +70,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, scal
 @njit
 def _advance(p, step, opening, side, current):
     """Advance the loop's model and its Jacobian by a sample; an opening near zero is moved to its side of zero."""
-    copies.vector(step.after, step.before)
+    copy_vector(step.after, step.before)
     if p.loop_spool != NONE:
         if abs(opening) < CLOSED:
             step.after[p.loop_spool] = side * CLOSED - p.after

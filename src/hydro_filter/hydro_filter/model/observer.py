@@ -28,8 +28,7 @@ from hydro_filter.model.state import (
     PRESSURE_B,
     VELOCITY,
 )
-from hydro_sim import copies
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import machine_code
 
 PROBE = 0.1
@@ -139,7 +138,7 @@ def settle(loop, memory, x, current, reference_rate):
     if not memory.running:
         p, n = loop.model, len(loop.model.rest)
         memory.hidden[:] = 0.0
-        copies.vector(memory.hidden, p.rest)
+        copy_vector(memory.hidden, p.rest)
         for i in range(len(p.lagging)):
             chamber = p.lagging[i, 2]
             shown = (x[PRESSURE_A + chamber] - p.bias[2 + chamber]) / p.gain[2 + chamber]

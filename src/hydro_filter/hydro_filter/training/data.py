@@ -9,7 +9,7 @@ the distance between the twins, largest |difference of f_l| in a window, early a
 An overlap of the valve holds twins apart at small gains, by less the higher the gain, and at high ones it holds still
 what the loop would not. Where a bench has one, twins of the bench without it (`free`) are asked too: `label_of_both`.
 
-Gains are drawn from all that the box takes; references are those of `hydro_sim.excitation.drawn`. Every rollout gives
+Gains are drawn from all that the box takes; references are those of `hydro_sim.excitation`. Every rollout gives
 windows of successive samples (paper: horizon H_m = 10) with what the certificate needs of each: x, x', v as the
 filter sees it, noise and all, and the exact F, G, K. None of these depends on the metric: they are computed once, not
 once per epoch.
@@ -31,8 +31,8 @@ from hydro_filter.model.linearization import linearize
 from hydro_filter.model.loop import memories, step_of
 from hydro_filter.model.observer import follow, settle
 from hydro_filter.model.parts import Loop
+from hydro_sim import excitation
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.excitation import drawn
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -167,9 +167,9 @@ def _twins(
 
 
 def _reference(rng: np.random.Generator, force: float) -> ReferenceSignal:
-    usual = drawn.Range.of_force(force)
+    usual = excitation.Range.of_force(force)
     limits = replace(usual, seconds=(4.0, 5.0), force_max=1.1 * force, offset_max=force / 3.0, frequency=(0.3, 3.0))
-    return drawn.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
+    return excitation.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
 
 
 def label_of(first: StateArray, second: StateArray) -> int:

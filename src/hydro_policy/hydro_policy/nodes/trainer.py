@@ -12,8 +12,7 @@ from pathlib import Path
 
 import rclpy
 
-from hydro_bridge.cli.console import command
-from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
+from hydro_bridge.cli.console import NEW_ONLY, command, explicit_options, refuse_changes
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError

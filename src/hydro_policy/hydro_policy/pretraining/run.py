@@ -20,13 +20,11 @@ import yaml
 from tqdm import tqdm
 
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.cli.console import Table, UserError, progress
-from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
+from hydro_bridge.cli.console import NEW_ONLY, Table, UserError, explicit_options, progress, refuse_changes
 from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process import endings
-from hydro_bridge.settings import SettingsError
+from hydro_bridge.settings import SettingsError, from_mapping, read_yaml
 from hydro_bridge.signals import FloatArray
 from hydro_bridge.size import resized
 from hydro_bridge.viewer.runs import refresh_index

@@ -35,9 +35,8 @@ import yaml
 from numpy.typing import NDArray
 
 from hydro_bridge.files.atomic import flush_folder, write_whole
-from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.files.tensors import UnsoundError, check_numbers
-from hydro_bridge.settings import SettingsError, check, quantity
+from hydro_bridge.settings import SettingsError, check, from_mapping, quantity, read_yaml
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings
 from hydro_policy.task.cases import ExamSettings

@@ -16,7 +16,7 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
-from hydro_sim.box.c_text import header_file, reals, wrapped
+from hydro_sim.box.header import header_file, reals, wrapped
 
 
 def parser() -> argparse.ArgumentParser:

@@ -19,8 +19,7 @@ import numpy.typing as npt
 
 from hydro_policy.sac import dense
 from hydro_policy.sac.dense import LOOSE, four
-from hydro_sim import copies
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_matrix, copy_vector, njit
 
 ROW = dense.ROW
 """Stride between rows of a buffer."""
@@ -79,12 +78,12 @@ def padded(layers):
     w1, b1 = np.zeros((four(n), four(h1)), kind), np.zeros(four(h1), kind)
     w2, b2 = np.zeros((four(h1), four(h2)), kind), np.zeros(four(h2), kind)
     w3, b3 = np.zeros((four(h2), four(m)), kind), np.zeros(four(m), kind)
-    copies.matrix(w1, layers.w1)
-    copies.matrix(w2, layers.w2)
-    copies.matrix(w3, layers.w3)
-    copies.vector(b1, layers.b1)
-    copies.vector(b2, layers.b2)
-    copies.vector(b3, layers.b3)
+    copy_matrix(w1, layers.w1)
+    copy_matrix(w2, layers.w2)
+    copy_matrix(w3, layers.w3)
+    copy_vector(b1, layers.b1)
+    copy_vector(b2, layers.b2)
+    copy_vector(b3, layers.b3)
     return Layers(w1, b1, w2, b2, w3, b3)
 
 
@@ -131,12 +130,12 @@ def backward(layers, x, buffers, count, gradient):
     dense.outer(x, buffers.g1, sums.w1, sums.b1, count)
     n, h1 = gradient.w1.shape
     h2, m = gradient.w3.shape
-    copies.matrix(gradient.w1, sums.w1[:n, :h1])
-    copies.matrix(gradient.w2, sums.w2[:h1, :h2])
-    copies.matrix(gradient.w3, sums.w3[:h2, :m])
-    copies.vector(gradient.b1, sums.b1[:h1])
-    copies.vector(gradient.b2, sums.b2[:h2])
-    copies.vector(gradient.b3, sums.b3[:m])
+    copy_matrix(gradient.w1, sums.w1[:n, :h1])
+    copy_matrix(gradient.w2, sums.w2[:h1, :h2])
+    copy_matrix(gradient.w3, sums.w3[:h2, :m])
+    copy_vector(gradient.b1, sums.b1[:h1])
+    copy_vector(gradient.b2, sums.b2[:h2])
+    copy_vector(gradient.b3, sums.b3[:m])
 
 
 @njit
@@ -152,7 +151,7 @@ def input_rows(w1, first, count):
     """Return the transposed and padded rows of the first layer for some inputs, shape (h1, count)."""
     result = np.zeros((four(w1.shape[1]), four(count)), w1.dtype)
     for j in range(count):
-        copies.vector(result[:, j], w1[first + j])
+        copy_vector(result[:, j], w1[first + j])
     return result
 
 

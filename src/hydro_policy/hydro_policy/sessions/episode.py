@@ -10,7 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from hydro_bridge.process.latency import Latency
+from hydro_bridge.process.realtime import Latency
 from hydro_bridge.signals import FloatArray
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy

@@ -19,13 +19,11 @@ from hydro_bridge.serial.frames import LawState
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import STATE_DTYPE, FloatArray, Law, StateArray
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.configuration import filled, structure, values
+from hydro_sim.box.header import NAME, filled, structure, values
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 
 Precision = Literal["double", "single"]
-NAME = "hydro firmware"
-"""Name of the box in C on the line."""
 
 SINGLE_DTYPE = np.dtype(
     [(name, np.float32 if index > 1 and name != "flags" else STATE_DTYPE[name]) for index, name in

@@ -1,19 +1,163 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_sim export_c --bench bench.yaml --out box_config.h: the configuration of a box in C."""
+"""The configuration of the box in C (firmware/hydro/config.h), as a structure for the library and as a header.
+
+ros2 run hydro_sim export_c --bench bench.yaml --out box_config.h
+"""
 
 from __future__ import annotations
 
 import argparse
+import ctypes
+from collections.abc import Iterable
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
+
+import numpy as np
 
 from hydro_bridge.cli.console import command, writable
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_bridge.signals import NEUTRAL
 from hydro_sim.box.box import BoxConfig, Integral
-from hydro_sim.box.configuration import header, values
-from hydro_sim.box.firmware import NAME
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
+
+NAME = "hydro firmware"
+"""Name of the box in C on the line."""
+
+
+def reals(numbers: Iterable[float]) -> str:
+    """Initializer of an array of `hydro_real`, in decimals that reproduce the doubles exactly."""
+    return "{" + ", ".join(f"HYDRO_R({float(number)!r})" for number in numbers) + "}"
+
+
+def wrapped(words: Iterable[str], width: int = 118, indent: str = "    ") -> str:
+    """Comma-separated words in lines of at most `width` characters."""
+    lines, line = [], indent
+    for word in words:
+        if len(line) + len(word) + 2 > width and line.strip():
+            lines.append(line.rstrip())
+            line = indent
+        line += f"{word}, "
+    return "\n".join([*lines, line.rstrip().rstrip(",")])
+
+
+def header_file(guard: str, origin: str, body: str) -> str:
+    """Return a complete header file: licence, origin, include guard, text."""
+    head = f"/* SPDX-License-Identifier: Apache-2.0 */\n/* {origin} */\n"
+    return f"{head}#ifndef {guard}\n#define {guard}\n\n{body}\n\n#endif\n"
+
+
+BENCH_FIELDS = (
+    "bulk_modulus",
+    "piston_area",
+    "area_ratio",
+    "stroke",
+    "supply_pressure",
+    "tank_pressure",
+    "dead_volume_a",
+    "dead_volume_b",
+    "valve_gain",
+    "valve_current_max",
+)
+LAW_FIELDS = (
+    "base_kp",
+    "base_ki",
+    "delta_kp_min",
+    "delta_kp_max",
+    "delta_ki_min",
+    "delta_ki_max",
+    "reference_max",
+)
+"""Numbers of a law in the order of `hydro_law`."""
+SHAPING_FIELDS = ("safe", "low", "high", "rate")
+"""Shaping of a law, behind them: of a_0 to a_3, C_1, C_2 each."""
+REAL_FIELDS = ("delta_u_max", "load_force_limit", "gain_floor", "force_range", "recovery_margin")
+"""Numbers of the box in the order of `hydro_config`, behind those of the bench and its laws."""
+
+
+def structure(real: type[Any]) -> type[ctypes.Structure]:
+    """`hydro_config` with numbers of `ctypes.c_double` or `ctypes.c_float`."""
+    numbers = [(name, real) for name in LAW_FIELDS] + [(name, real * 6) for name in SHAPING_FIELDS]
+    law: type[ctypes.Structure] = type("HydroLaw", (ctypes.Structure,), {"_fields_": numbers})
+    fields: list[tuple[str, Any]] = [(name, real) for name in BENCH_FIELDS]
+    fields += [("laws", ctypes.ARRAY(law, 2)), *((name, real) for name in REAL_FIELDS)]
+    fields += [("low", real * 8), ("high", real * 8), ("force_rate_age", real), ("velocity_age", real)]
+    fields += [("hold_timeout", ctypes.c_double), ("trip_timeout", ctypes.c_double)]
+    fields += [("feedback", ctypes.c_uint32), ("integral_form", ctypes.c_uint32)]
+    fields += [("name", ctypes.c_uint8 * 32), ("digest", ctypes.c_uint8 * 12)]
+    return type("HydroConfig", (ctypes.Structure,), {"_fields_": fields})
+
+
+def values(bench: Bench, config: BoxConfig, sensors: Sensors, name: str) -> dict[str, Any]:
+    """Configuration of a box with these settings, by the fields of `hydro_config`, without the bench's."""
+    believed, settings = bench.constants()[0], config.constants(bench)[0]
+    result: dict[str, Any] = {field: float(believed[field]) for field in BENCH_FIELDS}
+    result["laws"] = [_law(settings[name]) for name in ("paper", "compensated")]
+    result |= {field: float(settings[field]) for field in REAL_FIELDS if field != "force_range"}
+    result |= {"low": [float(x) for x in settings["low"]], "high": [float(x) for x in settings["high"]]}
+    result["force_range"] = result["high"][int(settings["feedback_channel"])]
+    result |= {"force_rate_age": sensors.force_rate_age, "velocity_age": sensors.velocity_age}
+    result |= {"hold_timeout": config.hold_timeout, "trip_timeout": config.trip_timeout}
+    result |= {"feedback": int(settings["feedback_channel"]), "integral_form": INTEGRAL_FORMS.index(config.integral)}
+    result |= {"name": name.encode()[:32].ljust(32, b"\0"), "digest": bench.digest.encode()[:12].ljust(12, b"\0")}
+    return result
+
+
+def _law(record: np.void) -> dict[str, Any]:
+    """Numbers of `hydro_law` of a record of `kernel.LAW_DTYPE`."""
+    scales = ("velocity_compensation", "valve_gain_scale")
+    result: dict[str, Any] = {field: float(record[field]) for field in LAW_FIELDS}
+    result["safe"] = [*NEUTRAL, *(float(record[name]) for name in scales)]
+    for field, end in (("low", "min"), ("high", "max")):
+        result[field] = [*record[f"coefficient_{end}"].tolist(), *(float(record[f"{name}_{end}"]) for name in scales)]
+    result["rate"] = [*record["coefficient_rate"].tolist(), *[float(record["scale_rate"])] * 2]
+    return result
+
+
+def filled(kind: type[ctypes.Structure], numbers: dict[str, Any]) -> ctypes.Structure:
+    """A structure of `values`."""
+    record = kind()
+    for field, _ in kind._fields_:  # type: ignore[misc]
+        value = numbers[field]
+        if field == "laws":
+            record.laws[:] = [filled(record.laws._type_, law) for law in value]
+        elif isinstance(value, list | bytes):
+            getattr(record, field)[:] = value
+        else:
+            setattr(record, field, value)
+    return record
+
+
+def _list(numbers: list[float]) -> str:
+    return f"{{{', '.join(f'HYDRO_R({x!r})' for x in numbers)}}}"
+
+
+def header(numbers: dict[str, Any]) -> str:
+    """The configuration as a C header that defines `HYDRO_BOX_CONFIG`; decimals that give the same double back."""
+    lines = [
+        "    .bench = {",
+        *(f"        .{field} = HYDRO_R({numbers[field]!r})," for field in BENCH_FIELDS),
+        "    },",
+        "    .laws = {",
+    ]
+    for law in numbers["laws"]:
+        lines += ["        {", *(f"            .{field} = HYDRO_R({law[field]!r})," for field in LAW_FIELDS)]
+        lines += [*(f"            .{field} = {_list(law[field])}," for field in SHAPING_FIELDS), "        },"]
+    lines += ["    },", *(f"    .{field} = HYDRO_R({numbers[field]!r})," for field in REAL_FIELDS)]
+    lines += [f"    .{field} = {_list(numbers[field])}," for field in ("low", "high")]
+    lines += [f"    .{field} = HYDRO_R({numbers[field]!r})," for field in ("force_rate_age", "velocity_age")]
+    lines += [f"    .{field} = {numbers[field]!r}," for field in ("hold_timeout", "trip_timeout")]
+    lines += [f"    .{field} = {numbers[field]}u," for field in ("feedback", "integral_form")]
+    for field in ("name", "digest"):
+        lines.append(f"    .{field} = {{{', '.join(str(byte) for byte in numbers[field])}}},")
+    name, digest = (numbers[field].rstrip(b"\0").decode() for field in ("name", "digest"))
+    return (
+        "/* SPDX-License-Identifier: Apache-2.0 */\n"
+        f"/* Written by `ros2 run hydro_sim export_c` for the bench {digest}, box {name}. */\n"
+        '#ifndef HYDRO_BOX_CONFIG_H\n#define HYDRO_BOX_CONFIG_H\n\n#include "hydro/config.h"\n\n'
+        "static const hydro_config HYDRO_BOX_CONFIG = {\n" + "\n".join(lines) + "\n};\n\n#endif\n"
+    )
 
 
 def parser() -> argparse.ArgumentParser:

@@ -16,9 +16,8 @@ import yaml
 from hydro_bridge.bags.recording import RecordingError
 from hydro_bridge.cli.console import writable, writable_folder
 from hydro_bridge.errors import user_message
-from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.process import endings
-from hydro_bridge.settings import SettingsError
+from hydro_bridge.settings import SettingsError, from_mapping, read_yaml
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_details, box_info
 from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator import offline

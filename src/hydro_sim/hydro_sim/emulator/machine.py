@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from hydro_bridge.serial.frames import LawState
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
-from hydro_sim import copies
 from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command, law_state
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 
@@ -43,7 +42,7 @@ def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, p
         Outputs: the reading without noise, shape (8,); `plant.TRUTH_FIELDS`, shape (12,). Both at `time`.
     """
     parameters, differentiation, state, chain = plant
-    copies.vector(clean, chain[0].clean)
+    copy_vector(clean, chain[0].clean)
     truth.physical(state, physical)
     kernel.tick(bench, settings, box, chain[0].measurement, time, sample)
     truth.advance(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)

@@ -22,7 +22,7 @@ from hydro_sim.box.box import BoxConfig, Integral, fill_command
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
-from hydro_sim.excitation.schedules import Segment, load_schedule
+from hydro_sim.excitation import Segment, load_schedule
 from hydro_sim.model.bench import Bench
 
 

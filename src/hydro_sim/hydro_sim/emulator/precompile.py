@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hydro_sim import excitation
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile
-from hydro_sim.excitation import drawn
 
 
 def _emulator() -> None:
@@ -19,7 +19,7 @@ def _emulator() -> None:
     machine.warm_up()
     machine.plant.step(0.0)
     machine.plant.run(np.zeros(1))
-    record_offline(truth, drawn.draw(0.1, 0))
+    record_offline(truth, excitation.draw(0.1, 0))
 
 
 STEPS: dict[str, Callable[[], None]] = {"emulator": _emulator}

@@ -14,11 +14,10 @@ from typing import Protocol
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_sim import copies
 from hydro_sim.files.recordings import READING_COLUMNS, Run
 from hydro_sim.identification.bench_learning import SUBSTEPS, best_prediction_rmse
 from hydro_sim.identification.bench_states import SETTLED, Indices, noise_of
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -178,7 +177,7 @@ def _rollout(constants, memories, starts, currents):
     measured = np.empty((n, horizon, 8))
     for k in range(n):
         y, before, after = np.empty(hydraulics.STATES), np.empty(5), np.empty(5)
-        copies.vector(y, starts[k, : hydraulics.STATES])
+        copy_vector(y, starts[k, : hydraulics.STATES])
         rates = starts[k, hydraulics.STATES :].copy()
         _read(constants[0], y, before)
         for h in range(horizon):
@@ -188,7 +187,7 @@ def _rollout(constants, memories, starts, currents):
             measured[k, h, 0], measured[k, h, 2] = after[0], after[1]
             measured[k, h, 4], measured[k, h, 5], measured[k, h, 6] = after[2], after[3], after[4]
             measured[k, h, 1], measured[k, h, 3], measured[k, h, 7] = rates
-            copies.vector(before, after)
+            copy_vector(before, after)
     return measured
 
 

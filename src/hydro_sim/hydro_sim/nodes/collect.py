@@ -24,8 +24,7 @@ from hydro_bridge.cli.console import Table, UserError, add_json_argument, comman
 from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
 from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_bridge.signals import Flag, StateArray
-from hydro_sim.excitation.drawn import Range, draw
-from hydro_sim.excitation.schedules import Segment, load_schedule, save_schedule
+from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode

@@ -41,7 +41,7 @@ from hydro_bridge.signals import Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState
 from hydro_sim.box.box import EMULATED_BOX
-from hydro_sim.excitation.schedules import Playback, Segment
+from hydro_sim.excitation import Playback, Segment
 
 NOT_YET = "not armed, still waiting for {}: you are asked once all is ready"
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"

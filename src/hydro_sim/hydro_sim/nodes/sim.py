@@ -47,7 +47,7 @@ class SimSide(Simulation):
     """The bench file's effects that are simulated."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.nodes.gate.PlantSide`."""
+        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
         with self.lock:
             guard = asdict(self.guard.counts)
         values = {

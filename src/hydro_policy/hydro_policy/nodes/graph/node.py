@@ -21,8 +21,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.process import endings
-from hydro_bridge.process.latency import Latency
-from hydro_bridge.process.realtime import drop_realtime
+from hydro_bridge.process.realtime import Latency, drop_realtime
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts

@@ -13,8 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hydro_bridge.files.settings_file import from_mapping, read_yaml
-from hydro_bridge.settings import SettingsError, quantity
+from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)

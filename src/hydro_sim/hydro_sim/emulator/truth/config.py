@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from hydro_bridge.files.settings_file import from_mapping, read_yaml, to_mapping, unknown_key
-from hydro_bridge.settings import SettingsError, quantity
+from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping, unknown_key
 from hydro_sim.emulator.truth.effects import (
     Effects,
     FrictionCoulomb,

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_sim import copies
 from hydro_sim.emulator.truth.parameters import SUBSTEP
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, condition, restart
 
 CHAIN = np.dtype(
@@ -43,7 +42,7 @@ def _collect(p, state, readings):
 def start(p, box, state, chain, noise):
     """First reading of a bench at rest; `noise`: standard normal numbers, the first four are used."""
     _collect(p, state, chain.before)
-    copies.vector(chain.lagged, chain.before)
+    copy_vector(chain.lagged, chain.before)
     chain.lag_rate[:] = 0.0
     raw = np.empty(5)
     _read(p, chain, noise, False, raw)
