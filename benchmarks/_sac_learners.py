@@ -15,8 +15,7 @@ import torch
 from torch import nn
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_policy.envs.environment import Environment
-from hydro_policy.envs.vector_env import VectorBench
+from hydro_policy.envs.vector_env import Environment, VectorBench
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer

@@ -24,8 +24,8 @@ from hydro_sim.excitation import draw
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.recordings import Data
-from hydro_sim.identification import evaluation
-from hydro_sim.identification.evaluation import AnalyticModel, BenchPrediction, Predictor, Scales, Scored
+from hydro_sim.identification import validate
+from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Predictor, Scales, Scored
 from hydro_sim.model.bench import Bench
 
 HORIZON, STRIDE = 70, 37
@@ -92,7 +92,7 @@ def judged(model: Predictor) -> Result:
     scored = held_out()
     scales = Scales.of(np.concatenate([item.reference for item in scored]))
     states = [model.estimate(item.run) for item in scored]
-    found = evaluation.prediction_errors(model, states, scored, recorded=False, horizon=HORIZON, stride=STRIDE)
+    found = validate.prediction_errors(model, states, scored, recorded=False, horizon=HORIZON, stride=STRIDE)
     return {
         "over_range": (found.rmse / scales.span).tolist(), "over_std": (found.rmse / scales.std).tolist(),
         "load_force": {str(n): float(found.by_time[n - 1, LOAD_FORCE]) for n in TIMES},

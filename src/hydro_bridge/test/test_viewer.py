@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import get_types_from_msg
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
-from hydro_bridge.bags.schema import definition
+from hydro_bridge.bags.types import definition
 from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, Thinner
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.runs import ORDERS, list_runs, refresh_index, write_index

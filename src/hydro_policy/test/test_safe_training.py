@@ -27,8 +27,7 @@ from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
-from hydro_policy.task.mdp import GainRange, TaskSettings
-from hydro_policy.task.step_aggregator import Step, StepClock
+from hydro_policy.task.mdp import GainRange, Step, StepClock, TaskSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import PASSED, InlineLearner, OfflineGraph

@@ -20,8 +20,7 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.task.cases import ExamSettings
-from hydro_policy.task.mdp import TaskSettings
-from hydro_policy.task.step_aggregator import StepClock
+from hydro_policy.task.mdp import StepClock, TaskSettings
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant

@@ -26,8 +26,7 @@ from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import TaskSettings
-from hydro_policy.task.step_aggregator import Step
+from hydro_policy.task.mdp import Step, TaskSettings
 from hydro_sim.box.box import Box, BoxConfig, box_details
 from hydro_sim.excitation import Range
 from hydro_sim.model.bench import NOMINAL, Bench

@@ -10,8 +10,8 @@ import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_sim.files import learned_bench, recordings
-from hydro_sim.identification import bench_learning, evaluation
-from hydro_sim.identification.evaluation import AnalyticModel, BenchPrediction, Scored
+from hydro_sim.identification import bench_learning
+from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Scored, prediction_errors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -43,7 +43,7 @@ def _learning() -> None:
     scored = [Scored(run=run, truth=None) for run in data.training]
     for predictor in (BenchPrediction(found.bench, data.training), AnalyticModel(Bench.nominal())):
         states = [predictor.estimate(item.run) for item in scored]
-        evaluation.prediction_errors(predictor, states, scored, recorded=True, horizon=70, stride=500)
+        prediction_errors(predictor, states, scored, recorded=True, horizon=70, stride=500)
 
 
 STEPS: dict[str, Callable[[], None]] = {"simulation": _simulation, "learning": _learning}

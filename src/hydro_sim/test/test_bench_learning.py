@@ -19,7 +19,7 @@ from hydro_sim.excitation import draw
 from hydro_sim.files import recordings
 from hydro_sim.identification import bench_learning, learn, validate
 from hydro_sim.identification.bench_states import noise_of
-from hydro_sim.identification.evaluation import BenchPrediction
+from hydro_sim.identification.validate import BenchPrediction
 from hydro_sim.model.bench import Bench
 
 TRUTH = {

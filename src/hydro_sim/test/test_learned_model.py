@@ -14,8 +14,8 @@ from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation import draw
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.files.recordings import Run
-from hydro_sim.identification import evaluation
-from hydro_sim.identification.evaluation import AnalyticModel, BenchPrediction, Scales, Scored
+from hydro_sim.identification import validate
+from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Scales, Scored
 from hydro_sim.model.bench import Bench
 from hydro_sim.simulation.offline import Schedule, simulate
 
@@ -38,8 +38,8 @@ def shipped(held_out):
 def test_predictions_reach_the_papers_level(shipped, held_out):
     states, analytic_bench = [shipped.estimate(held_out.run)], AnalyticModel(Bench.nominal())
     how = {"recorded": False, "horizon": 70, "stride": 41}
-    clean = evaluation.prediction_errors(shipped, states, [held_out], **how)
-    analytic = evaluation.prediction_errors(analytic_bench, [analytic_bench.estimate(held_out.run)], [held_out], **how)
+    clean = validate.prediction_errors(shipped, states, [held_out], **how)
+    analytic = validate.prediction_errors(analytic_bench, [analytic_bench.estimate(held_out.run)], [held_out], **how)
     share = clean.rmse / Scales.of(held_out.truth).span
     for column, level in {0: 0.0006, 2: 0.0009, 4: 0.0004, 5: 0.0002, 6: 0.0031}.items():
         assert share[column] <= level

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.typesys import get_types_from_msg
 
-from hydro_bridge.bags.schema import definition
+from hydro_bridge.bags.types import definition
 from hydro_bridge.signals import StateArray
 
 STATE_TYPE = "hydro_msgs/msg/BenchState"

@@ -27,8 +27,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
 from hydro_bridge.bags.location import is_stored, opened, parted
-from hydro_bridge.bags.schema import UnknownTypeError, definition
-from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.bags.types import RecordingError, UnknownTypeError, definition
 
 
 def mcap_files(path: Path) -> tuple[list[Path], list[str]]:

@@ -1,9 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types shared by reader and writer: the error, and a topic's quality of service in rosbag2's notation."""
+"""Types shared by reader and writer: the error, a topic's quality of service, definitions of messages.
+
+A definition is ros2msg text with its nested types, and the RIHS01 type hash. Those of the hydro graph are package data,
+so that recording needs no ROS installation; others come from the ament index. `python -m hydro_bridge.bags.types`
+renews the package data from the installed messages; a test compares the two.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
 
 import yaml
 
@@ -50,3 +60,86 @@ class TopicQos:
             "liveliness_lease_duration": dict(forever),
             "avoid_ros_namespace_conventions": False,
         }
+
+
+PACKAGED = (
+    "hydro_msgs/msg/Authority",
+    "hydro_msgs/msg/BenchState",
+    "hydro_msgs/msg/BoxInfo",
+    "hydro_msgs/msg/BoxLaw",
+    "hydro_msgs/msg/Correction",
+    "hydro_msgs/msg/Gains",
+    "hydro_msgs/msg/LawCommand",
+    "hydro_msgs/msg/LawState",
+    "hydro_msgs/msg/PolicyStep",
+    "hydro_msgs/msg/ReferenceSignal",
+    "hydro_msgs/msg/TrainingStatus",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "rcl_interfaces/msg/Log",
+)
+"""Types whose definitions are shipped with this package."""
+
+_RULE = "=" * 80
+
+
+@dataclass(frozen=True, kw_only=True)
+class Definition:
+    """Type definition for an MCAP channel."""
+
+    text: str
+    """Encoding ros2msg: the type's own .msg text, then each nested type below a rule and `MSG: package/Type`."""
+    type_hash: str
+    """RIHS01 hash of the type description."""
+
+
+class UnknownTypeError(LookupError):
+    """No definition of this message type was found; the message names the type."""
+
+
+@cache
+def definition(type_name: str) -> Definition:
+    """Return the definition of `package/msg/Type`.
+
+    Raises UnknownTypeError: neither package data nor the ament index has it.
+    """
+    packaged = _packaged().get(type_name)
+    return Definition(**packaged) if packaged else installed_definition(type_name)
+
+
+def installed_definition(type_name: str) -> Definition:
+    """Return the definition from the .msg and .json files installed by rosidl; raises UnknownTypeError."""
+    description = json.loads(_installed(type_name, ".json"))
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
+    nested = [entry["type_name"] for entry in description["type_description_msg"]["referenced_type_descriptions"]]
+    parts = [_installed(type_name, ".msg").rstrip("\n")]
+    for name in nested:
+        parts += [_RULE, f"MSG: {name.replace('/msg/', '/')}", _installed(name, ".msg").rstrip("\n")]
+    return Definition(text="\n".join(parts) + "\n", type_hash=hashes[type_name])
+
+
+def _installed(type_name: str, suffix: str) -> str:
+    package, *rest = type_name.split("/")
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix, "share", package, *rest).with_suffix(suffix)
+        if prefix and path.is_file():
+            return path.read_text(encoding="utf-8")
+    raise UnknownTypeError(f"no definition of {type_name} in AMENT_PREFIX_PATH: is its package built and sourced?")
+
+
+@cache
+def _packaged() -> dict[str, dict[str, str]]:
+    text = files("hydro_bridge.bags").joinpath("schemas.json").read_text(encoding="utf-8")
+    loaded: dict[str, dict[str, str]] = json.loads(text)
+    return loaded
+
+
+def main() -> None:
+    """Regenerate the package data from the installed messages."""
+    packaged = {name: vars(installed_definition(name)) for name in PACKAGED}
+    path = Path(__file__).with_name("schemas.json")
+    path.write_text(json.dumps(packaged, indent=1) + "\n", encoding="utf-8")
+    print(f"{path}: {len(packaged)} types")
+
+
+if __name__ == "__main__":
+    main()

@@ -20,8 +20,7 @@ from typing import Any, NoReturn, TypeVar
 
 from tqdm import tqdm
 
-from hydro_bridge.bags.schema import UnknownTypeError
-from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.bags.types import RecordingError, UnknownTypeError
 from hydro_bridge.errors import UserError, is_file_error, user_message, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.process import endings

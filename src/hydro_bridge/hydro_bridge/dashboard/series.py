@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.cdr import FixedLayout, fixed_layout
-from hydro_bridge.bags.schema import definition
+from hydro_bridge.bags.types import definition
 from hydro_bridge.signals import Flag, FloatArray
 
 STATE_TYPE = "hydro_msgs/msg/BenchState"

@@ -27,8 +27,7 @@ from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings, Score, Trace, score
-from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE
-from hydro_policy.task.step_aggregator import StepClock, held
+from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, StepClock, held
 from hydro_sim.files import load_force
 
 HELD_MAX = 0.01

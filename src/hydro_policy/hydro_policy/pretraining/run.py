@@ -30,8 +30,8 @@ from hydro_bridge.size import resized
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_filter.controller.factory import FilterChoice
 from hydro_policy.envs import FilterName
-from hydro_policy.envs.environment import Transitions
 from hydro_policy.envs.randomisation import Randomisation
+from hydro_policy.envs.vector_env import Transitions
 from hydro_policy.pretraining.configurations import configuration, configuration_of
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings

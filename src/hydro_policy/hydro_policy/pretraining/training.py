@@ -25,9 +25,8 @@ import numpy as np
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray, ReferenceSignal
 from hydro_policy.envs import FilterName, vector_runs
-from hydro_policy.envs.environment import Environment, Transitions
 from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
-from hydro_policy.envs.vector_env import VectorBench
+from hydro_policy.envs.vector_env import Environment, Transitions, VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
 from hydro_policy.runs.run import Checkpoint, TrainingSettings

@@ -16,8 +16,7 @@ from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.supervision.interfaces import Outputs
-from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, observe
-from hydro_policy.task.step_aggregator import Step
+from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, Step, observe
 
 SETTLING_STEPS = 50
 """Initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s."""

@@ -29,7 +29,7 @@ from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
-from hydro_policy.task.step_aggregator import Step, StepClock
+from hydro_policy.task.mdp import Step, StepClock
 
 UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus
-from hydro_policy.task.step_aggregator import Step
+from hydro_policy.task.mdp import Step
 from hydro_sim.model.bench import NOMINAL
 
 _EVALUATED = frozenset(
