@@ -32,6 +32,8 @@ from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -146,7 +148,7 @@ def train(
     guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
-    session = TrainingSession(settings, learner, graph)
+    session = TrainingSession(settings, learner, PlantSupervisor(graph, True, [learner_ready(learner)]))
     graph.run(session, 60.0 * episodes + (600.0 if every else 0.0), learner)
     return session, graph
 
@@ -161,7 +163,9 @@ def _rmse(controller: Controller, seed: int) -> Result:
     plant, found = bench(), []
     for frequency in PRINTED["rmse"]["frequencies"]:
         graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed)
-        session = EvaluationSession(replace(EVALUATION, frequencies=(float(frequency),)), [controller], graph)
+        session = EvaluationSession(
+            replace(EVALUATION, frequencies=(float(frequency),)), [controller], PlantSupervisor(graph)
+        )
         graph.run(session, 10.0 * session.seconds)
         found += [score.rmse for score in session.scores]
     return {"rmse": found}

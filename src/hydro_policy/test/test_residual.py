@@ -17,6 +17,7 @@ from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import Case
 from hydro_policy.task.mdp import BASE
 from hydro_sim.model.bench import Bench
@@ -89,7 +90,7 @@ def test_session_runs_the_law_with_and_without_it_as_two_controllers() -> None:
     live = LiveCompensation(BoxLaw(), network=Network.load())
     controllers = [Compensated(live), Compensated(live, learned=True)]
     session = EvaluationSession(
-        EvaluationSettings(frequencies=(0.7,), settle=4.0), controllers, graph, compensation=live
+        EvaluationSettings(frequencies=(0.7,), settle=4.0), controllers, PlantSupervisor(graph), compensation=live
     )
     graph.run(session, 60.0, compensation=live)
     assert session.finished and not session.warnings

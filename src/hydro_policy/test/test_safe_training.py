@@ -25,7 +25,8 @@ from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH
+from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH, PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import GainRange, Step, StepClock, TaskSettings
 from hydro_sim.model.bench import Bench
@@ -47,7 +48,7 @@ def settings(*, episodes: int = 2, top: float = 75.0, **more: object) -> Trainin
 def start(chosen: TrainingSettings) -> tuple[OfflineGraph, InlineLearner, TrainingSession]:
     guard = GuardSettings(delta_kp_max=chosen.task.gains.delta_kp_max)
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, guard=guard), InlineLearner(chosen)
-    return graph, learner, TrainingSession(chosen, learner, graph)
+    return graph, learner, TrainingSession(chosen, learner, PlantSupervisor(graph, True, [learner_ready(learner)]))
 
 
 def step(error: float = 0.0, current: np.ndarray | None = None) -> Step:
@@ -278,7 +279,9 @@ class Still:
 def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it() -> None:
     """The force was far away when a person took the gains, under way in a step."""
     monitor = SafetyMonitor(MonitorSettings())
-    session = EvaluationSession(EvaluationSettings(), [FixedGains(90.0, 15.0)], Still(), monitor=monitor)
+    session = EvaluationSession(
+        EvaluationSettings(), [FixedGains(90.0, 15.0)], PlantSupervisor(Still()), monitor=monitor
+    )
     sample, armed = np.zeros(14), int(Flag.ARMED)
     session.on_sample(0, sample, 0, 0.0)
     session.on_tick(0.0)
@@ -294,7 +297,7 @@ def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it() -> None:
 
 def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy() -> None:
     graph, learner = OfflineGraph(AnalyticPlant(NOMINAL), NOMINAL), InlineLearner(SHORT)
-    session = TrainingSession(SHORT, learner, graph)
+    session = TrainingSession(SHORT, learner, PlantSupervisor(graph, True, [learner_ready(learner)]))
     graph.run(session, 2.0, learner)
     tripped, sequence = int(Flag.TRIPPED | Flag.FORCE_LIMIT), 100_000
     for phase in (Phase.EVALUATING, Phase.TRAINING):

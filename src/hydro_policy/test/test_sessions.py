@@ -19,6 +19,8 @@ from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import StepClock, TaskSettings
 from hydro_sim.box.box import BoxConfig
@@ -43,7 +45,7 @@ def short(episodes: int = 2, steps: int = 150, **task: float) -> TrainingSetting
 
 def start(settings: TrainingSettings, *, rearm: bool = True, config: BoxConfig | None = None):
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=config), InlineLearner(settings)
-    return graph, learner, TrainingSession(settings, learner, graph, rearm=rearm)
+    return graph, learner, TrainingSession(settings, learner, PlantSupervisor(graph, rearm, [learner_ready(learner)]))
 
 
 def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> None:
@@ -82,7 +84,12 @@ def scalars(path: Path) -> dict[str, list[float]]:
 def test_curves_and_losses_of_a_run_are_in_its_event_files(tmp_path: Path) -> None:
     settings = short()
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH), InlineLearner(settings)
-    session = TrainingSession(settings, learner, graph, record=RunRecord(tmp_path / "run.json"))
+    session = TrainingSession(
+        settings,
+        learner,
+        PlantSupervisor(graph, True, [learner_ready(learner)]),
+        record=RunRecord(tmp_path / "run.json"),
+    )
     graph.run(session, 10.0, learner)
     session.run.record.flush()
     (path,) = (tmp_path / "tensorboard").iterdir()
@@ -156,7 +163,7 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
 def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> None:
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], graph)
+    session = EvaluationSession(settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph))
     graph.run(session, session.seconds + 5.0)
     narrowed, own = session.scores
     assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
@@ -169,7 +176,7 @@ def test_a_run_in_which_the_machine_was_held_up_is_started_again(silence: float,
     """The box hears nothing in the first runs: for so long that it trips, or that base gains act."""
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], graph)
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph))
     receive, until, hit = graph.box.receive, 0.0, set[int]()
 
     def hear(command: Command, time: float) -> None:
@@ -194,7 +201,7 @@ def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
     """A bench whose metric is of the compensated law alone: its base gains are compared all the same."""
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(15.0, 5.0)], graph)
+    session = EvaluationSession(settings, [FixedGains(15.0, 5.0)], PlantSupervisor(graph))
     take = session.on_sample
 
     def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -210,7 +217,7 @@ def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
 def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one_is_warned_of() -> None:
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], graph)
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph))
     take = session.on_sample
 
     def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -226,7 +233,7 @@ def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
     """The session on a box and plant, against `simulation.offline.simulate` with the same gains: within 3 %."""
     settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], graph)
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph))
     graph.run(session, session.seconds + 5.0)
     assert session.finished and len(session.scores) == 4 and not session.warnings
     for score in session.scores:

@@ -15,14 +15,11 @@ from typing import Annotated
 
 import numpy as np
 
-from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import GainRange
@@ -154,38 +151,22 @@ class GridSession:
         The grid.
     evaluation
         References and lengths; runs are not repeated.
-    outputs
-        The graph.
-    rearm
-        See `PlantSupervisor`.
-    after
-        Watch of the previous session, if there was one.
-    override
-        Gains held by a person.
+    watch
+        Supervision of the plant.
     monitor
         Stops an unstable pair before the box has to.
-    requirements
-        Requirements before arming, besides plant and filter.
     """
 
     def __init__(
         self,
         settings: GridSettings,
         evaluation: EvaluationSettings,
-        outputs: Outputs,
-        *,
-        rearm: bool = True,
-        after: PlantSupervisor | None = None,
-        override: GainOverride | None = None,
+        watch: PlantSupervisor,
         monitor: SafetyMonitor | None = None,
-        requirements: Sequence[Requirement] = (),
     ) -> None:
         self.search, self.evaluation = GridSearch(settings), evaluation
-        self.override = override or GainOverride()
-        self.watch = PlantSupervisor(outputs, rearm, requirements, self.override)
-        if after is not None:
-            self.watch.take_over(after)
-        self._outputs, self._monitor = outputs, monitor or SafetyMonitor()
+        self.watch, self.override = watch, watch.override
+        self._monitor = monitor or SafetyMonitor()
         self._pair: Gains | None = None
         self._next()
 
@@ -229,11 +210,5 @@ class GridSession:
     def _next(self) -> None:
         self._pair = self.search.next()
         if self._pair is not None:
-            self._running = EvaluationSession(
-                self.evaluation,
-                [FixedGains(*self._pair, self.override.base)],
-                self._outputs,
-                watch=self.watch,
-                override=self.override,
-                monitor=self._monitor,
-            )
+            controllers = [FixedGains(*self._pair, self.override.base)]
+            self._running = EvaluationSession(self.evaluation, controllers, self.watch, monitor=self._monitor)

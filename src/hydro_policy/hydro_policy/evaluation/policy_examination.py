@@ -13,9 +13,7 @@ import numpy as np
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.sac.policy import Policy
-from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import ExamSettings, Score
 from hydro_policy.task.mdp import GainRange
@@ -85,30 +83,21 @@ def examination(
     policy: Policy,
     gains: GainRange,
     reference_too: bool,
-    outputs: Outputs,
-    *,
     watch: PlantSupervisor,
-    override: GainOverride,
     monitor: SafetyMonitor,
+    *,
     fresh: bool = False,
 ) -> EvaluationSession:
     """Create the session that examines `policy` and, if requested, the fixed gains that its score is relative to.
 
-    It shares watch, override and monitor with the training session that it interrupts. `fresh`: no episode has passed
+    It shares watch and monitor with the training session that it interrupts. `fresh`: no episode has passed
     since the box was armed.
     """
     controllers: list[Controller] = [PolicyController(policy, gains, EXAMINED)]
     if reference_too:
-        controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, override.base))
-    return EvaluationSession(
-        settings.evaluation,
-        controllers,
-        outputs,
-        watch=watch,
-        override=override,
-        monitor=monitor,
-        lead=LEAD if fresh or reference_too else 0.0,
-    )
+        controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, watch.override.base))
+    lead = LEAD if fresh or reference_too else 0.0
+    return EvaluationSession(settings.evaluation, controllers, watch, monitor=monitor, lead=lead)
 
 
 def stop_reason(scores: Sequence[Score]) -> str:

@@ -18,13 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
-from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, StepClock, held
@@ -76,18 +73,10 @@ class EvaluationSession:
         References and lengths of the runs.
     controllers
         At least one.
-    outputs
-        The graph.
-    watch, rearm
-        Watch of the enclosing session; without one a new watch with `rearm` (see `PlantSupervisor`).
-    after
-        Watch of the previous session, whose plant is taken over as it is: see `PlantSupervisor.take_over`.
-    override
-        Gains held by a person.
+    watch
+        Supervision of the plant.
     monitor
         Stops a run that goes wrong before the box has to; None: only the box does.
-    requirements
-        Requirements before arming, besides plant and filter.
     compensation
         Estimator of the controller under the compensated law, if there is one.
     felt
@@ -100,22 +89,16 @@ class EvaluationSession:
         self,
         settings: EvaluationSettings,
         controllers: Sequence[Controller],
-        outputs: Outputs,
+        watch: PlantSupervisor,
         *,
-        rearm: bool = True,
-        watch: PlantSupervisor | None = None,
-        after: PlantSupervisor | None = None,
-        override: GainOverride | None = None,
         monitor: SafetyMonitor | None = None,
-        requirements: Sequence[Requirement] = (),
         compensation: LiveCompensation | None = None,
         felt: Path | None = None,
         lead: float = 0.0,
     ) -> None:
         if not controllers:
             raise ValueError("an evaluation needs a controller")
-        self.settings, self.override = settings, override or GainOverride()
-        self.watch = watch or PlantSupervisor(outputs, rearm, requirements, self.override)
+        self.settings, self.watch, self.override = settings, watch, watch.override
         self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
         if lead:
             self.plan.sort(key=lambda run: controllers.index(run[2]))
@@ -125,13 +108,11 @@ class EvaluationSession:
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
-        self._outputs, self.monitor, self._felt = outputs, monitor, felt
+        self._outputs, self.monitor, self._felt = watch.outputs, monitor, felt
         self._repeats = 0
         self._clock = StepClock()
         self._run: _Run | None = None
         self._steps = 0
-        if after is not None:
-            self.watch.take_over(after)
 
     @property
     def finished(self) -> bool:

@@ -232,15 +232,16 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             node.say(describe_policy(policy_file(path)))
         if not may_rearm(options):
             node.listen_for_enter()
-        before: GridSession | None = None
+        watch = node.supervisor(rearm=may_rearm(options))
         if grid is not None:
-            before = search_on(node, grid, settings, rearm=may_rearm(options))
+            before = search_on(node, grid, settings, watch)
             if not before.finished:
                 return 130
             if before.search.found:
                 controllers.append(before.best)
+            watch = node.supervisor(rearm=may_rearm(options), after=watch)
         results = evaluate_on(
-            node, controllers, rearm=may_rearm(options), settings=settings, after=before.watch if before else None,
+            node, controllers, watch, settings=settings,
             law=None if options.law == "paper" else node.law, cell=load_cell(options), learned=options.learned_residual,
         )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
@@ -279,19 +280,11 @@ def search_on(
     node: GraphNode,
     grid: GridSettings,
     settings: EvaluationSettings,
-    *,
-    rearm: bool,
-    after: PlantSupervisor | None = None,
+    watch: PlantSupervisor,
 ) -> GridSession:
-    """Search the best fixed gains on the plant by short runs; not `finished` after a signal.
-
-    `after` is the watch of the previous session, if there was one.
-    """
+    """Search the best fixed gains on the plant by short runs; not `finished` after a signal."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
-    session = GridSession(
-        grid, short, node, rearm=rearm, after=after, override=node.override, requirements=node.requirements,
-        monitor=SafetyMonitor(resized(MonitorSettings(), NOMINAL, node.size)),
-    )  # fmt: skip
+    session = GridSession(grid, short, watch, SafetyMonitor(resized(MonitorSettings(), NOMINAL, node.size)))
     told = 0
 
     def tick() -> None:
@@ -313,18 +306,17 @@ def search_on(
 def evaluate_on(
     node: GraphNode,
     controllers: Sequence[Controller],
+    watch: PlantSupervisor,
     *,
-    rearm: bool,
     settings: EvaluationSettings | None = None,
-    after: PlantSupervisor | None = None,
     law: BoxLaw | None = None,
     cell: LoadCell | None = None,
     learned: bool = False,
 ) -> EvaluationSession:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
-    `after` is the watch of the previous session, if there was one; with `law`, the box's compensated law is compared,
-    too; with `cell`, for the force in front of that; if `learned`, also with the learned residual.
+    With `law`, the box's compensated law is compared, too; with `cell`, for the force in front of that; if `learned`,
+    also with the learned residual.
     """
     estimator = resized(CompensatorSettings(), NOMINAL, node.size)
     compensation = None if law is None else LiveCompensation(law, estimator, cell, Network.load())
@@ -336,11 +328,7 @@ def evaluate_on(
     session = EvaluationSession(
         settings or EvaluationSettings(amplitude=node.size.force),
         controllers,
-        node,
-        rearm=rearm,
-        after=after,
-        override=node.override,
-        requirements=node.requirements,
+        watch,
         compensation=compensation,
         felt=node.load_force,
     )

@@ -12,11 +12,9 @@ monitor is a termination.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import FAULTS, Flag, FloatArray
 from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.session import EvaluationSession
@@ -24,11 +22,9 @@ from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
 from hydro_policy.sessions.run_state import Progress, RunState
-from hydro_policy.supervision.interfaces import ActingLearner, Outputs
+from hydro_policy.supervision.interfaces import ActingLearner
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
-from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.mdp import Step, StepClock
 
 UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
@@ -43,39 +39,30 @@ class TrainingSession:
         Settings of the run.
     learner
         Running learner.
-    outputs
-        The graph.
-    rearm
-        See `PlantSupervisor`.
+    watch
+        Supervision of the plant, which also waits for the learner.
     state, best
         `state()` and best agent of the session to continue, or None.
-    override
-        Gains held by a person.
     record
         Record of events.
-    requirements
-        Requirements before arming, besides plant, filter and learner.
     """
 
     def __init__(
         self,
         settings: TrainingSettings,
         learner: ActingLearner,
-        outputs: Outputs,
+        watch: PlantSupervisor,
         *,
-        rearm: bool = True,
         state: dict[str, Any] | None = None,
         best: bytes | None = None,
-        override: GainOverride | None = None,
         record: RunRecord | None = None,
-        requirements: Sequence[Requirement] = (),
     ) -> None:
-        self.settings, self.learner, self.override = settings, learner, override or GainOverride()
-        self.watch = PlantSupervisor(outputs, rearm, (learner_ready(learner), *requirements), self.override)
+        self.settings, self.learner = settings, learner
+        self.watch, self.override, self._outputs = watch, watch.override, watch.outputs
         self.clock = StepClock()
         progress = Progress() if state is None else Progress(**state["progress"])
         self.run = RunState(settings, learner, progress, best, record)
-        self.explorer, self.monitor = Explorer(settings, learner.replay, outputs), SafetyMonitor(settings.monitor)
+        self.explorer, self.monitor = Explorer(settings, learner.replay, watch.outputs), SafetyMonitor(settings.monitor)
         self.explorer.published = progress.total_steps
         self.current = EpisodeRecord(episode=0)
         """The present episode, or the last one."""
@@ -83,7 +70,6 @@ class TrainingSession:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.phase = Phase.WAITING
         self.exam: EvaluationSession | None = None
-        self._outputs = outputs
         self._fresh = True  # no episode has passed since the box was armed
 
     @property
@@ -214,9 +200,8 @@ class TrainingSession:
         reference_too = not self.progress.reference_rmse
         gains = self.settings.task.gains
         self.exam = policy_examination.examination(
-            self.settings.exam, self.policy, gains, reference_too, self._outputs,
-            watch=self.watch, override=self.override, monitor=self.monitor, fresh=self._fresh,
-        )  # fmt: skip
+            self.settings.exam, self.policy, gains, reference_too, self.watch, self.monitor, fresh=self._fresh
+        )
         self.explorer.forget()
         self.phase = Phase.EVALUATING
 

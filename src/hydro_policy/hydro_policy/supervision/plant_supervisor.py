@@ -165,11 +165,11 @@ class PlantSupervisor:
     def __init__(
         self,
         outputs: Outputs,
-        rearm: bool,
+        rearm: bool = True,
         requirements: Sequence[Requirement] = (),
         override: GainOverride | None = None,
     ) -> None:
-        self._outputs, self._override = outputs, override or GainOverride()
+        self.outputs, self.override = outputs, override or GainOverride()
         self._arming = Arming(outputs, rearm)
         samples = plant(lambda: not self.lost)
         answers = corrections(lambda: self._status in _ANSWERS or not self._flags & Flag.FILTER_STALE)
@@ -234,10 +234,10 @@ class PlantSupervisor:
         before, self._status = self._status, status
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
             after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
-            self._outputs.say(MISMATCH if self.mismatched else after, warning=self.mismatched)
+            self.outputs.say(MISMATCH if self.mismatched else after, warning=self.mismatched)
         elif status == CorrectionStatus.BYPASSED and not self._bypassed:
             self._bypassed = True
-            self._outputs.say(BYPASSED)
+            self.outputs.say(BYPASSED)
 
     def may_begin(self, now: float) -> bool:
         """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""
@@ -266,7 +266,7 @@ class PlantSupervisor:
     def calm(self) -> None:
         """Start the calm after a stop: `CALM` seconds, armed, before the next run; removes the reference."""
         self._calm_until = math.inf
-        self._outputs.reference(ReferenceSignal())
+        self.outputs.reference(ReferenceSignal())
 
     def take_over(self, before: PlantSupervisor) -> None:
         """Continue from another session's watch: its armed plant is accepted, and its calm is awaited."""
@@ -282,12 +282,12 @@ class PlantSupervisor:
         if not self.lost and now - self._seen > LOST_AFTER:
             self._seen, self._spoilt = -math.inf, UNSEEN
             self._flags = int(Flag.FILTER_STALE)
-            self._outputs.arm(False)
+            self.outputs.arm(False)
         self.readiness.look(now)
         if self.armed:
             self._arming.rest()
             why = self.unready(now)
-            if why and not (self.calming or self._override.active):
+            if why and not (self.calming or self.override.active):
                 self._arming.lower(now, why)
         elif not self.lost:
             self._arming.seek(self.readiness.complete, now)
@@ -296,17 +296,17 @@ class PlantSupervisor:
     def arm_now(self, now: float) -> None:
         """Arm at a person's request if all is ready; otherwise report what is missing."""
         if self.armed and not self.unready(now):
-            self._outputs.say("the plant is already armed: nothing was done", warning=True)
+            self.outputs.say("the plant is already armed: nothing was done", warning=True)
         elif self.readiness.complete:
             self._arming.arm(now)
         else:
             self._arming.prompt_anew()
             sentence = f"not armed, still waiting for {self.readiness.awaited}: you are asked once all is ready"
-            self._outputs.say(sentence, warning=True)
+            self.outputs.say(sentence, warning=True)
 
     def _tell(self, now: float) -> None:
         condition, ready = self.condition, self.readiness.complete
         hint = "" if self.armed or self.lost else self._arming.prompt(condition, ready, now)
         if hint or self._told not in (None, condition):
-            self._outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
+            self.outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
         self._told = condition

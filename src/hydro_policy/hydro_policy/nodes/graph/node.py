@@ -52,6 +52,7 @@ from hydro_policy.nodes.graph.services import FreezeService, OverrideService
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.interfaces import Session
 from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
 
@@ -207,6 +208,16 @@ class GraphNode(Node):
         subscribe_to_box(self, self._on_box)
         create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def supervisor(self, *needed: Requirement, rearm: bool, after: PlantSupervisor | None = None) -> PlantSupervisor:
+        """Return a session's supervision of the plant; `needed`: what it requires besides, before arming.
+
+        `after`: that of the session before, whose plant is taken over as it is.
+        """
+        made = PlantSupervisor(self, rearm, (*needed, *self.requirements), self.override)
+        if after is not None:
+            made.take_over(after)
+        return made
 
     def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
         """Watch these companions; arming requires that the recorder of `recording` receives samples."""

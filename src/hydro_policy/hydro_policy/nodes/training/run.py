@@ -182,13 +182,10 @@ def begin_session(
     session = TrainingSession(
         prepared.settings,
         learner,
-        node,
-        rearm=rearm,
+        node.supervisor(plant_supervisor.learner(learner), rearm=rearm),
         state=(prepared.checkpoint.trainer or None) if prepared.checkpoint else None,
         best=prepared.best,
-        override=node.override,
         record=record,
-        requirements=node.requirements,
     )
     node.listen_to_corrections()
     node.tell_steps()
@@ -228,18 +225,19 @@ def drive(
     session.run.start()
     bar.phase = lambda: Phase.EVALUATING
     controllers = paper_controllers(session, start)
-    rearm, watch = may_rearm(options), session.watch
+    rearm = may_rearm(options)
+    watch = node.supervisor(rearm=rearm, after=session.watch)
     if rearm:
         grid = coarse_grid(session.settings.task.gains, session.settings.base_gains)
-        search = search_on(node, grid, replace(SEARCHED, amplitude=node.size.force), rearm=rearm, after=watch)
+        search = search_on(node, grid, replace(SEARCHED, amplitude=node.size.force), watch)
         if not search.finished:
             return False, None
         controllers += [search.best] if search.search.found else []
-        watch = search.watch
+        watch = node.supervisor(rearm=rearm, after=watch)
     else:
         node.say(LEFT_OUT)
     law, cell = node.law if rearm else None, load_cell(options)
-    results = evaluate_on(node, controllers, rearm=rearm, after=watch, law=law, cell=cell, learned=cell is None)
+    results = evaluate_on(node, controllers, watch, law=law, cell=cell, learned=cell is None)
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots
