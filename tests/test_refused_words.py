@@ -89,7 +89,7 @@ REFUSED = {
         ("--out @new --velocity-age 0.002", "unrecognized arguments: --velocity-age"),
         ("--out @new --force-rate-age 0.002", "unrecognized arguments: --force-rate-age"),
     ),
-    "hydro_policy export_c": (("--out @new --policy @plain.yaml", "is not a policy"),),
+    "hydro_policy export_c": (("--out @new --policy @plain.yaml", "cannot be read as weights"),),
     "hydro_policy pretrain": (
         ("--out @new --model nowhere.safetensors", "nowhere.safetensors"),
         ("--out @new --bench b.yaml --model shipped", "a bench of its own"),

@@ -154,9 +154,9 @@ class ScheduledMetric:
         """Read a weights file; None: the one shipped with this package. Raises WeightsError."""
         path = path or shipped()
         tensors, header = weights.load(path)
-        if header["structure"] != STRUCTURE:
+        if header.get("structure") != STRUCTURE:
             raise WeightsError(
-                f"{path} has structure {header['structure']!r}, not a metric's: `learn_metric` makes one"
+                f"{path} has structure {header.get('structure')!r}, not a metric's: `learn_metric` makes one"
             )
         if any(np.any(tensors.get(prefix + name, 0.0)) for name in NETWORK for prefix in ("", f"{ANOTHER}.")):
             raise WeightsError(f"{path} has a network on top of its table: make it again with `learn_metric`")

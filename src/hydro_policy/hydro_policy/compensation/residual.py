@@ -191,7 +191,7 @@ class Network:
             with resources.as_file(resources.files("hydro_policy") / "data" / "residual.safetensors") as shipped:
                 return cls.load(shipped)
         tensors, header = weights.load(path)
-        if header["structure"] != STRUCTURE or tensors["mean"].shape != (INPUTS,):
+        if header.get("structure") != STRUCTURE or tensors["mean"].shape != (INPUTS,):
             raise weights.WeightsError(f"{path} holds no residual of this version: train it again")
         count = sum(name.startswith("weight") for name in tensors)
         layers = tuple((tensors[f"weight_{k}"].astype(float), tensors[f"bias_{k}"].astype(float)) for k in range(count))

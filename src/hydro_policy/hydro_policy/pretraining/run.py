@@ -136,9 +136,7 @@ def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
 def load_simulation_setup(folder: Path) -> SimulationSetup:
     """Return the simulation set-up of a run on disk. Raises UserError: the folder holds no pretraining."""
     try:
-        return from_mapping(
-            SimulationSetup, {"integral": "paper", **read_yaml(folder / SOURCE)}, SOURCE
-        )  # older runs had that
+        return from_mapping(SimulationSetup, read_yaml(folder / SOURCE), SOURCE)
     except SettingsError as error:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error
 

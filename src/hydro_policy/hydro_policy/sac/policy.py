@@ -9,19 +9,14 @@ the gains, which is all that is needed to act, and the box it was made for (`hyd
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.files.tensors import check_numbers, check_shapes
+from hydro_bridge.files.tensors import check_shapes
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
 from hydro_bridge.size import Size
@@ -32,10 +27,10 @@ from hydro_policy.task.mdp import (
     GainRange,
     normalization,
 )
-from hydro_sim.files.pairing import ENTRY, MadeFor
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import MadeFor
 from hydro_sim.model.bench import NOMINAL
 
-FORMAT = 1
 _WIDEST = 1024  # units, as in `SacSettings`
 
 
@@ -96,7 +91,6 @@ class Policy:
         """Write policy.safetensors; `notes` (run, episodes, updates) and what it was made for go into the header."""
         center, scale = normalization(self.size)
         header = {
-            "format": FORMAT,
             "architecture": {"sizes": self.sizes, "activation": "relu", "output": "tanh(mu), log sigma"},
             "log_std_bounds": self.log_std_bounds,
             "observation": {
@@ -109,13 +103,9 @@ class Policy:
             "gains": asdict(gains),
             "notes": notes or {},
         }
-        if made is not None:
-            header[ENTRY] = made.to_header()
-        tensors: dict[str, NDArray[np.float32]] = {
-            f"weight_{k}": w.astype(np.float32) for k, w in enumerate(self.weights)
-        }
+        tensors: weights.Tensors = {f"weight_{k}": w.astype(np.float32) for k, w in enumerate(self.weights)}
         tensors |= {f"bias_{k}": b.astype(np.float32) for k, b in enumerate(self.biases)}
-        write_whole(path, save(tensors, {"hydro": json.dumps(header)}))
+        weights.save(path, tensors, header, made)
 
 
 def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
@@ -123,18 +113,11 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
 
     Raises ValueError: the file is not a policy, is for another observation, or holds unusable numbers.
     """
-    try:
-        with safe_open(path, framework="numpy") as file:
-            header = json.loads((file.metadata() or {}).get("hydro", "{}"))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} is not a policy: {error}") from error
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise ValueError(f"{path} is not a policy of format {FORMAT}")
+    tensors, header = weights.load(path)
     try:
         return _checked(header, tensors)
     except (KeyError, IndexError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path} is damaged: its header lacks {error}") from error
+        raise ValueError(f"{path} is not a policy, or damaged: its header lacks {error}") from error
     except ValueError as error:
         raise ValueError(f"{path} cannot be used: {error}") from error
 
@@ -158,7 +141,6 @@ def _checked(header: dict[str, Any], tensors: dict[str, Any]) -> tuple[Policy, G
     check(reach)
     check_shapes(tensors, {f"weight_{k}": weight.shape for k, weight in enumerate(policy.weights)})
     check_shapes(tensors, {f"bias_{k}": bias.shape for k, bias in enumerate(policy.biases)})
-    check_numbers(tensors)
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         weight[:], bias[:] = tensors[f"weight_{k}"], tensors[f"bias_{k}"]
     return policy, reach, header["notes"]

@@ -36,15 +36,9 @@ def read(path: str | Path | None = None) -> Bench:
     Raises
     ------
     ValueError
-        If it is invalid, or of the older kind of learned bench.
+        If it is invalid.
     """
-    path = path or shipped()
-    if Path(path).suffix == ".safetensors":
-        raise ValueError(
-            f"{path} holds weights of a learned bench, which are no longer read: learn a bench file from its "
-            "recordings with `ros2 run hydro_sim learn BAG... --out FILE.yaml`"
-        )
-    return Bench.load(path)
+    return Bench.load(path or shipped())
 
 
 def load_model(path: str | Path | None = None) -> Bench:

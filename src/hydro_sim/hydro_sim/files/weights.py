@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.tensors import UnsoundError, check_numbers
-from hydro_bridge.signals import FloatArray
 from hydro_sim.files.pairing import ENTRY, MadeFor
 
 FORMAT = 1
-Tensors = dict[str, FloatArray]
+Tensors = dict[str, npt.NDArray[Any]]
 
 
 class WeightsError(ValueError):
@@ -52,11 +52,11 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
         raise WeightsError(f"{path} cannot be read as weights: {reason}") from error
     try:
         header = json.loads(metadata["hydro"])
-        kind = (header["format"], header["structure"])
+        kind = header["format"]
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(f"{path} holds no weights: its header has no readable entry 'hydro'") from error
-    if kind[0] != FORMAT:
-        raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: make it again")
+    if kind != FORMAT:
+        raise WeightsError(f"{path} is of format {kind}, this version reads format {FORMAT}: make it again")
     try:
         check_numbers(tensors)
     except UnsoundError as error:

@@ -48,11 +48,10 @@ class LockStep:
     falls silent is named in the log, and the simulation continues without it until it returns.
 
     `log`: called with a sentence when a peer comes or falls silent. `silence_max`: longest wait [s] for a peer.
-    `correction_every`: samples per correction, as the filter is set.
     """
 
-    def __init__(self, log: Callable[[str], None], *, silence_max: float = 5.0, correction_every: int = 1) -> None:
-        self._log, self._silence_max, self._correction_every = log, silence_max, correction_every
+    def __init__(self, log: Callable[[str], None], *, silence_max: float = 5.0) -> None:
+        self._log, self._silence_max = log, silence_max
         self._news = threading.Condition()
         self._filter = self._trainer = self._released = False
         self._corrected = self._ungained = 0
@@ -101,7 +100,7 @@ class LockStep:
     def awaited(self, sequence: int) -> list[str]:
         """Return the nodes that have yet to answer sample `sequence`."""
         behind = (sequence - self._corrected) & 0xFFFFFFFF
-        uncorrected = self._filter and self._correction_every <= behind < 1 << 31
+        uncorrected = self._filter and 1 <= behind < 1 << 31
         return ["filter"] * uncorrected + ["trainer"] * (self._trainer and self._ungained >= SAMPLES_PER_STEP)
 
     def _go_on_without(self, sequence: int) -> None:
@@ -133,8 +132,6 @@ class SimSettings:
     """Seed of the noise."""
     silence_max: Annotated[float, quantity("s", 0.1, 600.0)] = 5.0
     """How long lock-step waits for a peer."""
-    correction_every: Annotated[int, quantity("-", 1, 100)] = 1
-    """Samples per correction in lock-step, as the filter is set."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -167,7 +164,7 @@ class Simulation:
     ) -> None:
         self.guard, self.settings = guard, settings
         self.lock = threading.Lock()
-        self.steps = LockStep(log, silence_max=settings.silence_max, correction_every=settings.correction_every)
+        self.steps = LockStep(log, silence_max=settings.silence_max)
         self.pacer = Pacer(SAMPLE_PERIOD / settings.speed if settings.speed > 0.0 else SAMPLE_PERIOD)
         self.host_clock = HostClock()
         self.samples = 0

@@ -272,30 +272,18 @@ def _topic_echo(options: argparse.Namespace) -> None:
     done = Future()
 
     def show(message: Any) -> None:
-        if done.done():
-            return
-        try:
-            print(f"{as_yaml(message)}---", flush=True)
-        except Exception as error:  # raised here, rclpy would print it as well
-            done.set_exception(error)
-            return
+        print(f"{as_yaml(message)}---", flush=True)
         if options.once:
             done.set_result(None)
 
-    with visiting() as node:
-        topic = absolute(options.topic)
-        kind = interface(_topic_types(node, topic)[0], "msg")
-        node.create_subscription(kind, topic, show, _offered_qos(node, topic))
-        spin(node, done)
-    if done.done():
-        done.result()
+    _listen(options.topic, show, done)
 
 
 @_verb("topic", "hz", "how often something is published, each second until Ctrl-C", _TOPIC)
 def _topic_hz(options: argparse.Namespace) -> None:
     """Count serialized messages on arrival, without decoding them."""
     times: deque[float] = deque(maxlen=_WINDOW)
-    new, done = 0, Future()
+    new = 0
 
     def count(_: bytes) -> None:
         nonlocal new
@@ -304,19 +292,35 @@ def _topic_hz(options: argparse.Namespace) -> None:
 
     def report() -> None:
         nonlocal new
-        if done.done():
-            return
-        try:
-            print(_rate(times) if new else "no new messages", flush=True)
-        except OSError as error:  # closed by `| head`; raised here, rclpy would print it
-            done.set_exception(error)
+        print(_rate(times) if new else "no new messages", flush=True)
         new = 0
 
+    _listen(options.topic, count, Future(), report)
+
+
+def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Callable[[], None] | None = None) -> None:
+    """Pass each message to `hear` until a signal or `done`; with `report`, called each second, as bytes.
+
+    An error of theirs, such as a terminal closed by `| head`, is raised here: in a callback rclpy would print it, too.
+    """
+
+    def guarded(act: Callable[..., None]) -> Callable[..., None]:
+        def acted(*message: Any) -> None:
+            try:
+                if not done.done():
+                    act(*message)
+            except Exception as error:
+                done.set_exception(error)
+
+        return acted
+
     with visiting() as node:
-        topic = absolute(options.topic)
-        kind = interface(_topic_types(node, topic)[0], "msg")
-        node.create_subscription(kind, topic, count, _offered_qos(node, topic), raw=True)
-        node.create_timer(_REPORT, report)
+        topic = absolute(topic)
+        kinds = types_of(node.get_topic_names_and_types, topic, f"nobody publishes or hears {topic}")
+        qos, raw = _offered_qos(node, topic), report is not None
+        node.create_subscription(interface(kinds[0], "msg"), topic, guarded(hear), qos, raw=raw)
+        if report is not None:
+            node.create_timer(_REPORT, guarded(report))
         spin(node, done)
     if done.done():
         done.result()
@@ -331,10 +335,6 @@ def _rate(times: deque[float]) -> str:
         f"average rate: {len(steps) / sum(steps):.3f}\n\tmin: {min(steps):.3f}s max: {max(steps):.3f}s "
         f"std dev: {statistics.pstdev(steps):.5f}s window: {len(stamps)}"
     )
-
-
-def _topic_types(node: Node, topic: str) -> list[str]:
-    return types_of(node.get_topic_names_and_types, topic, f"nobody publishes or hears {topic}")
 
 
 def _offered_qos(node: Node, topic: str) -> QoSProfile:
