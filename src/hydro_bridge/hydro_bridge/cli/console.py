@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import queue
 import sys
+import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -100,6 +102,26 @@ def progress(
                "delay": delay}  # fmt: skip
     bar: tqdm[Any] = tqdm(items, **about, **how)
     return bar
+
+
+def print_above_progress(line: str) -> None:
+    """Print a line on standard error, above a progress bar, if the terminal still exists."""
+    with suppress(OSError, ValueError):
+        tqdm.write(line, file=sys.stderr)
+
+
+def typed_lines() -> queue.SimpleQueue[str]:
+    """Return the lines typed on the terminal from now on, as they come; none where there is no terminal."""
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def read() -> None:
+        with suppress(OSError, ValueError):  # the terminal was closed
+            for line in sys.stdin:
+                lines.put(line)
+
+    if sys.stdin is not None and sys.stdin.isatty():
+        threading.Thread(target=read, daemon=True).start()
+    return lines
 
 
 class _Lines:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf
 
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.service import Service
@@ -33,6 +34,11 @@ from hydro_msgs.srv import Claim
 
 _AGAIN = 0.5  # s between two requests; the plant may give the authority to others after 3 s of silence
 _ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
+_DISARMED_WITHIN = 2.0  # s, for the last request to the plant
+UNCONFIRMED = (
+    "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms after 10 s; to "
+    "be sure, `ros2 run hydro_bridge arm --off`"
+)
 
 
 class Commander:
@@ -130,6 +136,18 @@ class Commander:
         answer = self._ask(Claim.Request.GIVE, heir)
         self._lose("")
         return answer
+
+    def give_back(self, heir: str = "") -> str:
+        """Give the authority back while nobody else spins the node; return what to say if no disarming is confirmed."""
+        if not self.held:
+            return ""
+        answer, executor = self.give(heir), EventsExecutor()
+        if answer is not None:
+            executor.add_node(self._node)
+            executor.spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
+            executor.remove_node(self._node)
+        executor.shutdown()
+        return "" if answer is not None and answer.done() and answer.result().success else UNCONFIRMED
 
     def _ask(self, act: int, whom: str = "") -> Future:
         request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim, whom=whom)

@@ -32,7 +32,7 @@ import numpy as np
 
 from hydro_bridge.bags.reader import objects, read_bag
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import UserError
+from hydro_bridge.cli.console import UserError, print_above_progress
 from hydro_bridge.files import site
 from hydro_bridge.files.site import ANEW
 from hydro_bridge.ros.companion import Companion
@@ -42,7 +42,6 @@ from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError, GateSkipped, Record, best, scored
-from hydro_policy.nodes.graph.announcements import print_above_progress
 from hydro_sim.model.bench import Bench
 
 T = TypeVar("T")

@@ -11,23 +11,18 @@
 from __future__ import annotations
 
 import queue
-import sys
-import threading
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
-from tqdm import tqdm
 
-from hydro_bridge.cli.console import UserError, progress
+from hydro_bridge.cli.console import UserError, print_above_progress, progress, typed_lines
 from hydro_bridge.process import endings
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, RecorderWatch
@@ -51,20 +46,13 @@ HOW_TO_ARM = {False: f"the plant is disarmed: {_ARM}", True: f"the plant has tri
 _SETTLE = 0.1  # s, between two requests
 _RETRY = 1.0  # s, after a refusal
 _ANSWER_WITHIN = 3.0  # s; a plant that has gone does not answer any more
-_DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
-
-
-def tell(sentence: str) -> None:
-    """Print a message on the terminal, above a progress bar; do nothing if the terminal is closed."""
-    with suppress(OSError, ValueError):
-        tqdm.write(sentence, file=sys.stderr)
 
 
 class Arming:
     """Arming of a plant on behalf of a commander. A plant that has tripped is disarmed first."""
 
-    def __init__(self, node: Node, commander: Commander) -> None:
-        self._node, self._commander = node, commander
+    def __init__(self, commander: Commander) -> None:
+        self._commander = commander
         self._rearm, self._granted = False, False
         self._answer: Future | None = None
         self._ask_after, self._told, self._refusal = 0.0, "", ""
@@ -73,8 +61,8 @@ class Arming:
     def begin(self, *, rearm: bool) -> None:
         """Begin: Enter on the terminal arms from now on; with `rearm`, arming is automatic."""
         self._rearm = rearm
-        if not rearm and sys.stdin is not None and sys.stdin.isatty():
-            threading.Thread(target=self._read_keys, daemon=True).start()
+        if not rearm:
+            self._keys = typed_lines()
 
     def rest(self) -> None:
         """Stop seeking: a person's consent was for one time only."""
@@ -91,25 +79,14 @@ class Arming:
         """Call instead while something is still `awaited`: requests to arm are refused, early arming is undone."""
         while not self._keys.empty():
             self._keys.get()
-            tell(f"! {NOT_YET.format(awaited)}")
+            _warn(NOT_YET.format(awaited))
         if not armed:
             self._told = ""
         elif now >= self._ask_after:
             if self._told != TOO_EARLY:
-                tell(f"! {TOO_EARLY}")
+                _warn(TOO_EARLY)
             self._told = TOO_EARLY
             self._request(arm=False, now=now)
-
-    def give_back(self) -> bool:
-        """Give the authority back, which disarms, while nobody else spins the node; return whether it is confirmed."""
-        answer, executor = self._commander.give(), EventsExecutor()
-        if answer is None:
-            return False
-        executor.add_node(self._node)
-        executor.spin_until_future_complete(answer, timeout_sec=_DISARM_TIMEOUT)
-        executor.remove_node(self._node)
-        executor.shutdown()
-        return answer.done() and bool(answer.result().success)
 
     def _request(self, *, arm: bool, now: float) -> None:
         self._ask_after = now + _SETTLE
@@ -124,7 +101,7 @@ class Arming:
             self._granted = True
         if not self._granted and HOW_TO_ARM[tripped] != self._told:
             self._told = HOW_TO_ARM[tripped]
-            tell(f"! {self._told}")
+            _warn(self._told)
         return self._granted
 
     def _on_answer(self, arm: bool, answer: Future) -> None:
@@ -133,13 +110,8 @@ class Arming:
             self._ask_after = time.monotonic() + _RETRY
             if refusal != self._refusal:
                 what = "was not armed" if arm else "did not confirm that it is disarmed"
-                tell(f"! the plant {what}: {refusal}")
+                _warn(f"the plant {what}: {refusal}")
         self._refusal = refusal
-
-    def _read_keys(self) -> None:
-        with suppress(OSError, ValueError):  # the terminal has gone
-            for line in sys.stdin:
-                self._keys.put(line)
 
 
 TRIPS_IN_A_ROW = 3
@@ -174,7 +146,7 @@ class CollectNode(Node):
         self._changes = (0.0, 0.0)  # to K_p [1/s] and K_i [1/s^2] of the box
         self._bar: Any = None
         self._commander = Commander(self, self._on_authority, endings.ask)
-        self._arming = Arming(self, self._commander)
+        self._arming = Arming(self._commander)
         create_subscription(self, STATE, self._on_state)
         subscribe_to_box(self, self._on_box)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -202,11 +174,8 @@ class CollectNode(Node):
         with endings.undisturbed():  # a second Ctrl-C waits
             self._driving = False
             self._commander.reference(Signal())
-            if self._commander.held and not self._arming.give_back():
-                tell(
-                    "! the plant did not confirm that it is disarmed: without commands it goes to base gains, and "
-                    "disarms after 10 s; to be sure, `ros2 run hydro_bridge arm --off`"
-                )
+            if unconfirmed := self._commander.give_back():
+                _warn(unconfirmed)
             if self._bar is not None:  # after the plant: there may be no terminal any more
                 self._bar.close()
 
@@ -311,4 +280,4 @@ class CollectNode(Node):
 
 
 def _warn(sentence: str) -> None:
-    tell(f"! {sentence}")
+    print_above_progress(f"! {sentence}")

@@ -6,14 +6,12 @@ from __future__ import annotations
 import math
 import re
 import signal
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import IO
 
-from tqdm import tqdm
-
+from hydro_bridge.cli.console import print_above_progress
 from hydro_bridge.ros.companion import Companion
 
 
@@ -71,12 +69,6 @@ class Announcer:
             with suppress(OSError):  # closing would write again
                 log.close()
             print_above_progress(f"! the log ends here: {error.strerror}")
-
-
-def print_above_progress(line: str) -> None:
-    """Print a line above the progress bar, if the terminal still exists."""
-    with suppress(OSError, ValueError):
-        tqdm.write(line, file=sys.stderr)
 
 
 class CompanionOutput:

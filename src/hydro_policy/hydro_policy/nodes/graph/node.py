@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import math
 import queue
-import sys
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,11 +13,11 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
+from hydro_bridge.cli.console import typed_lines
 from hydro_bridge.process import endings
 from hydro_bridge.process.realtime import Latency, drop_realtime
 from hydro_bridge.ros.commander import Commander
@@ -150,7 +148,6 @@ TICK = 0.05  # s
 NICE = -15
 """Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
 REMINDER = 30.0  # s, that a person disarmed the plant
-DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
 
 
 class GraphNode(Node):
@@ -273,19 +270,8 @@ class GraphNode(Node):
         With a `successor` set, the plant keeps the authority for that node.
         """
         self._session = None
-        answer = self._commander.give(self.successor)
-        if answer is None:
-            return
-        executor = EventsExecutor()
-        executor.add_node(self)
-        executor.spin_until_future_complete(answer, timeout_sec=DISARM_TIMEOUT)
-        executor.remove_node(self)
-        executor.shutdown()
-        if not answer.done() or not answer.result().success:
-            self.warn(
-                "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms "
-                "after 10 s; to be sure, `ros2 run hydro_bridge arm --off`"
-            )
+        if unconfirmed := self._commander.give_back(self.successor):
+            self.warn(unconfirmed)
 
     def listen_to_corrections(self) -> None:
         """Subscribe to the filter's corrections, and pass them to the session at each policy step."""
@@ -311,8 +297,7 @@ class GraphNode(Node):
 
     def listen_for_enter(self) -> None:
         """Let Enter on the terminal arm the plant."""
-        if sys.stdin is not None and sys.stdin.isatty():
-            threading.Thread(target=self._read_keys, daemon=True).start()
+        self._keys = typed_lines()
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """See `hydro_policy.supervision.interfaces.Outputs`."""
@@ -472,8 +457,3 @@ class GraphNode(Node):
         response = answer.result()
         if response is not None and not response.success:
             self.warn(f"the plant did not confirm that it is disarmed: {response.message}")
-
-    def _read_keys(self) -> None:
-        with suppress(OSError, ValueError):  # the terminal was closed
-            for line in sys.stdin:
-                self._keys.put(line)
