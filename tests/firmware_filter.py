@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -65,7 +65,7 @@ def parts_of(truth: Bench) -> LoopParts:
 def uneven() -> Bench:
     """A bench none of whose numbers is 0, 1 or another's equal: what the shipped one leaves out shows."""
     shipped = load_model()
-    numbers = [entry.name for entry in fields(Bench) if entry.metadata and entry.name != "load_cell_bandwidth"]
+    numbers = [name for name in Bench.quantities() if name != "load_cell_bandwidth"]
     shares = np.linspace(0.85, 1.15, len(numbers))
     changed = {name: share * getattr(shipped, name) for name, share in zip(numbers, shares, strict=True)}
     changed |= {"tank_pressure": 2e5, "stroke": 0.09375, "spring_rest_position": 0.041}

@@ -97,8 +97,9 @@ _KNOWN: dict[type[Any], dict[str, Setting]] = {}
 def check(settings: Any) -> None:
     """Raise SettingsError for the first value of a settings dataclass that violates its declaration."""
     for name, setting in describe(type(settings)).items():
-        if isfinite(setting.low) or setting.words:
-            value = getattr(settings, name)
+        value = getattr(settings, name)
+        sound = type(value) is float is setting.kind and setting.low <= value <= setting.high  # most are, at once
+        if not sound and (isfinite(setting.low) or setting.words):
             converted(setting, value.item() if hasattr(value, "item") else value, name, strict=True)
 
 

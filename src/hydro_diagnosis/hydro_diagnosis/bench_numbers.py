@@ -11,13 +11,14 @@ Viscous friction and spring are in the motion equation where the bench has them.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
+from hydro_bridge.settings import quantity, read_yaml
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.recording import InputError
-from hydro_sim.model.bench import Bench, read_content
+from hydro_sim.model.bench import Bench
 
 SPRING = ("spring_stiffness", "spring_rest_position")
 NONE = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
@@ -30,7 +31,7 @@ _INERT = {"stroke": 5.0, "valve_current_max": 10.0}
 class PartialBench(Bench):
     """A bench some of whose numbers are not known, or that has no spring."""
 
-    spring_stiffness: float = field(metadata={"unit": "N/m", "low": 0.0, "high": 1e8})
+    spring_stiffness: Annotated[float, quantity("N/m", 0.0, 1e8)]
     """0: no spring."""
     unknown: frozenset[str] = frozenset()
     """Numbers that hold stand-ins."""
@@ -73,17 +74,15 @@ def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Ben
     `path`: bench.yaml or corrected.yaml. `estimated`: numbers that will be estimated: those that are not given hold
     stand-ins, also of `NONE`. Raises ValueError: as `Bench.load`.
     """
-    content = read_content(path)
+    content = read_yaml(path)
     try:
         return completed(content, estimated)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def completed(content: object, estimated: frozenset[str] = frozenset()) -> Bench:
+def completed(content: Mapping[str, Any], estimated: frozenset[str] = frozenset()) -> Bench:
     """A bench of the keys and values that are known; `estimated` and errors as in `read_bench`."""
-    if not isinstance(content, Mapping):
-        return Bench.from_mapping(content)
     springless = content.get("spring_stiffness") == 0
     missing = frozenset(name for name in numbers() if name not in content)
     if not missing and not springless:
@@ -101,7 +100,7 @@ def completed(content: object, estimated: frozenset[str] = frozenset()) -> Bench
 
 def numbers() -> tuple[str, ...]:
     """The numbers that a whole bench file holds, in the order of `Bench`."""
-    return tuple(entry.name for entry in fields(Bench) if entry.metadata and entry.name != "load_cell_bandwidth")
+    return tuple(name for name in Bench.quantities() if name != "load_cell_bandwidth")
 
 
 def told(bench: Bench, **values: float) -> Bench:
@@ -206,8 +205,7 @@ def refuse_missing(channels: Collection[str], bench: Bench, estimated: Collectio
     }
     if not lacking:
         return
-    units = {entry.name: entry.metadata["unit"] for entry in fields(Bench) if entry.metadata}
-    asked = ", ".join(f"{name} ({units[name]}, {equation})" for name, equation in lacking.items())
+    asked = ", ".join(f"{name} ({Bench.quantities()[name].unit}, {equation})" for name, equation in lacking.items())
     raise InputError(
         f"the bench file lacks {asked}: write what is known, leave out channels that it is not needed for, or have a "
         f"number estimated from the recordings with --estimate {' '.join(lacking)}"

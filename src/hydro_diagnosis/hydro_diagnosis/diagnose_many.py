@@ -31,11 +31,11 @@ from hydro_bridge.bags.source import BagSource
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import UserError, command, plural, writable_folder
+from hydro_bridge.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.findings import ParameterEstimate, Report
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import SUFFIXES, InputError
-from hydro_sim.model.bench import read_content
 
 _OF = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
 DIAGNOSES = pa.schema(
@@ -202,7 +202,7 @@ def asked_of(chosen: argparse.Namespace) -> dict[str, Any]:
         read_bench(chosen.bench, frozenset(chosen.estimate))
     columns = ColumnMap.load(chosen.columns)
     return {
-        "bench": read_content(chosen.bench) if chosen.bench else None,
+        "bench": read_yaml(chosen.bench) if chosen.bench else None,
         "columns": None if columns is None else str(columns),
         **{name: getattr(chosen, name) for name in ("without", "estimate", "seconds")},
     }

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -58,11 +58,7 @@ def similar(effects: bool) -> tuple[Bench, Bench]:
     """The nominal bench and the similar one."""
     one = with_effects() if effects else Bench.nominal()
     other = with_effects(FORCE, PRESSURE, LENGTH, CURRENT) if effects else Bench.nominal()
-    numbers = {
-        entry.name: getattr(one, entry.name) * BY_UNIT[entry.metadata["unit"]]
-        for entry in fields(Bench)
-        if entry.metadata
-    }
+    numbers = {name: getattr(one, name) * BY_UNIT[number.unit] for name, number in Bench.quantities().items()}
     return one, replace(other, **numbers)
 
 

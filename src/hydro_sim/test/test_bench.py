@@ -30,10 +30,10 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"bulk_modulos": 1e9}, "unknown key 'bulk_modulos', did you mean 'bulk_modulus'?"),
-        ({"stroke": ...}, "key 'stroke' is missing"),
-        ({"stroke": -0.08}, "stroke = -0.08 is not a number in [0.001, 5] m"),
-        ({"moving_mass": nan}, "moving_mass = nan is not a number in [0.01, 10000] kg"),
+        ({"bulk_modulos": 1e9}, "bench.bulk_modulos is not a known setting; did you mean bulk_modulus?"),
+        ({"stroke": ...}, "bench lacks stroke [m]"),
+        ({"stroke": -0.08}, "bench.stroke must be within [0.001, 5] m, not -0.08: L_c"),
+        ({"moving_mass": nan}, "bench.moving_mass must be a number in kg, not nan"),
         (
             {"supply_pressure": 1e5, "tank_pressure": 2e5},
             "tank_pressure 200000 Pa is not below supply_pressure 100000 Pa",

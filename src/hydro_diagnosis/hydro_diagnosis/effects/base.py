@@ -9,7 +9,7 @@ through `Memory`, which either filters a whole record or advances one step.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any, ClassVar, Protocol
 
@@ -31,9 +31,9 @@ TANK_MAX = 0.99
 
 def changed(bench: Bench, **values: float | None) -> Bench:
     """A bench with values replaced, kept within the ranges that `Bench` allows, and the tank below the supply."""
-    limits = {one.name: one.metadata for one in fields(bench)}
+    limits = bench.quantities()
     inside: dict[str, Any] = {
-        name: value if value is None else min(max(value, limits[name]["low"]), limits[name]["high"])
+        name: value if value is None else min(max(value, limits[name].low), limits[name].high)
         for name, value in values.items()
     }
     supply = inside.get("supply_pressure", bench.supply_pressure)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -186,22 +186,21 @@ def _alike(
 def _entry(
     bench: Bench, name: str, claim: Claim, bound: Interval, given: float | None, others: list[str], *, told: bool
 ) -> NumberEstimate:
-    unit = next(entry.metadata["unit"] for entry in fields(Bench) if entry.name == name)
+    number = Bench.quantities()[name]
     parameter = pack([claim])[0][0].name
     value, low, high = (
         float(getattr(claim.effect.settled(bench, {parameter: one}), name))
         for one in (bound.value, bound.low, bound.high)
     )
-    positive = next(entry.metadata["low"] for entry in fields(Bench) if entry.name == name) > 0.0
-    sure = told and bound.identifiable and not (positive and high - low > 2.0 * VAGUE * abs(value))
+    sure = told and bound.identifiable and not (number.low > 0.0 and high - low > 2.0 * VAGUE * abs(value))
     return NumberEstimate(
         name=name,
         value=value,
-        unit=unit,
+        unit=number.unit,
         ci95=[low, high] if sure else None,
         given=given,
         alike=[one for one in others if one != name],
-        sentence=_sentence(name, f"{value:.5g} {unit}", f"{low:.5g} to {high:.5g}" if sure else "", others),
+        sentence=_sentence(name, f"{value:.5g} {number.unit}", f"{low:.5g} to {high:.5g}" if sure else "", others),
     )
 
 

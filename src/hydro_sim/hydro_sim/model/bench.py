@@ -8,70 +8,59 @@ compiled code reads) is derived from them. Values: physics.md, "The nominal benc
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from difflib import get_close_matches
+from dataclasses import dataclass, fields, replace
 from importlib import resources
-from math import inf, isfinite, pi, sqrt
+from math import isfinite, pi, sqrt
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from hydro_bridge.files import bench_file
+from hydro_bridge.settings import Setting, check, describe, from_mapping, quantity, read_yaml
 from hydro_bridge.size import Size
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.quality import Quality
 
 
-def _quantity(unit: str, low: float, high: float) -> Any:
-    return field(metadata={"unit": unit, "low": low, "high": high})
-
-
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """The nominal bench, SI units. Field metadata: `unit`, `low`, `high` (inclusive).
+    """The nominal bench, SI units. Raises ValueError: a value is not within its range."""
 
-    Raises
-    ------
-    ValueError
-        If a value is not a finite number within its range; the sentence names key, value, unit and range.
-    """
-
-    bulk_modulus: float = _quantity("Pa", 1e7, 1e10)
+    bulk_modulus: Annotated[float, quantity("Pa", 1e7, 1e10)]
     """beta, of oil and hoses together."""
-    piston_area: float = _quantity("m2", 1e-6, 1e-1)
+    piston_area: Annotated[float, quantity("m2", 1e-6, 1e-1)]
     """A_p, of chamber A."""
-    area_ratio: float = _quantity("-", 0.05, 1.0)
+    area_ratio: Annotated[float, quantity("-", 0.05, 1.0)]
     """alpha, area of chamber B over that of chamber A."""
-    stroke: float = _quantity("m", 1e-3, 5.0)
+    stroke: Annotated[float, quantity("m", 1e-3, 5.0)]
     """L_c."""
-    supply_pressure: float = _quantity("Pa", 1e5, 1e8)
+    supply_pressure: Annotated[float, quantity("Pa", 1e5, 1e8)]
     """p_s."""
-    tank_pressure: float = _quantity("Pa", 0.0, 1e7)
+    tank_pressure: Annotated[float, quantity("Pa", 0.0, 1e7)]
     """p_t, below the supply pressure."""
-    valve_nominal_flow: float = _quantity("m3/s", 1e-7, 1e-1)
+    valve_nominal_flow: Annotated[float, quantity("m3/s", 1e-7, 1e-1)]
     """q_n, at nominal current and nominal pressure drop over both lands together."""
-    valve_nominal_current: float = _quantity("A", 1e-4, 10.0)
+    valve_nominal_current: Annotated[float, quantity("A", 1e-4, 10.0)]
     """u_n."""
-    valve_nominal_pressure_drop: float = _quantity("Pa", 1e4, 1e8)
+    valve_nominal_pressure_drop: Annotated[float, quantity("Pa", 1e4, 1e8)]
     """Delta p_n."""
-    valve_current_max: float = _quantity("A", 1e-4, 10.0)
+    valve_current_max: Annotated[float, quantity("A", 1e-4, 10.0)]
     """Magnitude at which the valve current saturates."""
-    dead_volume_a: float = _quantity("m3", 1e-7, 1e-1)
+    dead_volume_a: Annotated[float, quantity("m3", 1e-7, 1e-1)]
     """V_dead_a, valve block and hoses."""
-    dead_volume_b: float = _quantity("m3", 1e-7, 1e-1)
+    dead_volume_b: Annotated[float, quantity("m3", 1e-7, 1e-1)]
     """V_dead_b."""
-    moving_mass: float = _quantity("kg", 1e-2, 1e4)
+    moving_mass: Annotated[float, quantity("kg", 1e-2, 1e4)]
     """m, piston, rod and load together."""
-    viscous_friction: float = _quantity("N s/m", 0.0, 1e6)
+    viscous_friction: Annotated[float, quantity("N s/m", 0.0, 1e6)]
     """b."""
-    spring_stiffness: float = _quantity("N/m", 1.0, 1e8)
+    spring_stiffness: Annotated[float, quantity("N/m", 1.0, 1e8)]
     """k_s, of the environment."""
-    spring_rest_position: float = _quantity("m", -5.0, 5.0)
+    spring_rest_position: Annotated[float, quantity("m", -5.0, 5.0)]
     """x_rest, piston position at which the spring carries no force."""
-    load_cell_bandwidth: float | None = field(default=None, metadata={"unit": "Hz", "low": 1.0, "high": 1e4})
+    load_cell_bandwidth: Annotated[float, quantity("Hz", 1.0, 1e4)] | None = None
     """Second-order Butterworth low-pass in the load cell's amplifier; None: ideal."""
     effects: tuple[Mapping[str, Any], ...] = ()
     """Effects beyond these equations, found by a diagnosis (`corrected.yaml`), as read: `hydro_sim.model.effects`."""
@@ -81,9 +70,7 @@ class Bench:
     """Result of `learn`: the `bench` that it was (a digest), and its `Quality`."""
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            if entry.metadata:
-                _check(entry.name, getattr(self, entry.name), entry.metadata, optional=entry.default is None)
+        check(self)
         if self.tank_pressure >= self.supply_pressure:
             raise ValueError(
                 f"tank_pressure {self.tank_pressure:g} Pa is not below supply_pressure {self.supply_pressure:g} Pa"
@@ -91,6 +78,11 @@ class Bench:
         if any(effect["id"] == "closure" for effect in self.effects):
             raise ValueError("closures stand under 'closures', not under 'effects'")
         catalogue.check(self.terms)
+
+    @classmethod
+    def quantities(cls) -> dict[str, Setting]:
+        """Declarations of its numbers by name, in order: unit, range, meaning."""
+        return {name: setting for name, setting in describe(cls).items() if isfinite(setting.low)}
 
     @property
     def valve_gain(self) -> float:
@@ -132,14 +124,14 @@ class Bench:
         ValueError
             In one sentence that names the file, and the key if it is about one.
         """
-        content = read_content(path)
+        content = read_yaml(path)
         try:
             return cls.from_mapping(content)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
     @classmethod
-    def from_mapping(cls, content: object) -> Bench:
+    def from_mapping(cls, content: Mapping[str, Any]) -> Bench:
         """Create a bench from keys and values, for instance of a YAML file or of a recording's metadata.
 
         Raises
@@ -147,26 +139,14 @@ class Bench:
         ValueError
             If a key is missing, unknown, or its value is not a number in range.
         """
-        if not isinstance(content, Mapping):
-            raise ValueError("a bench is a mapping of keys to values")
-        entries = {entry.name: entry for entry in fields(cls)}
-        unknown = [str(key) for key in content if key not in entries]
-        missing = [name for name, entry in entries.items() if name not in content and _required(entry)]
-        if unknown:
-            close = get_close_matches(unknown[0], entries, 1)
-            raise ValueError(f"unknown key {unknown[0]!r}" + (f", did you mean {close[0]!r}?" if close else ""))
-        if missing:
-            several = len(missing) > 1
-            named = ", ".join(repr(name) for name in missing)
-            raise ValueError(f"key{'s' if several else ''} {named} {'are' if several else 'is'} missing")
-        values = {key: _number(key, value) for key, value in content.items() if key not in _NOT_NUMBERS}
-        learned = content.get("learned")
-        if learned is not None:
-            Quality.from_mapping(learned)
+        missing = [name for name, setting in describe(cls).items() if setting.required and name not in content]
+        if len(missing) > 1:
+            raise ValueError(f"a bench has {', '.join(missing)}, too")
+        if content.get("learned") is not None:
+            Quality.from_mapping(content["learned"])
+        effects = _listed("effects", content.get("effects"), ("id",))
         closures = _listed("closures", content.get("closures"), ("equation", "form", "parameters"))
-        return cls(
-            **values, effects=_listed("effects", content.get("effects"), ("id",)), closures=closures, learned=learned
-        )
+        return from_mapping(cls, {**content, "effects": effects, "closures": closures}, "bench")
 
     def to_mapping(self) -> dict[str, Any]:
         """Return keys and values as in bench.yaml; the optional ones only if set."""
@@ -191,60 +171,18 @@ class Bench:
 
     def _with_corrected_numbers(self) -> Bench:
         """Without effects, those that are wrong numbers of the bench file written into its numbers."""
-        quantities = [entry for entry in fields(self) if entry.metadata]
-        limits = {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in quantities}
+        limits = {name: (one.low, one.high) for name, one in self.quantities().items()}
         believed = {name: getattr(self, name) for name in limits}
         numbers: dict[str, Any] = catalogue.corrected(believed, limits, self.effects)
         return replace(self, effects=(), closures=(), learned=None, **numbers)
 
 
 BENCH_DTYPE = np.dtype(
-    [(entry.name, np.float64) for entry in fields(Bench) if entry.metadata and entry.name != "load_cell_bandwidth"]
+    [(name, np.float64) for name in Bench.quantities() if name != "load_cell_bandwidth"]
     + [("valve_gain", np.float64), ("load_cell_omega", np.float64)]
 )
 """The bench for compiled code, SI units; `valve_gain` is K_v, `load_cell_omega` [rad/s] is 0 for an ideal load cell.
 Effects that are wrong numbers of the bench file are in the numbers; the others are the model's (`bench_model`)."""
-
-_NOT_NUMBERS = ("effects", "closures", "learned")
-
-
-def read_content(path: str | Path) -> object:
-    """What a bench file holds, not checked.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be read or is not YAML, in one sentence that names it.
-    """
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
-
-
-def _required(entry: Any) -> bool:
-    return entry.name not in ("load_cell_bandwidth", *_NOT_NUMBERS)
-
-
-def _check(key: str, value: object, metadata: Mapping[str, Any], *, optional: bool) -> None:
-    if value is None and optional:
-        return
-    low, high, unit = metadata["low"], metadata["high"], metadata["unit"]
-    number = value if isinstance(value, (int, float)) and not isinstance(value, bool) else inf
-    if not (isfinite(number) and low <= number <= high):
-        raise ValueError(f"{key} = {value!r} is not a number in [{low:g}, {high:g}] {unit}")
-
-
-def _number(key: object, value: Any) -> Any:
-    """YAML 1.1 as PyYAML reads it takes 1e9 for text: texts become numbers here, anything else is checked by Bench."""
-    if value is None or isinstance(value, bool):
-        return value
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{key} = {value!r} is not a number") from None
 
 
 def _listed(key: str, value: Any, needs: Sequence[str]) -> tuple[Mapping[str, Any], ...]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.metadata import version
 from math import ceil
@@ -84,7 +84,7 @@ class BenchModel:
             for effect, (kind, _) in zip(bench.terms, kinds, strict=True)
             for one in kind.parameters
         )
-        numbers = [float(getattr(bench, entry.name) or 0.0) for entry in fields(bench) if entry.metadata]
+        numbers = [float(getattr(bench, name) or 0.0) for name in bench.quantities()]
         self.values: FloatArray = np.array(numbers + [value for _, values in kinds for value in values])
         """The parameters' values in the bench file."""
         self.structure = structure_of(bench, substeps)
@@ -186,10 +186,9 @@ _TEXTBOOK = (
 
 
 def _numbers(bench: Bench) -> list[Named]:
-    entries = [(entry, entry.metadata) for entry in fields(bench) if entry.metadata]
     return [
-        Named(entry.name, about["unit"], about["low"], about["high"], 0.1 * abs(getattr(bench, entry.name) or 0.0))
-        for entry, about in entries
+        Named(name, one.unit, one.low, one.high, 0.1 * abs(getattr(bench, name) or 0.0))
+        for name, one in bench.quantities().items()
     ]
 
 
@@ -237,7 +236,7 @@ def _assembled(structure: Structure) -> Functions:
 
 def _limits() -> dict[str, tuple[float, float]]:
     """Names of a bench's numbers, with the range of each."""
-    return {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in fields(Bench) if entry.metadata}
+    return {name: (float(one.low), float(one.high)) for name, one in Bench.quantities().items()}
 
 
 def _source(structure: Structure, part: Part) -> str:
