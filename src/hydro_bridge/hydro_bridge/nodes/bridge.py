@@ -7,7 +7,6 @@ ros2 run hydro_bridge bridge --port /dev/ttyUSB0 [--baud 2000000] [--bench FILE]
 from __future__ import annotations
 
 import argparse
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -17,7 +16,7 @@ from typing import Any
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.files import bench_file, site
 from hydro_bridge.link.link import Link, LinkState
-from hydro_bridge.nodes.plant_node import PlantNode
+from hydro_bridge.nodes.plant_node import PlantNode, mode
 from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import differences, known_box
@@ -26,7 +25,6 @@ from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, no_port
 from hydro_bridge.serial.protocol import State
 from hydro_bridge.settings import describe
-from hydro_bridge.signals import Flag, flag_names
 from hydro_bridge.size import Size
 
 
@@ -38,9 +36,7 @@ class BridgeSide(Link):
 
     def status(self) -> Status:
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
-        report, flags = self.report, self.flags
-        with self.lock:
-            guard = asdict(self.guard.counts)
+        report = self.report
         values = {
             "port": self.port.settings.path,
             "box": self.box.name if self.box else "",
@@ -48,8 +44,6 @@ class BridgeSide(Link):
             "protocol version": self.version,
             "refused by the box": self.refused[0],
             "references refused by the box": self.refused[1],
-            "flags": flag_names(flags),
-            "require filter": self.guard.settings.require_filter,
             **asdict(self.counts),
             "reconnects": report.reconnects,
             "dropped writes": self.port.dropped_writes,
@@ -58,24 +52,11 @@ class BridgeSide(Link):
             "state in to correction out": report.times.turnaround.sentence(),
             "command out to confirmation in": report.times.round_trip.sentence(),
             "low latency mode": self.port.low_latency,
-            **{f"guard {name}": count for name, count in guard.items()},
         }
-        return Status(level=self._level(), message=self._sentence(), values=values)
-
-    def _level(self) -> Level:
         if self.state is not LinkState.CONNECTED:
-            return Level.ERROR
-        troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
-        if self.flags & troubled or self.foreign or not self.guard.settings.require_filter:
-            return Level.WARN
-        return Level.OK
-
-    def _sentence(self) -> str:
-        if self.state is not LinkState.CONNECTED:
-            return f"no box: the port is {self.state.value}"
-        name = "tripped" if self.flags & Flag.TRIPPED else "armed" if self.flags & Flag.ARMED else "disarmed"
-        name += f", the box differs: {self.foreign}" if self.foreign else ""
-        return name if self.guard.settings.require_filter else f"{name}, FILTER NOT REQUIRED"
+            return Status(level=Level.ERROR, message=f"no box: the port is {self.state.value}", values=values)
+        differs = f", the box differs: {self.foreign}" if self.foreign else ""
+        return Status(level=Level.WARN if differs else Level.OK, message=mode(self.flags) + differs, values=values)
 
 
 class BridgeNode(PlantNode):
@@ -87,26 +68,10 @@ class BridgeNode(PlantNode):
         usual = GuardSettings() if size is None else GuardSettings.of_size(size)
         guard = CommandGuard(settings=declare_parameters(self, usual, "guard."))
         port = Port(declare_parameters(self, settings))
-        if not guard.settings.require_filter:
-            self.get_logger().warning(
-                "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
-                "leave it out unless you want that"
-            )
         logger, self._bench = self.get_logger(), bench
         self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box)
         self.connect(self.link)
         self.get_logger().info(request_realtime(realtime=realtime))
-        self._thread = threading.Thread(target=self.link.run, name="serial", daemon=True)
-
-    def begin(self) -> None:
-        """Open the port and greet the box, which disarms a box in use; call only once all settings are checked."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Disarm and close the port."""
-        self.link.stop()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
 
     def _publish(self, sample: State, stamp_ns: int, flags: int) -> None:
         self.publish_law_state(stamp_ns, sample.sequence, sample.law_state)

@@ -22,11 +22,12 @@ the time of its first message; commands on a topic with two are then ignored, an
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import asdict
 from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
@@ -141,6 +142,7 @@ class PlantSide(Protocol):
     """Plant behind a plant node; it runs in its own thread."""
 
     guard: CommandGuard
+    flags: int
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
@@ -153,7 +155,21 @@ class PlantSide(Protocol):
         """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
 
     def status(self) -> Status:
-        """Status for /diagnostics."""
+        """Status for /diagnostics, besides flags and guard."""
+
+    def run(self) -> None:
+        """Run the plant until `stop`; the body of its thread."""
+
+    def stop(self) -> None:
+        """End `run`."""
+
+
+_TROUBLED = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
+
+
+def mode(flags: int) -> str:
+    """Return the state of the box's arming in a word."""
+    return "tripped" if flags & Flag.TRIPPED else "armed" if flags & Flag.ARMED else "disarmed"
 
 
 class Gate:
@@ -329,6 +345,12 @@ class PlantNode(Node):
             f"guard: delta_kp within [{limits.delta_kp_min:g}, {limits.delta_kp_max:g}] 1/s, delta_ki within "
             f"[{limits.delta_ki_min:g}, {limits.delta_ki_max:g}] 1/s^2, relying on {limits.relies_on}"
         )
+        if not limits.require_filter:
+            self.get_logger().warning(
+                "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
+                "leave it out unless you want that"
+            )
+        self._thread = threading.Thread(target=side.run, name="plant", daemon=True)
         self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         gains = create_subscription(self, GAINS, self._on_gains)
         correction = subscribe(self, CORRECTION, CORRECTIONS, self._on_correction)
@@ -338,6 +360,16 @@ class PlantNode(Node):
             self.gate.listen(topic, heard)  # no callback runs before the node is spun
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = DiagnosticsPublisher(self, self._status)
+
+    def begin(self) -> None:
+        """Start the plant's thread; call only once all settings are checked."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Disarm, and end the plant's thread."""
+        self.side.stop()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
 
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
         """Publish one sample; `values` in STATE_FIELDS order. Call from the plant's thread only."""
@@ -398,11 +430,16 @@ class PlantNode(Node):
             self.side.guard.set_reference(signal)
 
     def _status(self) -> Status:
-        status, given_up = self.side.status(), self.side.guard.given_up
-        if given_up:
-            message = f"{status.message}: {given_up}"
-            status = replace(status, level=max(status.level, Level.WARN), message=message)
-        status = replace(status, values={**status.values, **self.gate.values()})
+        side, status = self.side, self.side.status()
+        with side.lock:
+            guard, given_up = asdict(side.guard.counts), side.guard.given_up
+        required, message = side.guard.settings.require_filter, status.message
+        message += "" if required else ", FILTER NOT REQUIRED"
+        message += f": {given_up}" if given_up else ""
+        least = Level.WARN if given_up or not required or side.flags & _TROUBLED else Level.OK
+        values = {"flags": flag_names(side.flags), "require filter": required, **status.values}
+        values |= {f"guard {name}": count for name, count in guard.items()} | self.gate.values()
+        status = Status(level=max(status.level, least), message=message, values=values)
         if self.count_publishers(STATE) > 1 and not self._beside_another:
             self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")
         self._beside_another = self.count_publishers(STATE) > 1

@@ -8,9 +8,8 @@ ros2 run hydro_sim sim [--model FILE | shipped | analytic] [--bench FILE] [--box
 from __future__ import annotations
 
 import argparse
-import threading
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +17,13 @@ from rosgraph_msgs.msg import Clock
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.files import site
-from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.ros.diagnostics import Level, Status
+from hydro_bridge.nodes.plant_node import PlantNode, mode
+from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import CLOCK
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe
-from hydro_bridge.signals import Flag, flag_names
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity
@@ -48,11 +46,7 @@ class SimSide(Simulation):
 
     def status(self) -> Status:
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
-        with self.lock:
-            guard = asdict(self.guard.counts)
         values = {
-            "flags": flag_names(self.flags),
-            "require filter": self.guard.settings.require_filter,
             "samples": self.samples,
             "simulated seconds per second": self.speed_reached(),
             "late samples": self.pacer.late,
@@ -60,19 +54,9 @@ class SimSide(Simulation):
             "left out [s]": self.pacer.skipped,
             "effects": self.effects or "none",
             "refused by the box": self.refused,
-            **{f"guard {name}": count for name, count in guard.items()},
         }
-        return Status(level=self._level(), message=self._sentence(), values=values)
-
-    def _level(self) -> Level:
-        troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
-        return Level.WARN if self.flags & troubled or not self.guard.settings.require_filter else Level.OK
-
-    def _sentence(self) -> str:
-        name = "tripped" if self.flags & Flag.TRIPPED else "armed" if self.flags & Flag.ARMED else "disarmed"
         pace = "in lock-step" if self.steps.engaged else f"{self.speed_reached():.2f} times real time"
-        filtered = "" if self.guard.settings.require_filter else ", FILTER NOT REQUIRED"
-        return f"{name}, {pace}{filtered}"
+        return Status(message=f"{mode(self.flags)}, {pace}", values=values)
 
 
 class SimNode(PlantNode):
@@ -84,11 +68,6 @@ class SimNode(PlantNode):
         bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
         believed = Bench.load(settings.box_bench) if settings.box_bench else bench
         guard = CommandGuard(settings=declare_parameters(self, GuardSettings.of_size(believed.size), "guard."))
-        if not guard.settings.require_filter:
-            self.get_logger().warning(
-                "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
-                "leave it out unless you want that"
-            )
         config = declare_parameters(self, BoxConfig().of_bench(believed), "box.")
         box, plant = Box(believed, config), _plant(settings, bench)
         effects = ", ".join(map(label, plant.model.bench.terms)) if isinstance(plant, AnalyticPlant) else ""
@@ -104,18 +83,11 @@ class SimNode(PlantNode):
         self._known, self._law = known_box(info, believed.to_mapping(), self.get_name()), config.compensated
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
         self.get_logger().info(request_realtime(realtime=realtime and self.simulation.real_time))
-        self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
 
     def begin(self) -> None:
         """Start the plant's thread, once all settings are valid."""
         self.publish_box(self._known, self._law)
-        self._thread.start()
-
-    def close(self) -> None:
-        """End the plant's thread."""
-        self.simulation.stop()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
+        super().begin()
 
     def _publish(self, stamp_ns: int, fields: tuple[Any, ...]) -> None:
         if self._clock_publisher is not None:
