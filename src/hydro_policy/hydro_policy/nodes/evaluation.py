@@ -114,13 +114,13 @@ def new_evaluation(parent: Path, name: str | None) -> Iterator[RunDirectory]:
 
 
 @contextmanager
-def remove_rejected_evaluation(run: RunDirectory, node: GraphNode) -> Iterator[None]:
-    """Remove the folder of an evaluation whose companions rejected their input."""
+def remove_rejected(run: RunDirectory, node: GraphNode, *, made: bool = True) -> Iterator[None]:
+    """Remove the folder of a run, if it was `made` for it, whose companions rejected their input."""
     try:
         yield
     except CompanionError:
-        lost = node.companions.lost and not node.refused  # ended by itself: its recording is worth keeping
-        if not lost and node.timing.response.count == 0:  # no gains have ever gone out
+        lost = node.companions.lost and not node.refused  # ended by itself: there is a recording, or it can be resumed
+        if made and not lost and node.timing.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(run.path, ignore_errors=True)
         raise
 
@@ -202,7 +202,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         stack.callback(node.destroy_node)
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)
-        stack.enter_context(remove_rejected_evaluation(run, node))
+        stack.enter_context(remove_rejected(run, node))
         node.box_fault = partial(box_mismatch, box)
         if options.plant != "external":
             start_plant(stack, node, options, wanted, run)

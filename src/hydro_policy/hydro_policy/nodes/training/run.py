@@ -21,7 +21,14 @@ from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyCo
 from hydro_policy.evaluation.gain_search import coarse_grid
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
-from hydro_policy.nodes.evaluation import conditions, evaluate_on, search_on, show_results, write_page
+from hydro_policy.nodes.evaluation import (
+    conditions,
+    evaluate_on,
+    remove_rejected,
+    search_on,
+    show_results,
+    write_page,
+)
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrainingProgress
 from hydro_policy.nodes.startup.companions import describe_policy
@@ -30,7 +37,6 @@ from hydro_policy.nodes.training.start import (
     Prepared,
     begin_record,
     prepare,
-    remove_rejected_run,
     restore_plant_file,
     start_plant,
 )
@@ -145,7 +151,7 @@ def train(options: argparse.Namespace) -> int:
         node = GraphNode("trainer")
         stack.callback(node.destroy_node)
         prepared = prepare(options, node)
-        stack.enter_context(remove_rejected_run(prepared, node))
+        stack.enter_context(remove_rejected(prepared.run, node, made=prepared.made))
         run, settings = prepared.run, prepared.settings
         node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import shutil
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.cli.console import writable_folder
-from hydro_bridge.ros.companion import CompanionError, start_page
+from hydro_bridge.ros.companion import start_page
 from hydro_bridge.ros.node import refuse_unknown_parameters
 from hydro_bridge.size import resized
 from hydro_policy.learner_process.learner import SaveRequest, write_run
@@ -80,18 +78,6 @@ class Prepared:
         """Best agent of the resumed run, if it has one."""
         path = self.run.best / AGENT
         return path.read_bytes() if self.checkpoint is not None and path.is_file() else None
-
-
-@contextmanager
-def remove_rejected_run(prepared: Prepared, node: GraphNode) -> Iterator[None]:
-    """Remove the folder of a new run whose companions rejected their input."""
-    try:
-        yield
-    except CompanionError:
-        lost = node.companions.lost and not node.refused  # ended by itself: the run may continue with --resume
-        if prepared.made and not lost and node.timing.response.count == 0:  # no gains have ever gone out
-            shutil.rmtree(prepared.run.path, ignore_errors=True)  # already deleted
-        raise
 
 
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
