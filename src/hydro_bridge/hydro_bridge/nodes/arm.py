@@ -14,11 +14,8 @@ import argparse
 from contextlib import suppress
 from math import inf
 
-import rclpy
-from rclpy.node import Node
-
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.ros.node import ros_arguments, start_ros
+from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import CLAIM_SERVICE
 from hydro_msgs.srv import Claim
 
@@ -46,33 +43,11 @@ def main() -> None:
     asked = parser().parse_args(own)
     if asked.off and asked.whom:
         raise UserError("--off disarms for everybody: leave --for out")
-    start_ros(ros)
-    node = Node("arm")
-    try:
-        print(ask(node, arm=not asked.off, timeout=asked.timeout, whom=asked.whom))
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
-    """Ask the plant to arm or disarm, and return its answer; if `whom` is named, arm only if that node commands it.
-
-    Raises UserError: there is no plant, it does not answer within `timeout` [s], or it refuses.
-    """
-    client = node.create_client(Claim, CLAIM_SERVICE)
-    act = Claim.Request.ARM if arm else Claim.Request.DISARM
-    request = Claim.Request(act=act, name="a person, by `arm`", whom=whom)
-    if not client.wait_for_service(timeout_sec=timeout):
-        raise UserError("no plant runs here: start a bridge or a simulation first")
-    answer = client.call_async(request)
-    rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout)
-    if not answer.done():
-        raise UserError(f"the plant did not answer within {timeout:g} s: it may have acted or not; check its flags")
-    if not answer.result().success:
-        raise UserError(f"the plant refuses: {answer.result().message}")
-    return str(answer.result().message)
-
-
-if __name__ == "__main__":
-    main()
+    act = Claim.Request.DISARM if asked.off else Claim.Request.ARM
+    answer = call_service(
+        "arm", ros, CLAIM_SERVICE, Claim, Claim.Request(act=act, name="a person, by `arm`", whom=asked.whom),
+        absent="no plant runs here: start a bridge or a simulation first",
+        unanswered=f"the plant did not answer within {asked.timeout:g} s: it may have acted or not; check its flags",
+        refused="the plant refuses: ", found_within=asked.timeout, within=asked.timeout,
+    )  # fmt: skip
+    print(answer)

@@ -216,6 +216,34 @@ def spin(node: Node, until: Future | None = None) -> bool:
     return bool(ended)
 
 
+def call_service(
+    name: str, ros: Sequence[str], service: str, kind: type[Any], request: Any, *,
+    absent: str, unanswered: str, refused: str = "", found_within: float, within: float,
+) -> str:  # fmt: skip
+    """Call a service once as the node `name`; return the message of its answer. `ros`: arguments from `--ros-args` on.
+
+    Raises UserError: with `absent` if it is not there within `found_within` [s], with `unanswered` if no answer comes
+    `within` [s]; with its own message behind `refused` if it refuses.
+    """
+    start_ros(ros)
+    node = Node(name)
+    try:
+        client = node.create_client(kind, service)
+        if not client.wait_for_service(timeout_sec=found_within):
+            raise UserError(absent)
+        answer = client.call_async(request)
+        rclpy.spin_until_future_complete(node, answer, timeout_sec=within)
+        if not answer.done():
+            raise UserError(unanswered)
+        message = str(answer.result().message)
+        if not answer.result().success:
+            raise UserError(refused + message)
+        return message
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
 def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
     """Start ROS, create the node, spin it, and shut down in order.
 

@@ -11,11 +11,8 @@ from __future__ import annotations
 
 import argparse
 
-import rclpy
-from rclpy.node import Node
-
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.ros.node import ros_arguments, start_ros
+from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import OVERRIDE_SERVICE
 from hydro_msgs.srv import OverrideGains
 
@@ -59,28 +56,10 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     wanted = request(parser().parse_args(own))
-    start_ros(ros)
-    node = Node("override")
-    try:
-        print(ask(node, wanted))
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def ask(node: Node, wanted: OverrideGains.Request) -> str:
-    """Call /hydro/override; returns the answer. Raises UserError: no node offers the service, or it refuses."""
-    client = node.create_client(OverrideGains, OVERRIDE_SERVICE)
-    if not client.wait_for_service(timeout_sec=DISCOVERY):
-        raise UserError(f"no trainer or evaluate found in {DISCOVERY:g} s: there are no gains to take over")
-    answer = client.call_async(wanted)
-    rclpy.spin_until_future_complete(node, answer, timeout_sec=TIMEOUT)
-    if not answer.done():
-        raise UserError(f"no answer within {TIMEOUT:g} s: look at the gains in /hydro/state, or ask again")
-    if not answer.result().success:
-        raise UserError(answer.result().message)
-    return str(answer.result().message)
-
-
-if __name__ == "__main__":
-    main()
+    answer = call_service(
+        "override", ros, OVERRIDE_SERVICE, OverrideGains, wanted,
+        absent=f"no trainer or evaluate found in {DISCOVERY:g} s: there are no gains to take over",
+        unanswered=f"no answer within {TIMEOUT:g} s: look at the gains in /hydro/state, or ask again",
+        found_within=DISCOVERY, within=TIMEOUT,
+    )  # fmt: skip
+    print(answer)
