@@ -18,6 +18,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
+from tests import textbook
 
 
 def effect(name: str, **parameters: float) -> dict[str, Any]:
@@ -51,7 +52,7 @@ def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Be
     sensors.restart(last[0], read(), x)
     np.testing.assert_allclose(first, x, rtol=1e-13)
     for current in wave(200):
-        hydraulics.advance(constants[0], y, current, SAMPLE_PERIOD, hydraulics.SUBSTEPS)
+        textbook.advance(constants[0], y, current, SAMPLE_PERIOD, textbook.SUBSTEPS)
         sensors.condition(settings[0], last[0], read(), x)
         np.testing.assert_allclose(plant.step(float(current)), x, rtol=1e-9, atol=1e-7)
 

@@ -17,6 +17,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
+from tests import textbook
 
 PAPER = INTEGRAL_FORMS.index("paper")
 
@@ -62,7 +63,7 @@ def test_error_dies_out_as_equation_q25_says(bench: Bench, form: int) -> None:
         action = force_law.integral_action(form, integral, k_i)
         u = force_law.nominal_current(record, x, error, action, 0.0, k_p, 1.0)
         integral = force_law.integrate(form, integral, error, k_i, u, u, step)
-        hydraulics.advance(record, y, u, step, 1)
+        textbook.advance(record, y, u, step, 1)
     times = step * np.arange(20000)
     slow, fast = np.roots([1.0, k_p, k_i])[::-1]
     expected = 50.0 * (fast * np.exp(fast * times) - slow * np.exp(slow * times)) / (fast - slow)

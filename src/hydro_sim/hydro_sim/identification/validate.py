@@ -23,11 +23,8 @@ from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.files.recordings import READING_COLUMNS, Run
 from hydro_sim.identification.bench_learning import SUBSTEPS, best_prediction_rmse
 from hydro_sim.identification.bench_states import SETTLED, Indices, noise_of
-from hydro_sim.jit import copy_vector, njit
-from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
-from hydro_sim.model.compiled_equations import equations
 from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.quality import HORIZON, Quality
 from hydro_sim.model.sensitivities import Sensitivities
@@ -142,68 +139,53 @@ def omitted_terms(bench: Bench) -> str:
     return f"of the bench file's effects the analytic model's predictions leave out {names}" if names else ""
 
 
-class AnalyticModel:
-    """The equations with the bench file's values.
-
-    Starts of predictions are the textbook's states and the box's rates, shape (n, 9).
-    """
-
-    def __init__(self, bench: Bench) -> None:
-        self.constants = bench.constants()
-        record = Sensors().constants()[0]
-        self.memories = np.array([record["force_memory"], record["velocity_memory"]])
-
-    def estimate(self, run: Run) -> FloatArray:
-        """The measurements themselves."""
-        return np.ascontiguousarray(run.x[:, [4, 5, 6, 7, 2, 3, 1, 3, 7]])
-
-    def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
-        """x, shape (n, H, 8), under currents [A], shape (n, H)."""
-        return np.asarray(_rollout(self.constants, self.memories, starts, np.ascontiguousarray(currents)))
-
-
-@njit
-def _read(bench, y, reading):
-    reading[0] = equations.hydraulic_force(bench, y[0], y[1])
-    reading[1], reading[2], reading[3], reading[4] = y[4], y[0], y[1], y[2]
-
-
-@njit
-def _differentiate(memories, before, after, rates):
-    """The box's three rates a sample later (hydro_sim.model.sensors.condition, without noise)."""
-    force, velocity = memories[0], memories[1]
-    rates[0] = force * rates[0] + (1.0 - force) * (after[0] - before[0]) / SAMPLE_PERIOD
-    rates[1] = force * rates[1] + (1.0 - force) * (after[1] - before[1]) / SAMPLE_PERIOD
-    rates[2] = velocity * rates[2] + (1.0 - velocity) * (after[4] - before[4]) / SAMPLE_PERIOD
-
-
-@njit
-def _rollout(constants, memories, starts, currents):
-    n, horizon = currents.shape
-    measured = np.empty((n, horizon, 8))
-    for k in range(n):
-        y, before, after = np.empty(hydraulics.STATES), np.empty(5), np.empty(5)
-        copy_vector(y, starts[k, : hydraulics.STATES])
-        rates = starts[k, hydraulics.STATES :].copy()
-        _read(constants[0], y, before)
-        for h in range(horizon):
-            hydraulics.advance(constants[0], y, currents[k, h], SAMPLE_PERIOD, hydraulics.SUBSTEPS)
-            _read(constants[0], y, after)
-            _differentiate(memories, before, after, rates)
-            measured[k, h, 0], measured[k, h, 2] = after[0], after[1]
-            measured[k, h, 4], measured[k, h, 5], measured[k, h, 6] = after[2], after[3], after[4]
-            measured[k, h, 1], measured[k, h, 3], measured[k, h, 7] = rates
-            copy_vector(before, after)
-    return measured
-
-
 RATES = (1, 3, 7)
 """Columns of x that the box computes from the readings 0, 1 and 4, and the coefficient of each."""
 DIFFERENTIATED = (0, 1, 4)
 MEMORIES = ("force_memory", "force_memory", "velocity_memory")
 
 
-class BenchPrediction:
+class ModelPrediction:
+    """Predictions of a bench model with coefficients `k`, and of the box's rates behind it."""
+
+    def __init__(self, model: BenchModel, k: FloatArray) -> None:
+        self.model, self.k = model, k
+        record = Sensors().constants()[0]
+        self.memories = np.array([record[name] for name in MEMORIES])
+
+    def starts(self, states: FloatArray, run: Run) -> FloatArray:
+        """Starts of predictions: the model's states, the box's rates, its readings; shape (n, states + 8)."""
+        return np.concatenate([states, run.x[:, RATES], run.x[:, READING_COLUMNS]], axis=1)
+
+    def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
+        """x, shape (n, H, 8), under currents [A], shape (n, H)."""
+        n, states = len(starts), len(self.model.states)
+        x = np.empty((*currents.shape, 8))
+        for i in range(n):
+            y = starts[i, :states].copy()
+            x[i][:, READING_COLUMNS] = self.model.rollout(self.k, y, np.ascontiguousarray(currents[i]))
+        rates, last = starts[:, states : states + 3].copy(), starts[:, states + 3 :][:, DIFFERENTIATED]
+        columns = [READING_COLUMNS[reading] for reading in DIFFERENTIATED]
+        for h in range(currents.shape[1]):
+            now = x[:, h, columns]
+            rates = self.memories * rates + (1.0 - self.memories) * (now - last) / SAMPLE_PERIOD
+            x[:, h, RATES], last = rates, now
+        return x
+
+
+class AnalyticModel(ModelPrediction):
+    """The equations with the bench file's numbers, without effects that have states: it starts at the measurements."""
+
+    def __init__(self, bench: Bench) -> None:
+        model = BenchModel(bench.without_effects(), substeps=SUBSTEPS)
+        super().__init__(model, model.begin(model.values)[0])
+
+    def estimate(self, run: Run) -> FloatArray:
+        """The measurements themselves."""
+        return self.starts(run.x[:, [PLANT_FIELDS.index(state.name) for state in self.model.states]], run)
+
+
+class BenchPrediction(ModelPrediction):
     """A bench file on some recordings.
 
     Parameters
@@ -215,31 +197,14 @@ class BenchPrediction:
     """
 
     def __init__(self, bench: Bench, runs: list[Run]) -> None:
-        self.model = BenchModel(bench, substeps=SUBSTEPS)
-        noise = noise_of(runs)
-        left, self.follower = best_prediction_rmse(Sensitivities(self.model), self.model.values, noise, runs)
+        model, noise = BenchModel(bench, substeps=SUBSTEPS), noise_of(runs)
+        left, self.follower = best_prediction_rmse(Sensitivities(model), model.values, noise, runs)
+        super().__init__(model, self.follower.k)
         self.quality = Quality.of((left / noise).tolist())
-        record = Sensors().constants()[0]
-        self.memories = np.array([record[name] for name in MEMORIES])
 
     def estimate(self, run: Run) -> FloatArray:
-        """Start of predictions: the model's states, the box's rates, its readings; shape (n, states + 8)."""
-        return np.concatenate([self.follower.states(run), run.x[:, RATES], run.x[:, READING_COLUMNS]], axis=1)
-
-    def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
-        """x, shape (n, H, 8), under currents [A], shape (n, H)."""
-        n, states = len(starts), len(self.model.states)
-        x = np.empty((*currents.shape, 8))
-        for i in range(n):
-            y = starts[i, :states].copy()
-            x[i][:, READING_COLUMNS] = self.model.rollout(self.follower.k, y, np.ascontiguousarray(currents[i]))
-        rates, last = starts[:, states : states + 3].copy(), starts[:, states + 3 :][:, DIFFERENTIATED]
-        columns = [READING_COLUMNS[reading] for reading in DIFFERENTIATED]
-        for h in range(currents.shape[1]):
-            now = x[:, h, columns]
-            rates = self.memories * rates + (1.0 - self.memories) * (now - last) / SAMPLE_PERIOD
-            x[:, h, RATES], last = rates, now
-        return x
+        """The filter's states."""
+        return self.starts(self.follower.states(run), run)
 
 
 COLUMNS = {

@@ -162,15 +162,15 @@ class Bench:
 
     def constants(self) -> npt.NDArray[np.void]:
         """Return the bench for compiled code: one record of `BENCH_DTYPE`, shape (1,)."""
-        numbers, record = self._with_corrected_numbers(), np.zeros(1, BENCH_DTYPE)
+        numbers, record = self.without_effects(), np.zeros(1, BENCH_DTYPE)
         for name in record.dtype.names or ():
             value = getattr(numbers, name, None)
             record[name] = 0.0 if value is None else value
         record["load_cell_omega"] = 2.0 * pi * (numbers.load_cell_bandwidth or 0.0)
         return record
 
-    def _with_corrected_numbers(self) -> Bench:
-        """Without effects, those that are wrong numbers of the bench file written into its numbers."""
+    def without_effects(self) -> Bench:
+        """Return the bench without effects, those that are wrong numbers of its file written into its numbers."""
         limits = {name: (one.low, one.high) for name, one in self.quantities().items()}
         believed = {name: getattr(self, name) for name in limits}
         numbers: dict[str, Any] = catalogue.corrected(believed, limits, self.effects)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The textbook bench without effects, compiled by numba: `model.equations` on plain numbers, integrated.
+"""The textbook bench without effects, compiled by numba: `model.equations` on plain numbers.
 
 Everywhere here `bench` is one record of `model.bench.BENCH_DTYPE` (`Bench.constants()[0]`), the physical state is::
 
@@ -17,12 +17,6 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
-
-STATES = 6
-"""Length of the physical state y."""
-
-SUBSTEPS = 20
-"""Runge-Kutta steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""
 
 
 @njit
@@ -64,43 +58,6 @@ def input_gain(bench, position, pressure_a, pressure_b, opening):
     """g [N/s/A] (eq. q15 with a plus, see the erratum in physics.md), for currents with the sign of `opening`."""
     gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, opening)
     return eq.force_rate(bench, stiffnesses(bench, position), (gain_a, -gain_b), 0.0)
-
-
-@njit
-def rates(bench, y, current, out):
-    """Write y' at a valve current [A] into `out`, shape (6,)."""
-    out[0], out[1] = pressure_rates(bench, y[0], y[1], y[2], y[3], current)
-    force = eq.spring_force(bench, y[2])
-    driven = eq.hydraulic_force(bench, y[0], y[1]) - eq.stop_force(bench, y[2], y[3])
-    out[2] = y[3]
-    out[3] = (driven - bench.viscous_friction * y[3] - force) / bench.moving_mass
-    out[4] = y[5]
-    out[5] = eq.amplifier(bench.load_cell_omega, force, y[4], y[5])
-
-
-@njit
-def advance(bench, y, current, duration, steps):
-    """Integrate y, shape (6,), in place over `duration` [s] at a held current [A] by `steps` steps of classic RK4.
-
-    Pressures are kept from falling below zero: the oil cavitates there, and the volume it then lacks is not accounted
-    for. An ideal load cell (omega 0) shows the spring's force as it is.
-    """
-    step = duration / steps
-    slopes = np.empty((4, STATES))
-    probe = np.empty(STATES)
-    for _ in range(steps):
-        rates(bench, y, current, slopes[0])
-        for stage in range(1, 4):
-            reach = step if stage == 3 else 0.5 * step
-            for i in range(STATES):
-                probe[i] = y[i] + reach * slopes[stage - 1, i]
-            rates(bench, probe, current, slopes[stage])
-        for i in range(STATES):
-            y[i] += step / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
-        y[0] = max(y[0], 0.0)
-        y[1] = max(y[1], 0.0)
-    if bench.load_cell_omega == 0.0:
-        y[4] = eq.spring_force(bench, y[2])
 
 
 def rest_state(bench: np.void) -> FloatArray:
