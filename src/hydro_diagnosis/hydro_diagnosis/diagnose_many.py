@@ -19,7 +19,6 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from hashlib import sha256
 from itertools import pairwise
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from hydro_bridge.bags.location import is_bag, is_stored, is_there, parted, stor
 from hydro_bridge.bags.source import BagSource
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import UserError, command, plural, writable_folder
+from hydro_bridge.cli.console import UserError, command, number, plural, writable_folder
 from hydro_bridge.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.findings import ParameterEstimate, Report
@@ -180,17 +179,10 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--without", nargs="+", default=[], metavar="ID", help="as for diagnose")
     options.add_argument("--estimate", nargs="+", default=[], metavar="NAME", help="as for diagnose")
     options.add_argument("--seconds", type=float, metavar="S", help="as for diagnose, for each recording")
-    options.add_argument("--every", type=_seconds, metavar="S", help="diagnose each S seconds of a bag by themselves")
+    options.add_argument("--every", type=number(1.0), metavar="S", help="diagnose each S seconds of a bag alone")
     options.add_argument("--out", required=True, type=writable_folder, metavar="STUDY", help="folder of the data set")
     jobs.add_arguments(options)
     return options
-
-
-def _seconds(word: str) -> float:
-    seconds = float(word)
-    if not 1.0 <= seconds < inf:
-        raise argparse.ArgumentTypeError(f"{word}: must be 1 s or more")
-    return seconds
 
 
 def asked_of(chosen: argparse.Namespace) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import wraps
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -29,11 +29,27 @@ from hydro_bridge.process import endings
 from hydro_bridge.serial.port import PortLostError
 from hydro_bridge.settings import SettingsError
 
-__all__ = ["Table", "UserError", "add_json_argument", "command", "fail", "progress", "writable", "writable_folder"]
+__all__ = [
+    "Table", "UserError", "add_json_argument", "command", "fail", "number", "progress", "writable", "writable_folder",
+]  # fmt: skip
 
 T = TypeVar("T")
+N = TypeVar("N", int, float)
 KNOWN_ERRORS: tuple[type[Exception], ...] = (RecordingError, PortLostError, SettingsError, UnknownTypeError)
 """Errors of this package whose message is meant for the user."""
+
+
+def number(low: N, high: float = inf) -> Callable[[str], N]:
+    """Make the type of an argument: a finite number from `low` to `high`, of the type of `low`."""
+    wanted = f"{low:g} or more" if high == inf else f"{low:g} to {high:g}"
+
+    def convert(text: str) -> N:
+        with suppress(ValueError):
+            if low <= (value := type(low)(text)) <= high and value < inf:
+                return value
+        raise argparse.ArgumentTypeError(f"{text}: must be {wanted}")
+
+    return convert
 
 
 def fail(sentence: str) -> NoReturn:

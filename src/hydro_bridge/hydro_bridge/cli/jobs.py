@@ -27,7 +27,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hydro_bridge.cli.console import KNOWN_ERRORS, progress
+from hydro_bridge.cli.console import KNOWN_ERRORS, number, progress
 from hydro_bridge.errors import UserError, is_file_error, user_message
 
 Arguments = Mapping[str, tuple[Any, ...]]
@@ -55,7 +55,7 @@ class JobsError(UserError):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add `--jobs N` and `--scheduler ADDRESS`."""
-    parser.add_argument("--jobs", type=_count, default=0, metavar="N", help="jobs at once (default: one a core)")
+    parser.add_argument("--jobs", type=number(1), default=0, metavar="N", help="jobs at once (default: one a core)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a cluster that does them instead (many_jobs.md)")
 
 
@@ -190,10 +190,3 @@ def _told(error: Exception) -> str:
     if isinstance(error, (UserError, *KNOWN_ERRORS)) or is_file_error(error):
         return user_message(error)
     return "".join(format_exception(type(error), error, error.__traceback__)).rstrip()
-
-
-def _count(word: str) -> int:
-    count = int(word)
-    if count < 1:
-        raise argparse.ArgumentTypeError(f"{word}: must be 1 or more")
-    return count

@@ -11,10 +11,8 @@ ros2 run hydro_bridge arm --off
 from __future__ import annotations
 
 import argparse
-from contextlib import suppress
-from math import inf
 
-from hydro_bridge.cli.console import UserError, command
+from hydro_bridge.cli.console import UserError, command, number
 from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import CLAIM_SERVICE
 from hydro_msgs.srv import Claim
@@ -25,15 +23,8 @@ def parser() -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(prog="arm", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("--off", action="store_true", help="disarm: the valve closes")
     result.add_argument("--for", dest="whom", default="", metavar="NODE", help="arm only if this node commands it")
-    result.add_argument("--timeout", type=_seconds, default=10.0, metavar="S", help="for each step, default 10 s")
+    result.add_argument("--timeout", type=number(0.01), default=10.0, metavar="S", help="for each step (10 s)")
     return result
-
-
-def _seconds(text: str) -> float:
-    with suppress(ValueError):
-        if 0.0 < (seconds := float(text)) < inf:
-            return seconds
-    raise argparse.ArgumentTypeError(f"{text}: must be a number of seconds above 0")
 
 
 @command()

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from hydro_bridge.cli.console import command
+from hydro_bridge.cli.console import command, number
 from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, Rules, read
 from hydro_bridge.dashboard.status import encoded
 from hydro_bridge.nodes.dashboard_feed import Feed
@@ -156,12 +156,6 @@ class DashboardNode(Node):
         return Status(message=f"viewers: {self._server.viewers}", values=values)
 
 
-def _port(text: str) -> int:
-    if text.isascii() and text.isdecimal() and int(text) < 2**16:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"{text}: a port is a number from 0 (any free one) to 65535")
-
-
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
     result = argparse.ArgumentParser(
@@ -169,7 +163,7 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument("--host", default=HOST, metavar="ADDRESS", help=f"to listen at (default {HOST}: here only)")
     result.add_argument(
-        "--port", type=_port, metavar="N", help=f"default {PORT}, or any free one where that is taken; 0: any"
+        "--port", type=number(0, 65535), metavar="N", help=f"default {PORT}, if taken a free one; 0: any"
     )
     return result
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import cache
 from importlib import resources
-from math import inf, isfinite
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from hydro_bridge.bags.reader import STATE_TOPIC, as_states
 from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import UserError, command, writable
+from hydro_bridge.cli.console import UserError, command, number, writable
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
@@ -337,23 +337,13 @@ def _text(name: str) -> str:
     return resources.files("hydro_bridge").joinpath(name).read_text(encoding="utf-8")
 
 
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = -1.0
-    if not isfinite(seconds) or seconds < 0.0:
-        raise argparse.ArgumentTypeError(f"{text}: seconds from the first sample, 0 or more")
-    return seconds
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = argparse.ArgumentParser(prog="view", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
     result.add_argument("--html", type=writable, metavar="FILE", help="the page (default: beside BAG, as BAG.html)")
-    result.add_argument("--from", dest="begin", type=_seconds, default=0.0, metavar="S", help="s from the first sample")
-    result.add_argument("--to", dest="end", type=_seconds, default=inf, metavar="S", help="s from the first sample")
+    result.add_argument("--from", dest="begin", type=number(0.0), default=0.0, metavar="S", help="s from first sample")
+    result.add_argument("--to", dest="end", type=number(0.0), default=inf, metavar="S", help="s from first sample")
     result.add_argument(
         "--report", type=Path, metavar="FILE", help="report.json of a diagnosis (default: the one beside BAG)"
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, number, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import BENCH_FILES, is_bench_file
@@ -33,8 +33,6 @@ COLUMNS = {
 def main() -> None:
     """Entry point."""
     options = parser().parse_args()
-    if options.windows < 1 or options.seed < 0:
-        raise UserError("--windows needs 1 or more, --seed 0 or more")
     if not is_bench_file(options.out):
         raise UserError(f"--out {options.out}: a bench file's name ends in {' or '.join(BENCH_FILES)}")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
@@ -61,8 +59,8 @@ def parser() -> argparse.ArgumentParser:
         help="bench file to start from, such as corrected.yaml of `diagnose`; the shipped one by default. Where it "
         "names no effects the usual ones are learned: valve, supply, oil, spring, friction, leak, load cell",
     )  # fmt: skip
-    result.add_argument("--windows", type=int, default=120, help="predictions that it is learnt from (120)")
-    result.add_argument("--seed", type=int, default=0, help="of the choice of predictions (0)")
+    result.add_argument("--windows", type=number(1), default=120, help="predictions that it is learnt from (120)")
+    result.add_argument("--seed", type=number(0), default=0, help="of the choice of predictions (0)")
     add_json_argument(result)
     return result
 

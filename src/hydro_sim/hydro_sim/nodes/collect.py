@@ -20,7 +20,7 @@ import rclpy
 import yaml
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, number, writable, writable_folder
 from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
 from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_bridge.signals import Flag, StateArray
@@ -204,8 +204,8 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
         epilog=f"It ends with status {TRIPPED} after {TRIPS_IN_A_ROW} trips in a row, and leaves the plant disarmed.",
     )
     parser.add_argument("--out", type=writable_folder, metavar="BAG", help="recording to make")
-    parser.add_argument("--seconds", type=float, default=600.0, help="length of the schedule")
-    parser.add_argument("--seed", type=int, default=1, help="of the schedule")
+    parser.add_argument("--seconds", type=number(1.0, 36000.0), default=600.0, help="length of the schedule")
+    parser.add_argument("--seed", type=number(0), default=1, help="of the schedule")
     parser.add_argument(
         "--schedule", metavar="FILE", help="play this one instead of drawing one (docs/manual/reference/schedule.md)"
     )
@@ -225,10 +225,6 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
     add_page_option(parser)
     add_json_argument(parser)
     options = parser.parse_args(own)
-    if not 1.0 <= options.seconds <= 36000.0:
-        parser.error(f"--seconds {options.seconds:g}: must be 1 to 36000")
-    if options.seed < 0:
-        parser.error(f"--seed {options.seed}: must be 0 or more")
     if not (options.out or options.write_schedule):
         parser.error("give --out, --write-schedule, or both")
     return options
