@@ -67,7 +67,7 @@ class LoadCellGain(_Sensor):
         return reading / values["ratio"] if channel == self.channel else reading
 
     def sentence(self, values: Values) -> str:
-        return f"A reading of {self.words} is {values['ratio']:.4g} times the force."
+        return f"{self.words.capitalize()} reads {values['ratio']:.4g} times the true force."
 
 
 class _Bias(_Sensor):

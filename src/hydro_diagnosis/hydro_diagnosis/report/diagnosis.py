@@ -21,6 +21,24 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_TOLD_IN = {
+    "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
+    "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
+}  # fmt: skip
+
+
+def told_in(unit: str) -> tuple[str, float]:
+    """Return the unit in which sentences tell numbers, and the factor from SI."""
+    return _TOLD_IN.get(unit, (unit, 1.0))
+
+
+def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
+    """Return an interval in words; `factor`: of `told_in`."""
+    if ci95 is None:
+        return "not identifiable from these recordings"
+    return f"95 % {ci95[0] * factor:.5g} to {ci95[1] * factor:.5g}"
+
+
 def _seconds(models: Sequence[SegmentModel]) -> dict[str, float]:
     """Length [s] of what is used of each recording."""
     lengths: dict[str, float] = {}
@@ -47,9 +65,9 @@ class Diagnosis:
         for effect in report.effects:
             lines.append(f"  {effect.id}: {effect.sentence}")
             for name, estimate in effect.parameters.items():
-                bounds = "not identifiable" if estimate.ci95 is None else "95 % {:.5g} to {:.5g}".format(*estimate.ci95)
-                unit = "" if estimate.unit == "-" else f" {estimate.unit}"
-                lines.append(f"    {name} = {estimate.value:.5g}{unit} ({bounds})")
+                unit, factor = told_in(estimate.unit)
+                value = f"{estimate.value * factor:.5g} {unit}".strip()
+                lines.append(f"    {name} = {value} ({interval(estimate.ci95, factor)})")
         lines += [f"  {number.sentence}" for number in report.estimated]
         for closure in report.closures:
             lines.append(f"  without a name, in {closure.equation}: {closure.expression}")

@@ -21,10 +21,10 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
-from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_diagnosis.report.diagnosis import Diagnosis, interval, told_in
 from hydro_diagnosis.report.plots import STATIC, location_plot, svg, valve_plot
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
-from hydro_sim.plotting import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
+from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
 
 _SECONDS = 6.0
 """Length shown."""
@@ -74,11 +74,13 @@ class Comparison:
                 measured = factor * self.measured[name]
                 for begin, end, cause in self.causes:
                     axis.axvspan(begin, end, color=_SHADES[labels.index(cause) % len(_SHADES)], alpha=0.15, linewidth=0)
-                axis.plot(self.time[::every], measured[::every], color="black", linewidth=1.6, label="measured")
-                for signal, color, what in ((self.before, ORANGE, "bench file"), (self.after, BLUE, "corrected")):
-                    axis.plot(
-                        self.time[::every], factor * signal[name][::every], color=color, linewidth=0.8, label=what
-                    )
+                for signal, color, style, width, what in (
+                    (self.before, ORANGE, "-", 0.8, "bench file"),
+                    (self.measured, "black", "-", 2.0, "measured"),
+                    (self.after, SKY, "--", 0.9, "corrected"),
+                ):
+                    shown = factor * signal[name][::every]
+                    axis.plot(self.time[::every], shown, style, color=color, linewidth=width, label=what)
                 room = 0.4 * max(float(np.ptp(measured)), 1e-9)
                 axis.set_ylim(measured.min() - room, measured.max() + room)
                 axis.set_ylabel(f"{label}\n[{unit}]")
@@ -151,6 +153,11 @@ _VERDICTS = {
     "partly_explained": "A cause was named, but something remains that it does not account for.",
     "unknown": "Something is missing, and no known cause accounts for it.",
 }
+_CHECKED = {
+    "pressure_a": "oil of chamber A", "pressure_b": "oil of chamber B", "actuation": "valve and supply",
+    "motion": "forces on the moving mass", "load": "force of the load", "sensor": "hydraulic force against pressures",
+}  # fmt: skip
+"""What the equations of `checked` and `not_checked` compare."""
 _SHOWN = {"m": ("µm", 1e6), "Pa": ("kPa", 1e-3), "N": ("N", 1.0)}
 """Units of the table of errors, and the factor from SI."""
 _MINUS = "\N{MINUS SIGN}"
@@ -172,6 +179,8 @@ def rendered(found: Diagnosis) -> str:
         report=report,
         used=found.used,
         verdict=_VERDICTS[report.verdict],
+        checked=[f"{name}: {_CHECKED[name]}" for name in report.checked],
+        not_checked=[f"{name}: {_CHECKED[name]}" for name in report.not_checked],
         effects=[(effect, _picture(found, effect)) for effect in report.effects],
         comparison=comparison,
         held_out=_held_out(report),
@@ -185,7 +194,7 @@ def rendered(found: Diagnosis) -> str:
 
 def _environment() -> Environment:
     made = environment("hydro_diagnosis", "report/templates")
-    made.filters.update(heading=_heading, range=_range, bounds=_bounds, gain=_gain, number=_number)
+    made.filters.update(heading=_heading, range=_range, interval=interval, told_in=told_in, gain=_gain, number=_number)
     return made
 
 
@@ -198,10 +207,6 @@ def _heading(identifier: str) -> str:
 def _range(bounds: Sequence[float] | None) -> str:
     """Two numbers in thousandths; empty for none."""
     return "" if bounds is None else f"{bounds[0] * 1e3:.3g} to {bounds[1] * 1e3:.3g}".replace("-", _MINUS)
-
-
-def _bounds(ci95: Sequence[float] | None) -> str:
-    return "not identifiable from these recordings" if ci95 is None else f"{ci95[0]:.5g} to {ci95[1]:.5g}"
 
 
 def _gain(share: float) -> str:

@@ -113,7 +113,7 @@ def evidence_plot(found: Diagnosis) -> str:
         axes[0].invert_yaxis()
         axes[0].set_xscale("log")
         axes[0].axvline(20.0, color=RED, linewidth=0.8)
-        axes[0].set_xlabel("evidence against nothing missing [BIC], red: what a claim needs")
+        axes[0].set_xlabel("gain of the step [BIC] (red: a claim needs 20)")
 
     return svg(1, (7.0, 0.8 + 0.32 * len(steps)), draw)
 

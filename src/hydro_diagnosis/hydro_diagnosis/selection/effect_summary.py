@@ -77,7 +77,7 @@ def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tup
         apart, words = distance > CLOSE, last.effect.label.replace(":", " ")
         words = words if last.effect.named else words.replace("_", " ")
         why = (
-            f"{words} in its place leaves {distance:.0f} more of BIC unexplained"
+            f"{words} in its place fits worse: its BIC is higher by {distance:.0f}"
             if apart
             else f"{words} explains these recordings as well: another recording must tell"
         )

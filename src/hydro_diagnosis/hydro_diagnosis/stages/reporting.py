@@ -18,7 +18,7 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
 from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.recording import MEASURED
-from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_diagnosis.report.diagnosis import Diagnosis, told_in
 from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
 from hydro_diagnosis.selection.reliability import doubted, explained_shares, objections
 from hydro_diagnosis.selection.search import Search
@@ -325,7 +325,7 @@ def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect],
     for effect in allowed(library, found.claims, problem.blocks):
         if not effect.named or effect.needs or absent & set(effect.options.values()):
             continue
-        name = " ".join(part for part in cause(effect)).replace("=", " ")
+        name = " ".join(part for part in cause(effect)).replace("=", " ").replace("_", " ")
         price = threshold + len(effect.parameters) * float(np.log(len(weight)))
         tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
         limit = min(tried, key=lambda one: one[0])
@@ -354,4 +354,5 @@ def _least(
     size = share * abs(start[main.name] - main.neutral)
     if size <= MUCH * main.smallest:
         return share, ""
-    return share, f" under {size:.2g} {main.unit}" if main.neutral == 0.0 else f" within {size:.2g} {main.unit}"
+    unit, factor = ("%", 100.0) if main.unit == "-" else told_in(main.unit)
+    return share, f" {'under' if main.neutral == 0.0 else 'within'} {size * factor:.2g} {unit}"
