@@ -269,6 +269,14 @@ def test_the_port_is_opened_exclusively(cable, port):
         Port(port.settings).open()
 
 
+def test_unplugging_is_noticed_by_reading_and_by_writing(cable, port):
+    port.open()
+    cable.unplug()
+    for use in (lambda: port.read(1.0), lambda: port.write(b"x")):
+        with pytest.raises(PortLostError, match="unplugged"):
+            use()
+
+
 def test_a_box_that_does_not_read_never_blocks_a_write_and_frames_stay_whole(cable, port):
     port.open()
     began = time.monotonic()

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -16,20 +17,23 @@ from hydro_bridge.signals import StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure.admission import admitted, harmless, reports, share_closed, without_harmful_names
+from hydro_diagnosis.closure.evidence import within_form_error, without_idle_terms
 from hydro_diagnosis.closure.growth import ClosureFit, ForwardSelection, _exchanged
-from hydro_diagnosis.closure.screen import Screen, laws
-from hydro_diagnosis.closure.selection import closures, merged, renamed, together
+from hydro_diagnosis.closure.screen import Screen, laws, threshold
+from hydro_diagnosis.closure.selection import closures, merged, renamed, starting_points, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.score_test import cause
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.verdict import assess
 from hydro_diagnosis.validation import held_out
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.grammar.composition import divided
 from tests.segments import segment
 
 BENCH = Bench.nominal()
@@ -96,6 +100,13 @@ def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_o
     assert not harmless(named, held(a=1.0, b=1.6))
     assert not harmless(named, held(a=1.0, b=float("nan")))
     assert harmless(named, held(a=1.0, b=1.5))
+
+
+def test_the_threshold_pays_for_the_number_of_columns_and_a_coefficient_has_the_unit_that_is_left() -> None:
+    assert threshold(153) == pytest.approx(30.0, abs=0.1), "the best of n columns of noise gains some 2 ln n"
+    assert threshold(3000) - threshold(30) == pytest.approx(2.0 * np.log(100.0))
+    assert divided("N", "m/s", "-") == "N s/m" and divided("m3/s", "Pa", "A") == "m3/s/Pa/A"
+    assert divided("m3/s", "m3/s", "-") == "-" and divided("-", "A2", "-") == "1/A2"
 
 
 def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_bench(
@@ -216,6 +227,17 @@ LIKELY = [NAMES[label] for label in ("valve_offset", "valve_gain", "leakage_inte
                                      "bulk_modulus")]  # fmt: skip
 
 
+def test_the_name_beside_which_a_law_leaves_nothing_opens(problem_of: Callable[..., Problem]) -> None:
+    problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
+    nothing = fit(problem, ())
+    screen = Screen(problem, nothing, laws(problem))
+    alone = screen.gains(nothing)[1]
+    weighed, first = next(starting_points(problem, nothing, screen, LIKELY, alone))
+    assert [claim.effect.label for claim in first.claims] == ["valve_offset"]
+    assert noticeable(weighed, first.residual)
+    assert not list(starting_points(problem, nothing, screen, LIKELY, 1.0))  # next to nothing is left
+
+
 def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(problem_of: Callable[..., Problem]) -> None:
     problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
     nothing = fit(problem, ())
@@ -293,3 +315,22 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(rubbed: 
     assert (
         rubbed.uncertainty != law.problem.uncertainty
     )  # dry friction leaves its sign in doubt: there, not in the judgement
+
+
+def test_names_that_do_nothing_beside_a_law_are_dropped(rubbed: Problem) -> None:
+    drag = closure(grammar.ALL["motion", "quadratic drag"], BENCH)
+    truth = (Claim(drag, {"coefficient": 600.0}), Claim(NAMES["friction_coulomb"], {"force": 8.0}))
+    idle = Claim(NAMES["friction_viscous"], {"coefficient": 1.0})
+    rubbed = rubbed.weighed(truth)
+    found = without_idle_terms(rubbed, fit(rubbed, (*truth, idle)))
+    assert {claim.effect.label for claim in found.claims} == {FORM, "friction_coulomb"}
+    assert within_form_error(rubbed, found, found)  # nothing is no more than the law's form may be off by
+    assert not within_form_error(rubbed, fit(rubbed, truth[:1]), found)
+
+
+def test_laws_are_kin_where_they_show_in_the_same_balances_and_each_is_a_cause() -> None:
+    flows = ("actuation", "pressure", "pressure_a", "pressure_b")
+    for law in (*grammar.LAWS, *grammar.TABLES):
+        of_flows = law.equation in flows or law.where.startswith("pressure")
+        assert closure(law, BENCH).family == ("closure of flows" if of_flows else "closure of forces")
+    assert len({cause(closure(law, BENCH)) for law in grammar.LAWS}) == len(grammar.LAWS)

@@ -78,9 +78,11 @@ def test_under_a_mismatch_nothing_is_corrected_no_certificate_is_claimed_and_the
 
 
 def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilter) -> None:
-    for plant, case, seed in ((becoming(at=()), "wide", 3), (make_plant(), "wide-slow", 4)):
-        done = played(contraction_filter, plant, 6.0, CASES[case].draw(seed, 6.0), seed)
-        assert not len(mismatches(done)) and done.bounded
+    long = [(becoming(at=()), case, 30.0) for case in ("wide-slow", "unstable-slow", "base")]
+    short = [(becoming(at=()), "wide", 6.0), (make_plant(), "wide-slow", 6.0)]
+    for seed, (plant, case, seconds) in enumerate(long + short):
+        done = played(contraction_filter, plant, seconds, CASES[case].draw(seed, seconds), seed)
+        assert not len(mismatches(done)) and done.bounded, case
 
 
 def test_a_mismatch_stays_until_the_bench_is_the_learned_one_again_for_seconds_of_motion(
