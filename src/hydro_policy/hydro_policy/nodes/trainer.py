@@ -50,7 +50,6 @@ def parser() -> argparse.ArgumentParser:
     run = result.add_argument_group("run")
     run.add_argument(
         "--from",
-        "--start",
         dest="start",
         type=Path,
         metavar="RUN",
