@@ -66,7 +66,7 @@ class Ours:
 
     def __init__(self, batch: int, seed: int) -> None:
         self.sac = Sac(13, 2, SacSettings(batch_size=batch, reward_scale=1.0, seed=seed))
-        self.replay, self.policy = ReplayBuffer(13, 2, CAPACITY), Policy(HIDDEN[0])
+        self.replay, self.policy = ReplayBuffer(13, 2, CAPACITY), Policy(SacSettings(hidden_size=HIDDEN[0]))
         self.rng = np.random.default_rng(seed)
 
     def train(self, environment: gymnasium.Env[Any, Any], steps: int) -> None:

@@ -207,7 +207,7 @@ def best_gains(config: TruthConfig) -> tuple[float, float]:
 
 def policy_of(parameters: FloatArray, agent: InitialAgent) -> Policy:
     """The policy with these parameters, of an agent's shape."""
-    policy = Policy(agent.sac.hidden_size, (agent.sac.log_std_min, agent.sac.log_std_max))
+    policy = Policy(agent.sac)
     policy.load_flat(parameters)
     return policy
 

@@ -39,7 +39,7 @@ def updates_per_second(batch: int) -> float:
 
 def policy_steps() -> list[float]:
     """Duration [s] of observe, act (with exploration) and map to gains, once for each of many steps."""
-    sac, policy, gains = Sac(OBSERVATIONS, 2, SacSettings()), Policy(32), GainRange()
+    sac, policy, gains = Sac(OBSERVATIONS, 2, SacSettings()), Policy(SacSettings()), GainRange()
     policy.load_flat(sac.actor_network.parameters.numpy().astype(np.float64))
     rng = np.random.default_rng(0)
     samples, action, took = rng.normal(size=(256, 14)), np.zeros(2), []

@@ -34,6 +34,7 @@ from hydro_policy.nodes.startup.box_expectation import box_mismatch
 from hydro_policy.nodes.startup.companions import PlantOptions, commands
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.learned_bench import shipped
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
@@ -117,7 +118,7 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
 def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     policy = tmp_path / "policy.safetensors"
     made = MadeFor(box=Bench.nominal().digest, base_kp=15.0, base_ki=5.0)
-    Policy(32).save(policy, GainRange(), made=made)  # all zero: the middle of the range, K_p = 52.5, K_i = 10
+    Policy(SacSettings()).save(policy, GainRange(), made=made)  # all zero: mid-range, K_p = 52.5, K_i = 10
     words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
     figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
     files = ("--json", str(figures), "--plot", str(plot), "--runs", str(tmp_path / "runs"), "--name", "a")

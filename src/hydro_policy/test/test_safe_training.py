@@ -57,7 +57,7 @@ def step(error: float = 0.0, current: np.ndarray | None = None) -> Step:
 
 
 def assert_acts_by(session: TrainingSession, parameters: np.ndarray) -> None:
-    wanted = Policy(32)
+    wanted = Policy(SacSettings())
     wanted.load_flat(parameters)
     for own, other in zip(session.policy.weights, wanted.weights, strict=True):
         np.testing.assert_array_equal(own, other)

@@ -60,7 +60,7 @@ def test_interrupted_writer_leaves_the_previous_checkpoint(tmp_path: Path) -> No
 
 def test_numpy_policy_equals_the_torch_actor(tmp_path: Path) -> None:
     sac, _ = trained(50)
-    policy = Policy(32)
+    policy = Policy(SacSettings())
     policy.load_flat(sac.actor_network.parameters.numpy())
     policy.save(tmp_path / "policy.safetensors", GainRange(delta_kp_max=285.0), {"episode": 7})
     loaded, gains, notes = load_policy(tmp_path / "policy.safetensors")
@@ -81,7 +81,7 @@ def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past
     sac = Sac(OBSERVATIONS, ACTIONS, settings)
     sac.updates = 280_000
     (tmp_path / AGENT).write_bytes(dump(sac))
-    policy = Policy(16)
+    policy = Policy(SacSettings(hidden_size=16))
     policy.load_flat(actor_parameters(dump(sac)))
     policy.save(RunDirectory(tmp_path).policy, GainRange(delta_kp_max=285.0), {"task": {"trip_penalty": 100.0}})
     start = load_initial_agent(tmp_path)

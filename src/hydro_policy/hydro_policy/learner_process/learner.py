@@ -261,8 +261,7 @@ def _write_run(
         write_whole(run.best / "learner.safetensors", stamped(best, settings.made))
     if best is None and (run.best / "learner.safetensors").exists():
         return
-    sac = settings.sac
-    policy = Policy(sac.hidden_size, (sac.log_std_min, sac.log_std_max), settings.task.size)
+    policy = Policy(settings.sac, settings.task.size)
     policy.load_flat(actor_parameters(best or learner))
     notes = {key: request.trainer.get(key) for key in ("episode", "total_steps", "last_rmse")}
     policy.save(run.policy, settings.task.gains, notes, settings.made)

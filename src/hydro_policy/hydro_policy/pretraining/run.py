@@ -329,8 +329,7 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) 
     best = pretraining.best or dump(pretraining.sac)
     training = pretraining.settings.training
     write_whole(run.path / AGENT, stamped(best, training.made))
-    sac = training.sac
-    policy = Policy(sac.hidden_size, (sac.log_std_min, sac.log_std_max), training.task.size)
+    policy = Policy(training.sac, training.task.size)
     policy.load_flat(actor_parameters(best))
     notes = {
         "command": " ".join(["pretrain", *sys.argv[1:]]), "simulated": asdict(source), "seed": training.seed,

@@ -183,9 +183,7 @@ class Pretraining:
         self.environment = Environment(self.fleet, training.task)
         self.sac = Sac(OBSERVATIONS, ACTIONS, training.sac)
         self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
-        self.policy = Policy(
-            training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max), training.task.size
-        )
+        self.policy = Policy(training.sac, training.task.size)
         self.rng = np.random.default_rng(training.seed)
         self.episode = 0
         """Episodes finished."""

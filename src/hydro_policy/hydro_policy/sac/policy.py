@@ -9,7 +9,6 @@ the gains, which is all that is needed to act, and the box it was made for (`hyd
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from hydro_bridge.files.tensors import check_shapes
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
 from hydro_bridge.size import Size
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import (
     ACTIONS,
     OBSERVATION_NAMES,
@@ -31,22 +31,17 @@ from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.model.bench import NOMINAL
 
-_WIDEST = 1024  # units, as in `SacSettings`
-
 
 class Policy:
     """A squashed Gaussian policy for acting.
 
-    `hidden_size`: units in each of the two hidden layers. `log_std_bounds`: bounds of log sigma, as in `SacSettings`.
-    `size`: of the bench, with which its observations are scaled.
+    `sac`: units of its hidden layers, bounds of log sigma. `size`: of the bench, which scales its observations.
     """
 
-    def __init__(
-        self, hidden_size: int, log_std_bounds: tuple[float, float] = (-5.0, 2.0), size: Size = NOMINAL
-    ) -> None:
+    def __init__(self, sac: SacSettings, size: Size = NOMINAL) -> None:
         self.size = size
-        self.sizes = (OBSERVATIONS, hidden_size, hidden_size, 2 * ACTIONS)
-        self.log_std_bounds = log_std_bounds
+        self.sizes = (OBSERVATIONS, sac.hidden_size, sac.hidden_size, 2 * ACTIONS)
+        self.log_std_bounds = sac.log_std_min, sac.log_std_max
         self.weights = [np.zeros((i, o)) for i, o in zip(self.sizes, self.sizes[1:], strict=False)]
         self.biases = [np.zeros(o) for o in self.sizes[1:]]
 
@@ -134,11 +129,11 @@ def _checked(header: dict[str, Any], tensors: dict[str, Any]) -> tuple[Policy, G
         or seen["scale"] != scale.tolist()
     ):
         raise ValueError(f"it was trained on another observation: {', '.join(seen['names'])}")
-    hidden, (low, high), gains = int(header["architecture"]["sizes"][1]), header["log_std_bounds"], header["gains"]
-    if not (1 <= hidden <= _WIDEST and math.isfinite(low) and math.isfinite(high) and low <= high):
-        raise ValueError(f"{hidden} units with log sigma in [{low}, {high}] are no policy of ours")
-    policy, reach = Policy(hidden, (low, high), size), GainRange(**gains)
+    hidden, (low, high) = int(header["architecture"]["sizes"][1]), header["log_std_bounds"]
+    sac, reach = SacSettings(hidden_size=hidden, log_std_min=low, log_std_max=high), GainRange(**header["gains"])
+    check(sac)
     check(reach)
+    policy = Policy(sac, size)
     check_shapes(tensors, {f"weight_{k}": weight.shape for k, weight in enumerate(policy.weights)})
     check_shapes(tensors, {f"bias_{k}": bias.shape for k, bias in enumerate(policy.biases)})
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):

@@ -89,9 +89,7 @@ class Explorer:
 
     def __init__(self, settings: TrainingSettings, replay: ReplayBuffer, outputs: Outputs) -> None:
         self.task = settings.task
-        self.policy = Policy(
-            settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max), settings.task.size
-        )
+        self.policy = Policy(settings.sac, settings.task.size)
         self.rng = np.random.default_rng(settings.seed)
         self.inference = Latency()  # observe, act, map to gains
         self.published = 0

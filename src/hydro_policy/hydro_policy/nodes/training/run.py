@@ -66,7 +66,7 @@ def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> l
         name = "I: policy, trained here"
     controllers: list[Controller] = [PolicyController(session.policy, gains, name)]
     if start is not None:
-        before = Policy(start.sac.hidden_size, size=session.settings.task.size)
+        before = Policy(start.sac, session.settings.task.size)
         before.load_flat(actor_parameters(start.agent))
         controllers.append(PolicyController(before, gains, "II: policy it started from"))
     base = session.settings.base_gains
