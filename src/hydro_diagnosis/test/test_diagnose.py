@@ -20,11 +20,13 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.stages.reading import recording_entry
+from hydro_diagnosis.stages.reporting import confirmed
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 
@@ -59,6 +61,13 @@ def test_second_diagnosis_with_the_corrected_bench_finds_nothing(worn: list[Path
     assert corrected.spring_stiffness == pytest.approx(18500.0, rel=2e-3)
     again = diagnose([worn[2]], bench=corrected)
     assert again.report.verdict == "no_mismatch"
+
+
+def test_numbers_of_the_bench_file_are_confirmed_if_they_are_right(problem: Problem) -> None:
+    area = 1.1 * problem.bench.piston_area
+    wrong = Problem([problem.models[0].segment], replace(problem.bench, piston_area=area))
+    told = [confirmed(one, fit(one, []), [], LIBRARY) for one in (problem, wrong)]
+    assert "piston area within 0.3 %" in told[0] and "piston area" not in told[1]
 
 
 def test_wrong_modulus_and_valve_gain_become_numbers_of_the_bench(problem: Problem) -> None:

@@ -276,7 +276,8 @@ def _lost(lost: int, whole: Rows, time: FloatArray) -> str:
     """Note on missing samples, and where most of them are; `whole`: rows from each sample to the next."""
     gaps = np.where(whole < 10**6, whole, 0)
     most = int(np.argmax(gaps))
-    return f"{lost} samples are missing, {gaps[most] - 1} of them after {time[most]:.3f} s"
+    most_of = "" if gaps[most] > lost else f", {gaps[most] - 1} of them"
+    return f"{lost} samples are missing{most_of} after {time[most]:.3f} s"
 
 
 def _alive(table: RawTable, notes: list[str]) -> dict[str, FloatArray]:

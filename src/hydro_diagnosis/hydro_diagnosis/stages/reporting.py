@@ -12,7 +12,7 @@ import numpy as np
 import scipy.signal
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, pack, residual_variances
+from hydro_diagnosis.estimation.fit import QUANTILE, Fit, pack, residual_variances
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
@@ -223,7 +223,12 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
     read_off = curves(problem, assessment.fit.claims)
     doubts = objections(assessment.fit, found.bounds, found.proof, read_off.get(FRICTION, ()))
     refused = [f"{label} fits, but is rejected: {reason}" for label, reason in found.refused.items()]
-    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden), *refused, *doubts)
+    notes = (
+        *([case.wiring] if case.wiring else []),
+        *_notes(found, effects, hidden, search.library),
+        *refused,
+        *doubts,
+    )
     report = Report(
         verdict=doubted(assessment.verdict, doubts, named=bool(effects)),
         location=[location_of(place, problem) for place in assessment.places],
@@ -267,7 +272,9 @@ ORIGIN = (
 )
 
 
-def _notes(found: StageResult, effects: Sequence[EffectReport], hidden: str | None) -> tuple[str, ...]:
+def _notes(
+    found: StageResult, effects: Sequence[EffectReport], hidden: str | None, library: Sequence[Effect]
+) -> tuple[str, ...]:
     """Return notes on limits of the verdict."""
     assessment, cut_short, budget = found.assessment, "", found.problem.budget
     if budget.exhausted:
@@ -277,11 +284,12 @@ def _notes(found: StageResult, effects: Sequence[EffectReport], hidden: str | No
         )
     elif found.outcome.cut_short and assessment.remainder:
         cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
+    sure = "" if assessment.remainder else confirmed(found.problem, assessment.fit, found.bounds, library, hidden or "")
     early = current_is_early(found.problem, effects)
     beyond = "" if assessment.remainder else not_predicted(found.holdout, assessment.fit.claims)
     distrust = distrusted(made_worse(found.proof))
     zero = ORIGIN if {"dead_volume", "spring_rest"} <= {effect.id for effect in effects} else ""
-    return tuple(note for note in (early, hidden, cut_short, beyond, found.withdrawn, distrust, zero) if note)
+    return tuple(note for note in (early, hidden, cut_short, beyond, found.withdrawn, distrust, zero, sure) if note)
 
 
 def _steps(search: Search) -> list[dict[str, Any]]:
@@ -305,6 +313,39 @@ def _remainder(found: StageResult) -> dict[str, Any] | None:
     }
 
 
+NUMBERS = (
+    "piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure", "valve_gain",
+)  # fmt: skip
+"""Causes that are a number of the bench file times a ratio."""
+CONFIRMED = 0.05
+"""Share to which such a number must be known to be called confirmed."""
+
+
+def confirmed(
+    problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect], hidden: str = ""
+) -> str:
+    """Note on the numbers of the bench file that the recordings show to be right, to first order; empty for none.
+
+    Each is judged beside what was found, as if the others were exact, and never closer than the search would claim.
+    `hidden`: of `undetectable_causes`; none of these is confirmed.
+    """
+    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
+    columns, left = found.jacobian * weight[:, None], found.residual * weight
+    inflation, said = max((one.inflation for one in bounds), default=1.0), []
+    for effect in allowed(library, found.claims, problem.blocks):
+        name = _plain(effect)
+        if effect.id not in NUMBERS or f"{name} within" in hidden:
+            continue
+        (ratio,) = effect.parameters
+        signature = (problem.residual((*found.claims, Claim(effect, {ratio.name: 1.01}))) - found.residual) * weight
+        own = signature - _part(columns, signature)
+        power = max(float(own @ own), 1e-300)
+        off = 0.01 * (abs(float(own @ left)) / power + QUANTILE * inflation / power**0.5)
+        if off < CONFIRMED:
+            said.append(f"{name} within {100.0 * max(off, ratio.smallest):.2g} %")
+    return f"confirmed of the bench file, each if the others hold: {', '.join(said)}" if said else ""
+
+
 MUCH = 10.0
 """Multiple of its smallest size worth claiming that a cause may hide without being listed."""
 _PROBES = 3
@@ -325,7 +366,7 @@ def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect],
     for effect in allowed(library, found.claims, problem.blocks):
         if not effect.named or effect.needs or absent & set(effect.options.values()):
             continue
-        name = " ".join(part for part in cause(effect)).replace("=", " ").replace("_", " ")
+        name = _plain(effect)
         price = threshold + len(effect.parameters) * float(np.log(len(weight)))
         tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
         limit = min(tried, key=lambda one: one[0])
@@ -336,6 +377,10 @@ def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect],
     return "the recording has too few rows a second to show these causes, so they are not reported: " + ", ".join(
         hidden
     )
+
+
+def _plain(effect: Effect) -> str:
+    return " ".join(cause(effect)).replace("=", " ").replace("_", " ")
 
 
 def _least(
