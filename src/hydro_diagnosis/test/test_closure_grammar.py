@@ -187,6 +187,21 @@ def test_a_position_with_play_is_undone() -> None:
     assert np.max(np.abs(found - position)) < 1e-6 < 5e-5 < np.max(np.abs(reading - position))
 
 
+def test_what_says_that_it_reverses_does() -> None:
+    """Either direction, each side of any threshold."""
+    still = Signals(position=0.03, pressure_a=6e6, pressure_b=5e6, current=1e-3, force=90.0, drop=1e6, opened=1e-8,
+                    feeds=1.0, memory=0.3, second=0.02)  # fmt: skip
+    places = [replace(still, velocity=velocity, pressure_b=pressure, number=number)
+              for velocity in (-2e-3, 2e-3) for pressure in (5e6, 7e6) for number in (1e-4, 0.04, 1e9)]  # fmt: skip
+    turned = [replace(at, turn=5e-3) for at in places]
+    wrong = []
+    for one in (*grammar.LAWS, *grammar.COMPOSITIONS):
+        moved = [one.shape(at, BENCH) != one.shape(other, BENCH) for at, other in zip(places, turned, strict=True)]
+        if any(moved) != one.reverses:
+            wrong.append(f"{one.equation} {one.form}")
+    assert not wrong
+
+
 def test_a_curved_gauge_is_undone() -> None:
     effect, pressure = closure(law("sensor", "quadratic reading of pressure_a"), BENCH), np.linspace(1e5, 1.5e7, 50)
     values, memory = {"coefficient": 4e-9}, RecordMemory(1e-3)
