@@ -23,6 +23,10 @@ Bench = Mapping[str, Any] | None
 """Numbers of the bench file, if one was given."""
 
 
+class OpenError(Exception):
+    """What was seen decides nothing: the case is not judged."""
+
+
 class NotToldError(Exception):
     """The box does not report a value that a check needs and that is optional: the case is skipped."""
 
@@ -283,11 +287,21 @@ def reference(host: Host, bench: Bench, tolerance: float = 0.01, rate_tolerance:
 
 
 def follows(host: Host, bench: Bench, by: float) -> str:
-    """Check that the followed force moved with the reference, by so many N in the box's size: the signs are right."""
+    """Check that the followed force moved with the reference, by so many N in the box's size: the signs are right.
+
+    Not judged where the current stayed small and the force stood: a valve with overlap does not open then.
+    Raises OpenError.
+    """
     states, force, by = settled(host), followed(host), host.size * by
     moved = value(states[-1], force) - value(states[0], force)
     asked = value(states[-1], "reference_force") - value(states[0], force)
-    return "" if moved * asked > 0.0 and abs(moved) >= by else f"asked for {asked:g} N, the force went by {moved:g} N"
+    if moved * asked > 0.0 and abs(moved) >= by:
+        return ""
+    largest = max(abs(value(state, "valve_current")) for state in states)
+    if abs(moved) < by and largest < _SMALL * box_info(host).valve_current_max:
+        why = "an overlap holds the piston there, or the valve is not connected"
+        raise OpenError(f"the force stood while the current stayed within {1e3 * largest:.2g} mA: {why}")
+    return f"asked for {asked:g} N, the force went by {moved:g} N"
 
 
 def rates(host: Host, bench: Bench) -> str:
@@ -334,6 +348,8 @@ def units(host: Host, bench: Bench, share: float = 0.05) -> str:
     return ""
 
 
+_SMALL = 0.05
+"""Share of the largest current within which a valve may have overlap."""
 _CLOSE = 2e-6
 """Rounding of float32 in a number of the shaping, relative to its limits."""
 

@@ -89,6 +89,8 @@ class Host:
     silence: float = 0.0
     """s, longest time between two reads of the line, during which no command can have been sent."""
     looked: float | None = None
+    correction: float = 1.0
+    """Factor on the cases' delta_u, so that it moves this bench no further than the nominal one in proportion."""
     notes: list[str] = field(default_factory=list)
     """Aspects that a passed check could not examine."""
 
@@ -392,6 +394,8 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
             changes[key] = getattr(host.details.details, value) if host.details else 0.0
         elif key in _FORCES and abs(value) < _UNPLAYABLE:
             changes[key] = host.size * value
+        elif key == "delta_u":
+            changes[key] = host.correction * value
     return changes
 
 

@@ -105,6 +105,11 @@ def nominal_current(
     return driven / max(gain, floor(bench))
 
 
+def force_gain(bench: Mapping[str, Any]) -> float:
+    """Return g [N/s/A] in the middle of the stroke, with half of the supply's pressure in both chambers."""
+    return float(_gain(bench, bench["stroke"] / 2, (bench["supply_pressure"] / 2,) * 2, 1.0))
+
+
 _VALUE, _RATE = STATE_FIELDS.index("reference_force"), STATE_FIELDS.index("reference_force_rate")
 _ROUNDING = 1e-6
 """s: rounding of the clock decides whether a fade ends at its 300th or 301st sample."""

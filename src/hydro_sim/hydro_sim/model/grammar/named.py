@@ -169,10 +169,10 @@ _VALVE: tuple[Law, ...] = (
         Element("path", "current"), path("A", 1e-4, 3e-4, 1e-3, 3e-3)),
     Law("actuation", "saturation", "-", "sign(u) max(|u| - threshold, 0)",
         "max(u - threshold, 0.0) - max(-u - threshold, 0.0)", 0.05,
-        "Flow that follows the current otherwise beyond an opening: typical of ports of two widths, or a torque motor "
+        "The valve's gain is another beyond an opening: typical of ports of two widths, or a torque motor "
         "near its limit.", numbers=_OPENING),
     Law("actuation", "gain near null", "-", "sign(u) min(|u|, threshold)", "within(u, threshold)", 0.05,
-        "Flow that follows the current otherwise up to an opening: typical of notches in the lands.", numbers=_OPENING),
+        "The valve's gain is another up to an opening: typical of notches in the lands.", numbers=_OPENING),
     Law("actuation", "rounded gain", "-", "(u - u / sqrt(1 + (u / level)^2))",
         "u - u / sqrt(1.0 + (u / level) * (u / level))", 0.3,
         "Flow that grows ever less with the current: typical of a torque motor whose iron saturates; -1: all of it.",
