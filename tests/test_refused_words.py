@@ -51,7 +51,7 @@ REFUSED = {
     "hydro_bridge dashboard": (("--port 65536", "65536"), ("--port http", "http")),
     "hydro_sim collect": (
         ("--out @new --seconds nan", "argument --seconds: nan: must be 1 to 36000"),
-        ("--out @new --seed -1", "argument --seed: -1: must be 0 or more"),
+        ("--out @new --seed -1", "argument --seed: -1: must be a whole number, 0 or more"),
         ("--out /dev/null/bag --seconds 5", "/dev/null/bag cannot be made"),
         ("--out @new --bench nowhere.yaml", "nowhere.yaml cannot be read: "),
         ("--out @new --schedule @seconds", "segments[1].seconds must be a number in s, not 'abc'"),
@@ -70,7 +70,7 @@ REFUSED = {
     ),
     "hydro_sim learn": (
         ("@bag --out @new", "a bench file's name ends in .yaml or .yml"),
-        ("@bag --out @new.yaml --windows 0", "argument --windows: 0: must be 1 or more"),
+        ("@bag --out @new.yaml --windows 0", "argument --windows: 0: must be a whole number, 1 or more"),
         ("@bag --out /dev/null/x", "/dev/null/x cannot be written"),
     ),
     "hydro_sim validate": (("@nowhere", "nowhere does not exist"),),

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -61,6 +62,16 @@ def test_second_diagnosis_with_the_corrected_bench_finds_nothing(worn: list[Path
     assert corrected.spring_stiffness == pytest.approx(18500.0, rel=2e-3)
     again = diagnose([worn[2]], bench=corrected)
     assert again.report.verdict == "no_mismatch"
+
+
+def test_recordings_of_one_name_are_whole_recordings(worn: list[Path], tmp_path: Path) -> None:
+    """Seen: a crash, or the last third of one said to be held out where another was."""
+    same = [tmp_path / str(k) / "run.csv" for k in range(len(worn))]
+    for path, copy in zip(worn, same, strict=True):
+        copy.parent.mkdir()
+        shutil.copyfile(path, copy)
+    assert "last third" not in diagnose(same[:2]).used
+    assert diagnose(same[:1], holdout=same[1:2]).used.startswith("fitted on run (")
 
 
 def test_numbers_of_the_bench_file_are_confirmed_if_they_are_right(problem: Problem) -> None:

@@ -252,6 +252,16 @@ def test_a_bypassed_filter_is_told_once_and_not_waited_for() -> None:
     assert heard.said == [BYPASSED] and heard.armings == [False, True]
 
 
+def test_a_bypassed_filter_that_is_gone_is_waited_for() -> None:
+    heard = Heard()
+    watch = PlantSupervisor(heard, rearm=True)
+    watch.on_correction(CorrectionStatus.BYPASSED)
+    for tick in range(60):
+        watch.on_tick(tick / 20)
+    run(watch, STALE, 3.0, 4.0)
+    assert True not in heard.armings
+
+
 def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:
     heard = Heard()
     watch = PlantSupervisor(heard, rearm=True)

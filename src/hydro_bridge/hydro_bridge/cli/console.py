@@ -41,7 +41,9 @@ KNOWN_ERRORS: tuple[type[Exception], ...] = (RecordingError, PortLostError, Sett
 
 def number(low: N, high: float = inf) -> Callable[[str], N]:
     """Make the type of an argument: a finite number from `low` to `high`, of the type of `low`."""
-    wanted = f"{low:g} or more" if high == inf else f"{low:g} to {high:g}"
+    wanted = ("a whole number, " if isinstance(low, int) else "") + (
+        f"{low:g} or more" if high == inf else f"{low:g} to {high:g}"
+    )
 
     def convert(text: str) -> N:
         with suppress(ValueError):

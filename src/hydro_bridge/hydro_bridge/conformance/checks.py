@@ -298,8 +298,9 @@ def follows(host: Host, bench: Bench, by: float) -> str:
     if moved * asked > 0.0 and abs(moved) >= by:
         return ""
     largest = max(abs(value(state, "valve_current")) for state in states)
-    if abs(moved) < by and largest < _SMALL * box_info(host).valve_current_max:
-        why = "an overlap holds the piston there, or the valve is not connected"
+    drives = value(states[-1], "valve_current") * asked > 0.0
+    if drives and abs(moved) < by and largest < _SMALL * box_info(host).valve_current_max:
+        why = "an overlap holds the piston there, or the valve is not connected: its sign is not proven"
         raise OpenError(f"the force stood while the current stayed within {1e3 * largest:.2g} mA: {why}")
     return f"asked for {asked:g} N, the force went by {moved:g} N"
 

@@ -149,6 +149,9 @@ def _look(
         return error, found
 
 
+LAST_THIRD = "the last third of the only recording was held back to check on"
+
+
 def _split(
     fitted: list[Recording], notes: list[str], held: list[Recording], held_notes: list[str]
 ) -> tuple[list[Segment], list[Segment], list[str]]:
@@ -162,7 +165,7 @@ def _split(
     first = [segment for recording in fitted for segment in recording.segments]
     if held:
         return first, [segment for recording in held for segment in recording.segments], quality
-    quality.append("the last third of the only recording was held back to check on")
+    quality.append(LAST_THIRD)
     return *_parted(first), quality
 
 

@@ -12,6 +12,7 @@ from hydro_diagnosis.bench_numbers import PartialBench
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import Report
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.preprocessing.loading import LAST_THIRD
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
@@ -85,9 +86,8 @@ class Diagnosis:
     def used(self) -> str:
         """Recordings that were fitted and checked on, and how much of each."""
         fitted, checked = (_seconds(models) for models in (self.problem.models, self.holdout))
-        if fitted.keys() == checked.keys():  # of the only one
-            ((name, first),) = fitted.items()
-            (last,) = checked.values()
+        if LAST_THIRD in self.report.data_quality:
+            (name, first), last = next(iter(fitted.items())), sum(checked.values())
             return f"fitted on the first two thirds of {name} ({first:.4g} s); checked on its last third ({last:.4g} s)"
         said = (", ".join(f"{name} ({length:.4g} s)" for name, length in one.items()) for one in (fitted, checked))
         return "fitted on {}; checked on {}".format(*said)

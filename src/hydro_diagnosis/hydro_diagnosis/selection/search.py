@@ -111,6 +111,8 @@ PROMISING = 0.3
 """Share of a claim's worth that a candidate must promise, to first order, to be tried in its place at once."""
 DOUBTFUL = 10.0
 """Multiple of the threshold below which a claim's worth is found by a fit in full before it is dropped."""
+NEAR = 100.0
+"""BIC within which the rival of a claim is fitted again beside numbers that are estimated."""
 SWAPS = 3
 """Rounds of exchanging causes at most, after each claim."""
 SWAP_BIC_MARGIN = 2.0
@@ -143,8 +145,10 @@ class Search:
 
     def run(self) -> Outcome:
         """Search; where something remains, search again from other first claims, and keep the best outcome."""
-        if self.problem.estimated and self.given and (beside := self._beside_given()):
-            return beside
+        if self.problem.estimated and self.given:
+            if beside := self._beside_given():
+                return beside
+            self._begun = self.problem.evaluations
         nothing = fit(self.problem, ())
         restarts = self._ranked(self.problem, nothing)
         best = self._from(nothing, restarts[:1])
@@ -163,15 +167,20 @@ class Search:
         """
         held = copy(self.problem)
         held.estimated = ()
-        looked = Search(held, self.library, self.settings, self.progress)
-        outcome = looked.run()
-        if noticeable(outcome.problem, outcome.fit.residual):
+        outcome = Search(held, self.library, self.settings, self.progress).run()
+        if noticeable(outcome.problem, outcome.fit.residual) and not self.problem.budget.exhausted:
             return None
+        least, weighed = score(outcome.problem, outcome.fit), outcome.problem
+
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
         numbers = [replace(one, values=sizes.pop(one.effect.label, one.values)) for one in self.problem.estimated]
         others = [claim for claim in outcome.fit.claims if claim.effect.label in sizes]
         outcome.problem, outcome.fit = self._weighed(fit(self.problem, (*numbers, *others)))
         outcome.nothing = fit(outcome.problem, ())
+        names = {one.effect.label for one in numbers}
+        for label, fits in outcome.rivals.items():
+            near = [one for one in fits if score(weighed, one) < least + NEAR and not names & _labels(one)]
+            outcome.rivals[label] = [fit(outcome.problem, (*numbers, *one.claims)) for one in near]
         self._backward(outcome)
         self.steps[:] = outcome.steps
         return outcome

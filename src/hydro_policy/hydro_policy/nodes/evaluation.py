@@ -233,6 +233,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         if not may_rearm(options):
             node.listen_for_enter()
         watch = node.supervisor(rearm=may_rearm(options))
+        node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
         if grid is not None:
             before = search_on(node, grid, settings, watch)
             if not before.finished:
@@ -332,7 +333,7 @@ def evaluate_on(
         compensation=compensation,
         felt=node.load_force,
     )
-    node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
+    node.listen_to_corrections()
     bar = EvaluationProgress(session)
     try:
         node.run_session(session, bar.tick)

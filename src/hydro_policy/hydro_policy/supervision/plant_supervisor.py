@@ -142,8 +142,8 @@ MISMATCH = (
 FITS = "the filter's model fits again: going on"
 BYPASSED = "the filter decides nothing (BYPASSED): a guard that requires it keeps base gains under the paper's law"
 UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
-_ANSWERS = (CorrectionStatus.MISMATCH, CorrectionStatus.BYPASSED)
-"""Statuses of a filter that answers, though the plant counts its corrections as stale."""
+HEARD_WITHIN = 1.0
+"""s within which a filter that decides nothing has to be heard: the plant counts its corrections as stale."""
 CALM_AGAIN = "calm again: disarmed and armed again, so that the force law starts again"
 
 
@@ -172,7 +172,7 @@ class PlantSupervisor:
         self.outputs, self.override = outputs, override or GainOverride()
         self._arming = Arming(outputs, rearm)
         samples = plant(lambda: not self.lost)
-        answers = corrections(lambda: self._status in _ANSWERS or not self._flags & Flag.FILTER_STALE)
+        answers = corrections(lambda: self.mismatched or self._bypassed or not self._flags & Flag.FILTER_STALE)
         fitting = fitting_filter(lambda: not self.mismatched)
         needed = (samples, *requirements, answers, fitting)  # the filter's answers, after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
@@ -183,7 +183,9 @@ class PlantSupervisor:
         self._told: str | None = None
         self._calm_until: float | None = None  # math.inf: requested, but not armed yet
         self._status: int = CorrectionStatus.PASS  # the filter's last one
-        self._bypassed = False  # the user was told
+        self._told_bypassed = False  # the user was
+        self._heard = False  # a correction since the last tick
+        self._silent, self._ticked = math.inf, math.inf  # s without one at the last tick, and its time
 
     @property
     def lost(self) -> bool:
@@ -194,6 +196,11 @@ class PlantSupervisor:
     def mismatched(self) -> bool:
         """Whether the filter's last status was that its model is not this bench's."""
         return self._status == CorrectionStatus.MISMATCH
+
+    @property
+    def _bypassed(self) -> bool:
+        """Whether a filter that decides nothing is heard."""
+        return self._status == CorrectionStatus.BYPASSED and self._silent < HEARD_WITHIN
 
     @property
     def armed(self) -> bool:
@@ -231,13 +238,13 @@ class PlantSupervisor:
 
     def on_correction(self, status: int) -> None:
         """Process the status of a correction."""
-        before, self._status = self._status, status
+        before, self._status, self._heard = self._status, status, True
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
             after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
             self.outputs.say(MISMATCH if self.mismatched else after, warning=self.mismatched)
-        elif status == CorrectionStatus.BYPASSED and not self._bypassed:
-            self._bypassed = True
-            self.outputs.say(BYPASSED)
+        elif status == CorrectionStatus.BYPASSED and not self._told_bypassed:
+            self._told_bypassed = True
+            self.outputs.say(BYPASSED, warning=True)
 
     def may_begin(self, now: float) -> bool:
         """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""
@@ -279,6 +286,8 @@ class PlantSupervisor:
 
         Raises NotReadyError: a requirement for arming was not met in time.
         """
+        self._silent = 0.0 if self._heard else self._silent + max(now - self._ticked, 0.0)
+        self._heard, self._ticked = False, now
         if not self.lost and now - self._seen > LOST_AFTER:
             self._seen, self._spoilt = -math.inf, UNSEEN
             self._flags = int(Flag.FILTER_STALE)

@@ -139,8 +139,11 @@ class Bench:
         ValueError
             If a key is missing, unknown, or its value is not a number in range.
         """
-        missing = [name for name, setting in describe(cls).items() if setting.required and name not in content]
-        if len(missing) > 1:
+        if not isinstance(content, Mapping):
+            raise ValueError("a bench is a mapping of keys to numbers")
+        known = describe(cls)
+        missing = [name for name, setting in known.items() if setting.required and name not in content]
+        if len(missing) > 1 and content.keys() <= known.keys():
             raise ValueError(f"a bench has {', '.join(missing)}, too")
         if content.get("learned") is not None:
             Quality.from_mapping(content["learned"])

@@ -275,7 +275,8 @@ class GraphNode(Node):
 
     def listen_to_corrections(self) -> None:
         """Subscribe to the filter's corrections, and pass them to the session at each policy step."""
-        self._corrections = self._mailbox.subscribe(CORRECTION, GRAPH[CORRECTION][0], GRAPH[STATE][1])
+        if self._corrections is None:
+            self._corrections = self._mailbox.subscribe(CORRECTION, GRAPH[CORRECTION][0], GRAPH[STATE][1])
 
     def compensate(self, compensation: LiveCompensation) -> None:
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
