@@ -122,11 +122,8 @@ def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:
     (tmp_path / "bench.yaml").write_text("one: 1\n")
     for gate in made.gates[:3]:
         gate.status, gate.files = PASSED, digests(tmp_path, ["bench.yaml"])
-    made.gates[3].status, made.adopted, made.comparison = (
-        FAILED,
-        "compensated",
-        {"compensated": {"name": "compensated"}},
-    )
+    made.gates[3].status, made.adopted = FAILED, "compensated"
+    made.comparison = {"compensated": {"name": "compensated", "rmse": {}, "trips": 0}}
     made.write(tmp_path)
     again = Record.load(tmp_path, NAMES)
     assert again == made

@@ -140,7 +140,6 @@ MISMATCH = (
     f"range, nothing is learned or begun; {ANEW}"
 )
 FITS = "the filter's model fits again: going on"
-BYPASSED = "the filter decides nothing (BYPASSED): a guard that requires it keeps base gains under the paper's law"
 UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
 HEARD_WITHIN = 1.0
 """s within which a filter that decides nothing has to be heard: the plant counts its corrections as stale."""
@@ -183,7 +182,6 @@ class PlantSupervisor:
         self._told: str | None = None
         self._calm_until: float | None = None  # math.inf: requested, but not armed yet
         self._status: int = CorrectionStatus.PASS  # the filter's last one
-        self._told_bypassed = False  # the user was
         self._heard = False  # a correction since the last tick
         self._silent, self._ticked = math.inf, math.inf  # s without one at the last tick, and its time
 
@@ -242,9 +240,6 @@ class PlantSupervisor:
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
             after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
             self.outputs.say(MISMATCH if self.mismatched else after, warning=self.mismatched)
-        elif status == CorrectionStatus.BYPASSED and not self._told_bypassed:
-            self._told_bypassed = True
-            self.outputs.say(BYPASSED, warning=True)
 
     def may_begin(self, now: float) -> bool:
         """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""
