@@ -163,7 +163,7 @@ def evaluated() -> tuple[Heard, EvaluationSession]:
     graph, live = Heard(), LiveCompensation(LAW)
     controllers = [Compensated(live), FixedGains(90.0, 15.0)]
     settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
-    session = EvaluationSession(settings, controllers, PlantSupervisor(graph), compensation=live)
+    session = EvaluationSession(settings, controllers, PlantSupervisor(graph, True), compensation=live)
     graph.run(session, 60.0, compensation=live)
     return graph, session
 
@@ -239,7 +239,9 @@ def test_gains_held_by_a_person_are_those_of_the_law_that_acts() -> None:
     graph = Held(override)
     controllers = [Compensated(live), FixedGains(90.0, 15.0)]
     settings = EvaluationSettings(frequencies=(1.0,), measure=1.0)
-    session = EvaluationSession(settings, controllers, PlantSupervisor(graph, override=override), compensation=live)
+    session = EvaluationSession(
+        settings, controllers, PlantSupervisor(graph, True, override=override), compensation=live
+    )
     while not session.scores:
         graph.run(session, 0.01, compensation=live)
     assert graph.armed[-1] == (True, Law.PAPER), "the law is about to change"
@@ -257,7 +259,10 @@ def test_a_plant_that_does_not_take_up_the_law_ends_its_runs() -> None:
     graph.guard.offer(None)
     controllers = [Compensated(live), FixedGains(90.0, 15.0)]
     session = EvaluationSession(
-        EvaluationSettings(frequencies=(1.0,), measure=1.0), controllers, PlantSupervisor(graph), compensation=live
+        EvaluationSettings(frequencies=(1.0,), measure=1.0),
+        controllers,
+        PlantSupervisor(graph, True),
+        compensation=live,
     )
     graph.run(session, 60.0, compensation=live)
     assert session.finished and "does not take up" in session.scores[1].stopped

@@ -36,7 +36,7 @@ from tests.offline_graph import OfflineGraph
 def test_the_best_is_told_with_its_distance() -> None:
     graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
     session = EvaluationSession(
-        EvaluationSettings(frequencies=(1.0, 2.0)), [FixedGains(90.0, 15.0)], PlantSupervisor(graph)
+        EvaluationSettings(frequencies=(1.0, 2.0)), [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True)
     )
     for name, errors in {"good": (1.0, 2.0), "next": (4.0, 4.0), "stopped": (0.1, math.nan)}.items():
         for case, rmse in zip(("1 Hz", "2 Hz"), errors, strict=True):
@@ -68,7 +68,7 @@ def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path
 
     graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
     session = EvaluationSession(
-        EvaluationSettings(frequencies=(1.0,)), [FixedGains(90.0, 15.0)], PlantSupervisor(graph)
+        EvaluationSettings(frequencies=(1.0,)), [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True)
     )
     session.scores.append(replace(found, controller="fixed (90, 15)", repeat=0))
     assert report.table(session).rows[0]["1 Hz"] == "1.00 (3.00)"
@@ -176,7 +176,7 @@ def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_tr
     graph = OfflineGraph(AnalyticPlant(bench), bench, guard=GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0))
     evaluation = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=1.0)
     settings = GridSettings(kp_min=60.0, ki_values=(15.0,), refinements=1)
-    session = GridSession(settings, evaluation, PlantSupervisor(graph))
+    session = GridSession(settings, evaluation, PlantSupervisor(graph, True))
     graph.run(session, 120.0)
     assert session.finished
     tried = session.search.tried

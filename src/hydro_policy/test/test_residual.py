@@ -97,7 +97,7 @@ def test_session_runs_the_law_with_and_without_it_as_two_controllers() -> None:
     live = LiveCompensation(BoxLaw(), network=Network.load())
     controllers = [Compensated(live), Compensated(live, learned=True)]
     session = EvaluationSession(
-        EvaluationSettings(frequencies=(0.7,), settle=4.0), controllers, PlantSupervisor(graph), compensation=live
+        EvaluationSettings(frequencies=(0.7,), settle=4.0), controllers, PlantSupervisor(graph, True), compensation=live
     )
     graph.run(session, 60.0, compensation=live)
     assert session.finished and not session.warnings

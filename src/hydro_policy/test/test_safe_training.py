@@ -280,7 +280,7 @@ def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it() -> None:
     """The force was far away when a person took the gains, under way in a step."""
     monitor = SafetyMonitor(MonitorSettings())
     session = EvaluationSession(
-        EvaluationSettings(), [FixedGains(90.0, 15.0)], PlantSupervisor(Still()), monitor=monitor
+        EvaluationSettings(), [FixedGains(90.0, 15.0)], PlantSupervisor(Still(), True), monitor=monitor
     )
     sample, armed = np.zeros(14), int(Flag.ARMED)
     session.on_sample(0, sample, 0, 0.0)

@@ -163,7 +163,9 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
 def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> None:
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph))
+    session = EvaluationSession(
+        settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph, True)
+    )
     graph.run(session, session.seconds + 5.0)
     narrowed, own = session.scores
     assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
@@ -176,7 +178,7 @@ def test_a_run_in_which_the_machine_was_held_up_is_started_again(silence: float,
     """The box hears nothing in the first runs: for so long that it trips, or that base gains act."""
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph))
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
     receive, until, hit = graph.box.receive, 0.0, set[int]()
 
     def hear(command: Command, time: float) -> None:
@@ -201,7 +203,7 @@ def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
     """A bench whose metric is of the compensated law alone: its base gains are compared all the same."""
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(15.0, 5.0)], PlantSupervisor(graph))
+    session = EvaluationSession(settings, [FixedGains(15.0, 5.0)], PlantSupervisor(graph, True))
     take = session.on_sample
 
     def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -217,7 +219,7 @@ def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
 def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one_is_warned_of() -> None:
     settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph))
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
     take = session.on_sample
 
     def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -233,7 +235,9 @@ def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
     """The session on a box and plant, against `simulation.offline.simulate` with the same gains: within 3 %."""
     settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph))
+    session = EvaluationSession(
+        settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph, True)
+    )
     graph.run(session, session.seconds + 5.0)
     assert session.finished and len(session.scores) == 4 and not session.warnings
     for score in session.scores:

@@ -24,7 +24,7 @@ from hydro_bridge.files import bench_file
 from hydro_bridge.serial.port import Port, PortSettings, no_port
 
 NOMINAL_FORCE_GAIN = 10.53e6
-"""N/s/A, of the nominal bench, on which a correction of 0.2 mA moves the force by 100 N or so."""
+"""g of the nominal bench [N/s/A]: a correction of 0.2 mA moves the force there by up to g 0.2 mA / K_p, 140 N."""
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ class PlantSupervisor:
     def __init__(
         self,
         outputs: Outputs,
-        rearm: bool = True,
+        rearm: bool,
         requirements: Sequence[Requirement] = (),
         override: GainOverride | None = None,
     ) -> None:
