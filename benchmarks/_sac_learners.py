@@ -25,8 +25,6 @@ from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 
 WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
-
-
 REWARD_SCALE = 0.02
 """As `SacSettings.reward_scale`; here in the environment, so that every learner sees the same rewards."""
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compensated law's own tables: python -m benchmarks.compensated_law STUDY [--draw COUNT --seed S] [--json FILE].
 
-gains      K_p, K_i and C_1 over drawn truths, as they are, with 0.6 times the valve gain believed, and 4 ms late
 margins    the law as it is over drawn truths and the default one, by believed valve gain and delay to the valve
 effects    each effect of the default truth doubled (bandwidths halved)
 specimen   the load's own force, load cell not known, as a diagnosis of two recordings finds it, known, 20 % wrong;
@@ -45,11 +44,6 @@ from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 
-CANDIDATES = (
-    (400.0, 15.0, 0.3), (400.0, 15.0, 0.15), (400.0, 15.0, 0.0), (300.0, 15.0, 0.0), (500.0, 15.0, 0.0),
-    (600.0, 15.0, 0.0), (400.0, 5.0, 0.0), (400.0, 50.0, 0.0),
-)  # fmt: skip
-"""K_p [1/s], K_i [1/s^2], C_1 [-]."""
 DOUBLED: Mapping[str, Mapping[str, Any]] = {
     "as it is": {},
     "dry friction": {"friction_coulomb": {"force": 24.0, "form": "lugre"}},
@@ -68,8 +62,6 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
 }
 REFERENCE_TIME = 20.0
 """s of each reference of `endurance`, of which the first `SETTINGS.settle` do not count."""
-
-
 RECORDED = (
     [Segment(seconds=10.0, waveform="multisine", amplitude=200.0, frequency=0.5, kp=150.0, ki=15.0),
      Segment(seconds=10.0, waveform="sine", amplitude=200.0, frequency=1.5, kp=150.0, ki=15.0)],
@@ -92,7 +84,6 @@ class Condition(NamedTuple):
 
 
 AS_IT_IS = Condition("as it is")
-GAIN_CONDITIONS = (AS_IT_IS, Condition("valve gain x 0.6", 0.6), Condition("4 ms late", dead_time=4))
 MARGIN_CONDITIONS = (
     AS_IT_IS,
     *(Condition(f"valve gain x {factor:g}", factor) for factor in (0.3, 0.4, 0.5, 0.6, 0.8, 1.25, 1.6, 2.5)),
@@ -101,23 +92,17 @@ MARGIN_CONDITIONS = (
 
 
 class Job(NamedTuple):
-    """One truth under one law."""
+    """One truth under one condition."""
 
     label: str
     config: TruthConfig
     condition: Condition
-    law: BoxLaw
-
-
-def law_with(gains: tuple[float, float, float]) -> BoxLaw:
-    """The compensated law with (K_p, K_i, C_1)."""
-    return replace(BoxLaw(), base_kp=gains[0], base_ki=gains[1], velocity_compensation=gains[2])
 
 
 def run_job(job: Job) -> list[dict[str, Any]]:
     """Rows of this truth on the references of `evaluate`."""
-    scale = job.condition.valve_gain
-    law = replace(job.law, valve_gain_scale=scale, valve_gain_scale_min=min(scale, job.law.valve_gain_scale_min))
+    scale, usual = job.condition.valve_gain, BoxLaw()
+    law = replace(usual, valve_gain_scale=scale, valve_gain_scale_min=min(scale, usual.valve_gain_scale_min))
     rows = compensated(job.config, SETTINGS.cases, law, dead_time=job.condition.dead_time)
     return [{"law": job.label, "condition": job.condition.name, **row} for row in rows]
 
@@ -134,27 +119,18 @@ def on_truths(asked: argparse.Namespace, function: Callable[[Any], Any], wanted:
     return [*jobs.complete(function, numbered, **jobs.where(asked), label="truths", unit="truth").values()]
 
 
-def gains(asked: argparse.Namespace) -> Table:
-    """Search over drawn truths."""
-    truths = drawn(asked)
-    return tabulated(asked, [
-        Job(f"{chosen[0]:g}, {chosen[1]:g}, {chosen[2]:g}", config, condition, law_with(chosen))
-        for chosen in CANDIDATES for condition in GAIN_CONDITIONS for config in truths
-    ])  # fmt: skip
-
-
 def margins(asked: argparse.Namespace) -> Table:
     """The law's margins."""
     truths = {"default": [profile("default")], f"{asked.draw} drawn": drawn(asked)}
     return tabulated(asked, [
-        Job(name, config, condition, BoxLaw())
+        Job(name, config, condition)
         for name, configs in truths.items() for condition in MARGIN_CONDITIONS for config in configs
     ])  # fmt: skip
 
 
 def effects(asked: argparse.Namespace) -> Table:
     """Each effect doubled."""
-    return tabulated(asked, [Job(name, truth(changed), AS_IT_IS, BoxLaw()) for name, changed in DOUBLED.items()])
+    return tabulated(asked, [Job(name, truth(changed), AS_IT_IS) for name, changed in DOUBLED.items()])
 
 
 def specimen(asked: argparse.Namespace) -> Table:
@@ -277,7 +253,7 @@ def drawn(asked: argparse.Namespace) -> list[TruthConfig]:
 
 
 STUDIES: dict[str, Callable[[argparse.Namespace], Table]] = {
-    study.__name__: study for study in (gains, margins, effects, specimen, changes, endurance)
+    study.__name__: study for study in (margins, effects, specimen, changes, endurance)
 }
 
 

@@ -1,16 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated run as the diagnosis reads it."""
+"""A simulated run as the diagnosis reads it, and how far its own simulation is from that."""
 
 from __future__ import annotations
 
-from hydro_bridge.signals import STATE_FIELDS, StateArray
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import TEXTBOOK
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
+
+BEGINS, LENGTH = np.arange(300, 1100, 100), 40
+"""Samples from which a run is simulated again, and for how many."""
 
 
 def segment(states: StateArray, name: str = "run") -> Segment:
     """All fields of the nominal bench's run."""
     columns = {field: states[field].copy() for field in STATE_FIELDS}
     return checked(RawTable(name, states["time"].copy(), None, columns), Bench.nominal()).segments[0]
+
+
+def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]:
+    """A closed-loop run without noise as a recording, and its physical states, shape (n, 6)."""
+    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=0.9)
+    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=1.2)
+    current = simulate(AnalyticPlant(bench, noise=0.0), Bench.nominal(), schedule)["valve_current"].copy()
+    plant = AnalyticPlant(bench, noise=0.0)
+    shown, states = [plant.measurement()], [plant.state["y"][0, :TEXTBOOK].copy()]
+    for held in current[:-1]:
+        shown.append(plant.step(float(held)))
+        states.append(plant.state["y"][0, :TEXTBOOK].copy())
+    columns = dict(zip(PLANT_FIELDS, np.array(shown).T, strict=True))
+    channels = {name: np.ascontiguousarray(columns[name]) for name in MEASURED}
+    return Segment("run", 0.0, 1e-3, {**channels, "valve_current": current}), np.array(states)
+
+
+def apart(segment: Segment, states: FloatArray, claims: Sequence[Claim]) -> dict[str, float]:
+    """RMS over range of what the diagnosis' simulation makes of the same current from the same states, by channel."""
+    plant = Plant.of(SegmentModel(segment, Bench.nominal()), claims)
+    readings = plant.measurements(plant.run(states[BEGINS][:, [2, 3, 0, 1]].T.copy(), BEGINS, LENGTH), BEGINS)
+    at = BEGINS[None, :] + np.arange(LENGTH)[:, None]
+    return {
+        name: float(np.sqrt(np.mean((readings[name] - signal[at]) ** 2)) / np.ptp(signal))
+        for name, signal in segment.channels.items()
+        if name in MEASURED
+    }

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect of the catalogue in every part that takes a bench file, one at a time.
-
-`python -m benchmarks.effect_table` makes a table of what passes.
-"""
+"""Every effect of the catalogue in every part that takes a bench file, one at a time."""
 
 from __future__ import annotations
 
@@ -81,7 +78,6 @@ def driven(bench: Bench, seconds: float, *, noise: float, seed: int = 0) -> Stat
     )  # fmt: skip
 
 
-@pytest.mark.proves("differentiated")
 @pytest.mark.parametrize("label", CATALOGUE)
 def test_predictions_have_the_slopes_by_its_parameters_that_differences_have(label: str) -> None:
     model = BenchModel(having(label), substeps=10)
@@ -105,7 +101,6 @@ def test_predictions_have_the_slopes_by_its_parameters_that_differences_have(lab
         assert np.max(np.abs(dz[:, :, j] - difference) / NOISE) < allowed, model.parameters[index].name
 
 
-@pytest.mark.proves("identified by learn")
 @pytest.mark.parametrize("label", CATALOGUE)
 def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
     """On the bench file's own simulation, with sensors' noise: within 5 % or the interval, which must be narrow."""
@@ -118,7 +113,6 @@ def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
         assert abs(found.value - value) < max(0.05 * abs(value), found.high - found.low), found
 
 
-@pytest.mark.proves("in the metric's model")
 @pytest.mark.parametrize("label", CATALOGUE)
 def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> None:
     """What the filter follows beside a bench with the effect is where that bench is.
@@ -156,7 +150,6 @@ def shown(parts: Any, y: FloatArray, z: FloatArray) -> FloatArray:
     return x
 
 
-@pytest.mark.proves("trained on")
 @pytest.mark.parametrize("label", CATALOGUE)
 def test_a_fleet_that_is_trained_on_moves_as_the_simulation_to_the_bit(label: str) -> None:
     bench, sine = having(label), ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.3)

@@ -28,8 +28,6 @@ COLUMNS = {
     "left": "worst channel's held-out error over its noise floor",
     "cpu": "s of processor time that `diagnose` took",
 }
-
-
 SHOWS = 0.05
 """Squared error above the noise, in noise floors, from which there is something to close."""
 

@@ -23,8 +23,6 @@ FloatArray = npt.NDArray[np.float64]
 SUBSTEPS = 200
 LOGGED = 15
 """Columns of a run: those of BenchState from hydraulic_force to integral_gain, then its flags."""
-
-
 Physics = tuple[int, float, float]
 """Place of a kind in `beyond_the_table.kinds.NAMES`, its magnitude and its second number."""
 NONE: Physics = (-1, 0.0, 1.0)

@@ -155,8 +155,6 @@ OUTSIDE: dict[str, dict[str, Any]] = {
     "supply_ripple": {"amplitude": _size(1e5, 5e5)},
 }
 """Causes that the diagnosis has no name for."""
-
-
 FITTED, HELD = ("run1", "run2", "run3"), "held"
 """Names of a case's recordings."""
 SECONDS = 20.0

@@ -85,8 +85,6 @@ def usable(bag: Path) -> bool:
 
 SLICE = 8
 """Cases that one process of the emulator records."""
-
-
 Run = tuple[Case, str]
 """A case and the name of a recording."""
 

@@ -60,8 +60,6 @@ _IDS = {
 }  # fmt: skip
 SHARE = 0.1
 """Share of the mismatch below which a place does not count against the location."""
-
-
 _BY_RATIO = ("valve_gain", "valve_gain_asymmetry", "bulk_modulus", "load_cell_gain", "spring_stiffness",
              "supply_pressure", "piston_area", "area_ratio", "dead_volume")  # fmt: skip
 _NEUTRAL = {**{(cause, "ratio"): 1.0 for cause in _BY_RATIO}, ("spring_rest", "position"): 0.04}

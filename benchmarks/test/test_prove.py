@@ -78,8 +78,6 @@ PEEKS = {
     "os.listdir(hidden / 'blind')": True,
     "importlib.import_module('hydro_sim.model.hydraulics')": True,
 }
-
-
 PEEKING = """
 import importlib, json, os, pathlib, subprocess, sys
 from benchmarks.prove import blind

@@ -55,7 +55,6 @@ NAMES = [" + ".join(map(label, effects[-1:] if len(effects) < 3 else effects)) o
 """Of two effects one needs the other: the last is meant."""
 
 
-@pytest.mark.proves("simulated")
 @pytest.mark.parametrize("label", NAMES)
 def test_every_kind_moves_as_in_the_former_writing(label: str) -> None:
     """Below LAMINAR the orifice's flow is proportional here: a leak through an edge between even chambers differs."""
