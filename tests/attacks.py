@@ -57,8 +57,6 @@ class Outcome:
 
 Strike = Callable[[Any, "Defended"], Callable[[], bool]]
 """What a stranger's node does: once more, each time; whether it arrives."""
-
-
 EMULATOR = PlantOptions(plant="emulator")
 
 

@@ -51,8 +51,6 @@ HIGH = np.array([5e3, 1e8, 5e3, 1e8, 25e6, 25e6, 85e-3, 10, 0.05, 100, 5e3, 3.2e
 """What STATE may show of a sound box: ranges of the sensors, of the law and of the gains."""
 MOST = np.array([1e5, 1e9, 1e5, 1e9, 1e8, 1e8, 1.0, 20.0, 0.1, 1e4, 1e5, 1e9, 1e4, 1e4])
 """Magnitudes that loop_filter.h still computes with."""
-
-
 BELIEVED = Bench.nominal()
 """What the force law believes."""
 

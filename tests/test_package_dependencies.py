@@ -16,33 +16,21 @@ import pytest
 from ament_index_python.packages import get_package_prefix
 
 ROOT = Path(__file__).resolve().parent.parent
-
-
 LOADED = {"hydro_sim": {"hydro_firmware"}}
 """Packages of ours that are loaded as a shared library, which no import shows."""
-
-
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/hydro_*/setup.py"))
-
-
 KEYS = {name: f"python3-{name}" for name in (
     "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas",
     "pytest", "scipy", "serial", "torch", "tqdm", "websockets", "yaml",
 )} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
-
-
 WITHOUT_KEY = {
     "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pyarrow", "ruptures",
     "safetensors", "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
-
-
 DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}
 """pip's names where they are not the module's."""
-
-
 NOT_ASKED_FOR = {"asammdf", "cycler", "llvmlite"}
 """Only for MDF files; come with matplotlib and numba."""
 

@@ -19,44 +19,32 @@ from hydro_sim.model.bench import Bench
 SINE = "{seconds: 1.0, amplitude: 200}"
 SCHEDULES = {
     "seconds": f"[{SINE}, {{seconds: abc}}]",
-    "waveform": f"[{SINE}, {{seconds: 1, waveform: foo}}]",
-    "nan": f"[{SINE}, {{seconds: 1, amplitude: .nan}}]",
     "pulse": f"[{SINE}, {{seconds: 1, delta_u: 0.01}}]",
     "none": "3",
 }
 REFUSED = {
     "hydro_bridge bridge": (
         ("--ros-args -p guard.delta_kp_mx:=30.0", "no parameter guard.delta_kp_mx; is guard.delta_kp_max"),
-        ("--ros-args --params-file /nowhere", "ROS refuses its arguments"),
         ("--ros-args --nonsense", "--nonsense"),
         ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
         ("--port /dev/null", "/dev/null is another device, not a serial port"),
-        ("--ros-args -p guard.abandoned_after:=3.0", "no parameter guard.abandoned_after"),
         ("--bench @corrected.yaml", "has effects, which no force law believes"),
     ),
     "hydro_bridge recorder": (
         ("--out /dev/null/bag", "/dev/null is not a folder: choose another place"),
         ("--out @bag", "exists already; a recording is never overwritten"),
     ),
-    "hydro_bridge replayer": (("@bag --keep-stamps", "unrecognized arguments: --keep-stamps"),),
-    "hydro_bridge arm": (
-        ("--timeout=nan", "argument --timeout: nan: must be 0.01 or more"),
-        ("--timeout=-1", "argument --timeout: -1: must be 0.01 or more"),
-    ),
+    "hydro_bridge arm": (("--timeout=nan", "argument --timeout: nan: must be 0.01 or more"),),
     "hydro_bridge view": (
         ("@bag --no-open --from 3 --to 2", "the end must come behind the begin"),
-        ("@bag --no-open --from soon", "argument --from: soon: must be 0 or more"),
         ("@bag --no-open --from 60", "no samples from 60"),
     ),
     "hydro_bridge dashboard": (("--port 65536", "65536"), ("--port http", "http")),
     "hydro_sim collect": (
         ("--out @new --seconds nan", "argument --seconds: nan: must be 1 to 36000"),
-        ("--out @new --seed -1", "argument --seed: -1: must be a whole number, 0 or more"),
         ("--out /dev/null/bag --seconds 5", "/dev/null/bag cannot be made"),
         ("--out @new --bench nowhere.yaml", "nowhere.yaml cannot be read: "),
         ("--out @new --schedule @seconds", "segments[1].seconds must be a number in s, not 'abc'"),
-        ("--out @new --schedule @waveform", "segments[1].waveform must be one of hold, sine, "),
-        ("--out @new --schedule @nan", "segments[1].amplitude must be a number in N, not nan"),
         ("--out @new --schedule @pulse", "segments[1].delta_u is 0.01 A: only the emulator"),
         ("--out @new --schedule @none", "must hold one list of segments under the key segments"),
     ),
@@ -64,7 +52,6 @@ REFUSED = {
         ("--offline", "--offline needs --out"),
         ("--out @new", "add --offline"),
         ("--offline --out @new --truth none.yaml", "none.yaml cannot be read"),
-        ("--batch none.yaml", "none.yaml cannot be read"),
         ("--offline --out /dev/null/x", "/dev/null is not a folder: choose another place"),
         ("--seconds nan", "--seconds nan"),
     ),
@@ -85,10 +72,6 @@ REFUSED = {
     ),
     "hydro_filter export_c": (("--out @new --contraction-rate -1", "contraction_rate"),),
     "hydro_filter learn_metric": (("--out /dev/null/x", "/dev/null"),),
-    "hydro_sim export_c": (
-        ("--out @new --velocity-age 0.002", "unrecognized arguments: --velocity-age"),
-        ("--out @new --force-rate-age 0.002", "unrecognized arguments: --force-rate-age"),
-    ),
     "hydro_policy export_c": (("--out @new --policy @plain.yaml", "cannot be read as weights"),),
     "hydro_policy pretrain": (
         ("--out @new --model nowhere.safetensors", "nowhere.safetensors"),
@@ -102,7 +85,6 @@ REFUSED = {
         ("--runs @new --ros-args -p sac.discont:=0.9", "no parameter sac.discont; is sac.discount meant?"),
         ("--runs @new --plant sim --truth t.yaml", "--truth is of no use with --plant sim; it goes with emulator"),
         ("--runs @new --plant external --filter=--bypass", "--filter is of no use with --plant external"),
-        ("--runs @new --plant emulator --bench /nowhere", "/nowhere"),
         ("--runs @new --plant sim --model /nowhere", "--model /nowhere: there is no such file"),
         ("--runs /dev/null", "cannot be made"),
     ),
@@ -118,7 +100,6 @@ REFUSED = {
         ("--site @new", "which bench? Name its --port"),
         ("--site @new --port /dev/null", "which bench.yaml does the box believe?"),
         ("--site @new --port /dev/null --truth t.yaml", "--truth is of the emulated bench"),
-        ("--site @new --plant emulator --from nowhere", "invalid choice: 'nowhere'"),
     ),
 }
 

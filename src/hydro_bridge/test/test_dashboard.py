@@ -78,9 +78,9 @@ def test_the_page_and_all_that_it_names_come_from_here(server: PageServer) -> No
     assert not any(re.search(r"https?://", text) for text in ours), "nothing is fetched from elsewhere"
 
 
-@pytest.mark.parametrize("path", ["/no", "/../server.py", "/page/index.html", "/%2e%2e/server.py"])
-def test_nothing_else_is_served(server: PageServer, path: str) -> None:
-    assert get(server, path)[0] == 404
+def test_nothing_else_is_served(server: PageServer) -> None:
+    for path in ("/no", "/../server.py", "/page/index.html", "/%2e%2e/server.py"):
+        assert get(server, path)[0] == 404
 
 
 def test_a_foreign_page_and_a_foreign_name_are_refused(server: PageServer) -> None:

@@ -2,16 +2,13 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, fields
-from math import isfinite
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import pytest
 
 from hydro_bridge.cli.console import NEW_ONLY, UserError, refuse_changes
-from hydro_bridge.safety.limits import GuardSettings
-from hydro_bridge.serial.port import PortSettings
-from hydro_bridge.settings import SettingsError, check, describe, from_mapping, quantity, to_mapping
+from hydro_bridge.settings import SettingsError, from_mapping, quantity, to_mapping
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,23 +27,6 @@ class Example:
     name: str = ""
     on: bool = False
     parts: tuple[Part, ...] = ()
-
-
-@pytest.mark.parametrize("kind", [GuardSettings, PortSettings])
-def test_every_setting_has_a_sentence_every_number_a_range_and_every_default_is_within(kind):
-    declared, defaults = describe(kind), kind()
-    for field in fields(kind):
-        value = getattr(defaults, field.name)
-        assert declared[field.name].meaning
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            assert isfinite(declared[field.name].low)
-    check(defaults)
-
-
-def test_out_of_range_is_told_with_value_range_unit_and_meaning():
-    sentence = r"delta_kp_max must be within \[0, 500\] 1/s, not 501: Largest change of the proportional gain$"
-    with pytest.raises(SettingsError, match=sentence):
-        check(GuardSettings(delta_kp_max=501.0))
 
 
 @pytest.mark.parametrize(

@@ -200,8 +200,6 @@ def test_a_page_of_somebody_else_is_left_alone(runs: Path) -> None:
 
 
 LAYOUTS = Path(__file__).parents[1] / "layouts"
-
-
 TYPES = {
     "/hydro/state": "hydro_msgs/msg/BenchState",
     "/hydro/correction": "hydro_msgs/msg/Correction",

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -20,16 +20,10 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
 from hydro_diagnosis.listing import improbable, proposed
-from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
-Frame = Callable[[StateArray], pd.DataFrame]
-
-
 MAP = "time=clock[ms],piston_position=pos[mm]-40,pressure_a='p a [bar]'[bar],hydraulic_force=vir*gtau,load_force=0"
-
-
 YAML = """
 time: clock[ms]
 piston_position: {column: pos, unit: mm, offset: -40}
@@ -37,8 +31,6 @@ pressure_a: {column: "p a [bar]", unit: bar}
 hydraulic_force: vir*gtau
 load_force: 0
 """
-
-
 TRUE = {
     "time": [0.0, 1e-3, 2e-3],
     "piston_position": [0.01, 0.0, -0.01],
@@ -66,31 +58,6 @@ def test_every_form_of_a_map_gives_the_same_fields(form: str, tmp_path: Path) ->
         "mapping": dict(part.split("=") for part in text.split(",")),
     }[form]
     same(read_table(path, ColumnMap.load(given)), TRUE)
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
-def test_formats_agree_to_the_bit(suffix: str, tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
-    data = frame(nominal)
-    path = tmp_path / f"run{suffix}"
-    if suffix == ".csv":
-        data.to_csv(path, index=False)
-    elif suffix == ".parquet":
-        data.to_parquet(path)
-    else:
-        savemat(path, {name: data[name].to_numpy()[:, None] for name in data})
-    segment = checked(read_table(path), Bench.nominal()).segments[0]
-    np.testing.assert_array_equal(segment.channels["pressure_a"], nominal["pressure_a"])
-    np.testing.assert_array_equal(segment.channels["valve_current"], nominal["valve_current"])
-
-
-def test_matrices_and_structs_become_columns(tmp_path: Path) -> None:
-    path = tmp_path / "log.mat"
-    signals = [{"values": np.arange(5.0)}, {"values": np.ones((2, 5))}]
-    savemat(path, {"out": {"time": np.arange(5.0)[:, None], "signals": np.array(signals, dtype=object)}})
-    columns = "time=out.time,valve_current=out.signals.0.values,pressure_a=out.signals.1.values.1"
-    table = read_table(path, ColumnMap.load(columns))
-    np.testing.assert_array_equal(table.columns["valve_current"], np.arange(5.0))
-    np.testing.assert_array_equal(table.columns["pressure_a"], np.ones(5))
 
 
 @pytest.mark.parametrize(
@@ -184,8 +151,6 @@ def test_forces_whose_names_say_nothing_are_told_apart_by_the_pressures() -> Non
 
 
 Array = npt.NDArray[np.float64]
-
-
 FIELDS = ("piston_position", "pressure_a", "pressure_b", "load_force", "valve_current", "reference_force")
 
 
@@ -362,10 +327,3 @@ def test_milliseconds_without_a_unit_and_sensors_in_every_fifth_row_only(tmp_pat
     assert set(found.columns) == set(FIELDS[:-1])
     for field in FIELDS[:-2]:
         np.testing.assert_allclose(found.columns[field], states[field][::5], rtol=1e-9, err_msg=field)
-
-
-def test_a_page_that_was_saved_as_a_table_is_one_sentence(tmp_path: Path) -> None:
-    path = tmp_path / "download.csv"
-    path.write_text("<!DOCTYPE html>\n<html><body>, 404, 1, 2</body></html>\n" + "<p>1,2,3</p>\n" * 40)
-    with pytest.raises(InputError, match=r"download\.csv: it is a web page"):
-        columns_of(path)

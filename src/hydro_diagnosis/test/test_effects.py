@@ -64,11 +64,7 @@ def test_effects_stay_within_what_a_bench_allows() -> None:
 
 
 BENCH = Bench.nominal()
-
-
 STEP = 1e-3
-
-
 FORCE = 10.0
 
 

@@ -42,8 +42,6 @@ def test_ripple_that_no_cause_makes_is_called_unknown(
 
 
 STEP, COUNT = 5e-3, 5000
-
-
 LOAD = CHANNELS.index("load")
 
 

@@ -101,21 +101,6 @@ def test_bench_holds_and_writes_only_what_is_known(tmp_path: Path) -> None:
         Bench.load(path)
 
 
-@pytest.mark.parametrize(
-    ("content", "why"),
-    [
-        ("moving_mass: -1", "moving_mass must be within"),
-        ("mass: 1", "bench.mass is not a known setting"),
-        ("- 1", "must hold a mapping"),
-    ],
-)
-def test_wrong_content_is_refused_with_the_file(content: str, why: str, tmp_path: Path) -> None:
-    path = tmp_path / "bench.yaml"
-    path.write_text(content)
-    with pytest.raises(ValueError, match=rf"bench.yaml.*{why}"):
-        read_bench(path)
-
-
 def test_causes_that_need_what_is_not_known_are_not_tried() -> None:
     bench = completed({"moving_mass": 1.0})
     acting = {effect.id for effect in LIBRARY if applies(effect, bench)}

@@ -22,14 +22,8 @@ from hydro_sim.simulation.offline import Schedule, simulate
 from tests.segments import segment
 
 BENCH = Bench.nominal()
-
-
 EFFECTS = {effect.label: effect.adapted(BENCH) for effect in LIBRARY}
-
-
 TRUTH = replace(BENCH, supply_pressure=0.985 * BENCH.supply_pressure)
-
-
 STILL = ReferenceSignal(waveform=Waveform.SINE, amplitude=10.0, offset=0.0, frequency=0.3)
 
 
@@ -64,8 +58,6 @@ def test_the_proposed_recording_settles_more_than_a_random_one(undecided: Proble
 
 
 DRAG = 400.0
-
-
 DRAGGED = replace(
     BENCH, closures=({"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": DRAG}},)
 )

@@ -23,8 +23,6 @@ from hydro_sim.model.bench import Bench
 from tests.segments import segment
 
 BENCH = Bench.nominal()
-
-
 RISE = {"breakaway_force": 8.0, "velocity": 0.012}
 """Stribeck friction without any other: the piston stops and breaks loose by tenths of a newton."""
 

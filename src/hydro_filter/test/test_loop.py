@@ -44,11 +44,7 @@ from hydro_sim.model.grammar import LAWS
 from hydro_sim.model.laws import Law
 
 Entry = dict[str, Any]
-
-
 LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
-
-
 LEAK: Entry = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
 
 
@@ -155,11 +151,7 @@ def test_bristles_bend_by_the_motion_that_was_measured() -> None:
 
 
 LIMIT = 1e-6
-
-
 COUNT = 40
-
-
 Case = tuple[FloatArray, FloatArray, float]
 
 

@@ -22,8 +22,6 @@ from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import OfflineGraph
 
 TRUE = (1.02, 0.031, 4e-4, -7.0)
-
-
 ACTIVE = np.array([True])
 
 
@@ -158,12 +156,19 @@ class Heard(OfflineGraph):
         return output
 
 
+def started(
+    graph: Heard, live: LiveCompensation, *frequencies: float, override: GainOverride | None = None
+) -> EvaluationSession:
+    """The compensated law beside (90, 15), a second each."""
+    settings = EvaluationSettings(frequencies=frequencies, measure=1.0)
+    controllers, plant = [Compensated(live), FixedGains(90.0, 15.0)], PlantSupervisor(graph, True, override=override)
+    return EvaluationSession(settings, controllers, plant, compensation=live)
+
+
 @cache
 def evaluated() -> tuple[Heard, EvaluationSession]:
     graph, live = Heard(), LiveCompensation(LAW)
-    controllers = [Compensated(live), FixedGains(90.0, 15.0)]
-    settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
-    session = EvaluationSession(settings, controllers, PlantSupervisor(graph, True), compensation=live)
+    session = started(graph, live, 1.0, 2.0)
     graph.run(session, 60.0, compensation=live)
     return graph, session
 
@@ -211,15 +216,18 @@ def test_coefficients_hold_under_what_spoils_a_sample_and_while_disarmed(flag: F
     assert live.command == before != LiveCompensation(LAW).command
 
 
-def test_frozen_coefficients_hold_until_released() -> None:
+def test_frozen_coefficients_hold_until_released_also_into_the_next_run() -> None:
     live = LiveCompensation(LAW)
     pairs(live, range(100))
     live.frozen, before = True, live.command
     pairs(live, range(100, 200))
+    live.reset()
     assert live.command == before and live.health["frozen"] != "no"
     live.frozen = False
     pairs(live, range(200, 300))
     assert live.command != before
+    live.reset()
+    assert live.command.coefficients == NEUTRAL
 
 
 class Held(Heard):
@@ -237,11 +245,7 @@ class Held(Heard):
 def test_gains_held_by_a_person_are_those_of_the_law_that_acts() -> None:
     override, live = GainOverride(), LiveCompensation(LAW)
     graph = Held(override)
-    controllers = [Compensated(live), FixedGains(90.0, 15.0)]
-    settings = EvaluationSettings(frequencies=(1.0,), measure=1.0)
-    session = EvaluationSession(
-        settings, controllers, PlantSupervisor(graph, True, override=override), compensation=live
-    )
+    session = started(graph, live, 1.0, override=override)
     while not session.scores:
         graph.run(session, 0.01, compensation=live)
     assert graph.armed[-1] == (True, Law.PAPER), "the law is about to change"
@@ -257,13 +261,7 @@ def test_a_plant_that_does_not_take_up_the_law_ends_its_runs() -> None:
     live = LiveCompensation(LAW)
     graph = Heard()
     graph.guard.offer(None)
-    controllers = [Compensated(live), FixedGains(90.0, 15.0)]
-    session = EvaluationSession(
-        EvaluationSettings(frequencies=(1.0,), measure=1.0),
-        controllers,
-        PlantSupervisor(graph, True),
-        compensation=live,
-    )
+    session = started(graph, live, 1.0)
     graph.run(session, 60.0, compensation=live)
     assert session.finished and "does not take up" in session.scores[1].stopped
     assert sum(not before[0] and now[0] for before, now in pairwise(graph.armed)) <= 5
@@ -282,14 +280,3 @@ def test_a_lost_message_holds_one_policy_step_and_what_comes_out_of_order_is_pai
     whole = LiveCompensation(LAW)
     pairs(whole, range(300))
     assert np.array_equal(other.command.coefficients, whole.command.coefficients)
-
-
-def test_a_frozen_estimator_keeps_its_coefficients_into_the_next_run() -> None:
-    live = LiveCompensation(LAW)
-    pairs(live, range(200))
-    live.frozen, before = True, live.command
-    live.reset()
-    assert live.command == before
-    live.frozen = False
-    live.reset()
-    assert live.command.coefficients == NEUTRAL

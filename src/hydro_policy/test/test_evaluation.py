@@ -75,8 +75,6 @@ def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path
 
 
 CASES = ("0.5 Hz", "1 Hz", "1.5 Hz", "2 Hz")
-
-
 FIXED = np.array([5.0, 12.0, 20.0, 40.0])
 
 

@@ -57,21 +57,8 @@ def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.Comp
 
 def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> None:
     short = ("--ros-args", "-p", "task.steps_per_episode:=250", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
-    done = run(
-        "trainer",
-        "--plant",
-        "sim",
-        "--from",
-        "scratch",
-        "--episodes",
-        "2",
-        "--runs",
-        str(tmp_path),
-        "--name",
-        "a",
-        *short,
-        timeout=280.0,
-    )
+    words = ("--plant", "sim", "--from", "scratch", "--episodes", "2", "--runs", str(tmp_path), "--name", "a")
+    done = run("trainer", *words, *short, timeout=280.0)
     assert done.returncode == 0, done.stderr
     folder = RunDirectory(tmp_path / "a")
     for path in (folder.policy, folder.bag, folder.latest, folder.log):

@@ -34,8 +34,6 @@ from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import PASSED, InlineLearner, OfflineGraph
 
 BENCH = replace(Bench.nominal(), load_cell_bandwidth=25.0)  # with which K_p beyond about 100 1/s is unstable
-
-
 EXAM = ExamSettings(every=1, settle=0.5, measure=0.5, repeats=1)
 
 
@@ -236,19 +234,6 @@ def test_the_current_is_judged_again_once_the_force_is_back_from_base_gains() ->
     assert spared == [None] * 29 and judged is not None and "chattering" in judged
 
 
-NOMINAL = Bench.nominal()
-
-
-SHORT = TrainingSettings(
-    episodes=1,
-    warmup_steps=50,
-    replay_capacity=4000,
-    exam=ExamSettings(every=1, settle=0.5, measure=0.5, repeats=1),
-    sac=SacSettings(batch_size=32),
-    task=TaskSettings(steps_per_episode=150),
-)
-
-
 def test_monitor_takes_no_current_across_a_gap_for_chatter() -> None:
     """Samples were lost, or a run was interrupted: what lies between two samples is no rate."""
     monitor, clock, sample = SafetyMonitor(MonitorSettings()), StepClock(), np.zeros(14)
@@ -260,27 +245,11 @@ def test_monitor_takes_no_current_across_a_gap_for_chatter() -> None:
     assert len(said) == 30 and said == [None] * 30 and monitor.chatter == 0.0
 
 
-class Still:
-    """Outputs that nobody hears."""
-
-    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None: ...
-
-    def command_law(self, command: object, step: int) -> None: ...
-
-    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None: ...
-
-    def reference(self, signal: object) -> None: ...
-
-    def arm(self, arm: bool) -> None: ...
-
-    def say(self, sentence: str, warning: bool = False) -> None: ...
-
-
 def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it() -> None:
     """The force was far away when a person took the gains, under way in a step."""
-    monitor = SafetyMonitor(MonitorSettings())
+    monitor, unheard = SafetyMonitor(MonitorSettings()), OfflineGraph(AnalyticPlant(BENCH), BENCH)
     session = EvaluationSession(
-        EvaluationSettings(), [FixedGains(90.0, 15.0)], PlantSupervisor(Still(), True), monitor=monitor
+        EvaluationSettings(), [FixedGains(90.0, 15.0)], PlantSupervisor(unheard, True), monitor=monitor
     )
     sample, armed = np.zeros(14), int(Flag.ARMED)
     session.on_sample(0, sample, 0, 0.0)
@@ -296,8 +265,7 @@ def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it() -> None:
 
 
 def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy() -> None:
-    graph, learner = OfflineGraph(AnalyticPlant(NOMINAL), NOMINAL), InlineLearner(SHORT)
-    session = TrainingSession(SHORT, learner, PlantSupervisor(graph, True, [learner_ready(learner)]))
+    graph, learner, session = start(settings(episodes=1))
     graph.run(session, 2.0, learner)
     tripped, sequence = int(Flag.TRIPPED | Flag.FORCE_LIMIT), 100_000
     for phase in (Phase.EVALUATING, Phase.TRAINING):

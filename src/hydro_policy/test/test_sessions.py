@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tensorboardX.proto.event_pb2 import Event
 
-from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, Waveform
+from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
 from hydro_policy.evaluation.session import REPEATS, SILENCE, EvaluationSession, EvaluationSettings
@@ -43,9 +43,17 @@ def short(episodes: int = 2, steps: int = 150, **task: float) -> TrainingSetting
     )
 
 
-def start(settings: TrainingSettings, *, rearm: bool = True, config: BoxConfig | None = None):
+def start(settings: TrainingSettings, *, config: BoxConfig | None = None, record: RunRecord | None = None):
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=config), InlineLearner(settings)
-    return graph, learner, TrainingSession(settings, learner, PlantSupervisor(graph, rearm, [learner_ready(learner)]))
+    supervisor = PlantSupervisor(graph, True, [learner_ready(learner)])
+    return graph, learner, TrainingSession(settings, learner, supervisor, record=record)
+
+
+def evaluation(*gains: tuple[float, float], **settings: float) -> tuple[OfflineGraph, EvaluationSession]:
+    """Of fixed gains, half a second at 2 Hz unless said."""
+    asked = EvaluationSettings(**{"frequencies": (2.0,), "settle": 0.5, "measure": 0.5, **settings})  # type: ignore[arg-type]
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    return graph, EvaluationSession(asked, [FixedGains(*pair) for pair in gains], PlantSupervisor(graph, True))
 
 
 def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> None:
@@ -82,14 +90,7 @@ def scalars(path: Path) -> dict[str, list[float]]:
 
 
 def test_curves_and_losses_of_a_run_are_in_its_event_files(tmp_path: Path) -> None:
-    settings = short()
-    graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH), InlineLearner(settings)
-    session = TrainingSession(
-        settings,
-        learner,
-        PlantSupervisor(graph, True, [learner_ready(learner)]),
-        record=RunRecord(tmp_path / "run.json"),
-    )
+    graph, learner, session = start(short(), record=RunRecord(tmp_path / "run.json"))
     graph.run(session, 10.0, learner)
     session.run.record.flush()
     (path,) = (tmp_path / "tensorboard").iterdir()
@@ -161,11 +162,7 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
 
 
 def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> None:
-    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(
-        settings, [FixedGains(300.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph, True)
-    )
+    graph, session = evaluation((300.0, 15.0), (40.0, 10.0))
     graph.run(session, session.seconds + 5.0)
     narrowed, own = session.scores
     assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
@@ -176,9 +173,7 @@ def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> N
 @pytest.mark.parametrize(("silence", "spoilt", "stopped"), [(0.3, 1, ""), (0.07, 1, ""), (0.3, 3, SILENCE)])
 def test_a_run_in_which_the_machine_was_held_up_is_started_again(silence: float, spoilt: int, stopped: str) -> None:
     """The box hears nothing in the first runs: for so long that it trips, or that base gains act."""
-    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
+    graph, session = evaluation((90.0, 15.0))
     receive, until, hit = graph.box.receive, 0.0, set[int]()
 
     def hear(command: Command, time: float) -> None:
@@ -201,9 +196,7 @@ def test_a_run_in_which_the_machine_was_held_up_is_started_again(silence: float,
 
 def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
     """A bench whose metric is of the compensated law alone: its base gains are compared all the same."""
-    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(15.0, 5.0)], PlantSupervisor(graph, True))
+    graph, session = evaluation((15.0, 5.0))
     take = session.on_sample
 
     def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -217,9 +210,7 @@ def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
 
 
 def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one_is_warned_of() -> None:
-    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
+    graph, session = evaluation((90.0, 15.0))
     take = session.on_sample
 
     def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -233,27 +224,14 @@ def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one
 
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
     """The session on a box and plant, against `simulation.offline.simulate` with the same gains: within 3 %."""
-    settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
-    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(
-        settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], PlantSupervisor(graph, True)
-    )
+    graph, session = evaluation((90.0, 15.0), (40.0, 10.0), frequencies=(1.0, 2.0), settle=2.0, measure=1.0)
     graph.run(session, session.seconds + 5.0)
     assert session.finished and len(session.scores) == 4 and not session.warnings
     for score in session.scores:
         kp, ki = (90.0, 15.0) if "90" in score.controller else (40.0, 10.0)
         assert (score.proportional_gain, score.integral_gain) == pytest.approx((kp, ki))
-        peer = simulate(
-            AnalyticPlant(BENCH),
-            BENCH,
-            Schedule(
-                reference=graph.references[-1].__class__(
-                    waveform=Waveform.SINE, amplitude=300.0, frequency=score.frequency
-                ),
-                gains=(kp, ki),
-                seconds=3.0,
-            ),
-        )
+        sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=score.frequency)
+        peer = simulate(AnalyticPlant(BENCH), BENCH, Schedule(reference=sine, gains=(kp, ki), seconds=3.0))
         error = (peer["reference_force"] - peer["load_force"])[2000:]
         assert score.rmse == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.03)
         assert score.lost == score.held == 0 and not score.tripped

@@ -25,8 +25,6 @@ from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.3)
-
-
 PLANTS = {
     "learned": make_plant,
     "analytic": lambda: AnalyticPlant(BENCH),

@@ -114,6 +114,12 @@ def outcomes(line: InStep, *, moving: bool = True, bench: Bench = NOMINAL) -> di
     return {result.case.id: (result.outcome, result.found) for result in results}
 
 
+def passes_every_case(line: InStep, bench: Bench = NOMINAL) -> None:
+    found = outcomes(line, bench=bench)
+    assert {case: result for case, result in found.items() if result[0] != PASS} == {}
+    assert len(found) >= 40
+
+
 BOXES: dict[str, Callable[[Any], InStep]] = {
     "Python": python_box,
     "Python, paper": partial(python_box, integral="paper"),
@@ -127,9 +133,7 @@ BOXES: dict[str, Callable[[Any], InStep]] = {
 
 @pytest.mark.parametrize("name", BOXES)
 def test_both_boxes_pass_every_case(memory: Any, name: str) -> None:
-    found = outcomes(BOXES[name](memory))
-    assert {case: result for case, result in found.items() if result[0] != PASS} == {}
-    assert len(found) >= 40
+    passes_every_case(BOXES[name](memory))
 
 
 @pytest.mark.parametrize("times", [0.2, 10.0])
@@ -138,14 +142,12 @@ def test_a_box_of_a_smaller_and_of_a_larger_bench_passes_every_case(memory: Any,
                  "viscous_friction", "spring_stiffness")  # fmt: skip
     values = NOMINAL.to_mapping()
     bench = Bench.from_mapping(values | {name: times * values[name] for name in extensive})
-    found = outcomes(python_box(memory, bench), bench=bench)
-    assert {case: result for case, result in found.items() if result[0] != PASS} == {}
+    passes_every_case(python_box(memory, bench), bench)
 
 
 @pytest.mark.parametrize("samples", [1, 16])
 def test_the_time_that_a_line_takes_is_not_held_against_a_box(memory: Any, samples: int) -> None:
-    found = outcomes(Delayed(c_box(memory), samples))
-    assert {case: result for case, result in found.items() if result[0] != PASS} == {}
+    passes_every_case(Delayed(c_box(memory), samples))
 
 
 def only(line: InStep, *names: str) -> list[Result]:

@@ -26,10 +26,6 @@ def effect(name: str, **parameters: float) -> dict[str, Any]:
     return {"id": identifier, **dict(option.split("=") for option in options), "parameters": parameters}
 
 
-def with_effects(bench: Bench, *effects: dict[str, Any]) -> Bench:
-    return replace(bench, effects=effects)
-
-
 def wave(samples: int = 600) -> FloatArray:
     time = SAMPLE_PERIOD * np.arange(samples)
     return np.asarray(4e-4 * np.sin(2 * np.pi * 3 * time) + 2e-4 * np.sin(2 * np.pi * 17 * time))
@@ -75,15 +71,10 @@ def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Be
 def test_wrong_numbers_are_put_right(
     name: str, parameters: dict[str, float], field: str, value: float, bench: Bench
 ) -> None:
-    corrected = with_effects(bench, effect(name, **parameters)).constants()
-    assert corrected.tobytes() == replace(bench, **{field: pytest.approx(value).expected}).constants().tobytes() or (
-        corrected[field][0] == pytest.approx(value)
-    )
+    assert replace(bench, effects=(effect(name, **parameters),)).constants()[field][0] == pytest.approx(value)
 
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.0)
-
-
 CASES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("transport_delay", {"time": 2e-3}, {}),
     ("valve_lag", {"bandwidth": 60.0, "damping": 0.9}, {}),

@@ -24,7 +24,7 @@ from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import fit_to, record_offline
 from hydro_sim.emulator.realtime import execute
-from hydro_sim.emulator.truth.config import load_truth, profile, truth_from_mapping, truth_to_mapping
+from hydro_sim.emulator.truth.config import profile, truth_from_mapping, truth_to_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.excitation import Segment, load_schedule
 from hydro_sim.model.bench import Bench
@@ -64,13 +64,6 @@ def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: st
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "bin.yaml"
-    file.write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(SettingsError, match=f"^{file} cannot be read: it is not UTF-8 text$"):
-        load_truth(file)
-
-
 def test_schedule_is_read_strictly_and_fitted(tmp_path: Path) -> None:
     file = tmp_path / "schedule.yaml"
     file.write_text(
@@ -88,8 +81,6 @@ SEGMENTS = [
     Segment(seconds=0.6, amplitude=250.0, frequency=2.0),
     Segment(seconds=0.4, waveform="hold", offset=-80.0, kp=60.0, ki=5.0),
 ]
-
-
 EVERYTHING = truth_from_mapping(
     {
         "effects": {"transport_delay": {"time": 1.3e-3}, "entrained_air": {"volume_fraction": 0.005}},

@@ -17,11 +17,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
 BETA, AREA, RATIO, DEAD, STROKE, REST = 1.34e9, 2e-4, 0.609, 2e-4, 0.08, 0.04
-
-
 SUPPLY, GAIN = 16e6, 1.67e-4 / (0.05 * np.sqrt(3.5e6))
-
-
 VOLUME_A, VOLUME_B = DEAD + AREA * REST, DEAD + RATIO * AREA * (STROKE - REST)
 
 
@@ -209,8 +205,6 @@ def test_pressure_never_falls_below_the_vapor_pressure() -> None:
 
 
 STIFFNESS, MASS = 2e4, 1.2
-
-
 OIL = BETA * AREA**2 * (1 / (DEAD + AREA * REST) + RATIO**2 / (DEAD + RATIO * AREA * (STROKE - REST)))  # N/m
 
 

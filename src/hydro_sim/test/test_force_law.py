@@ -20,8 +20,6 @@ from hydro_sim.simulation.offline import Schedule, simulate
 from tests import textbook
 
 PAPER = INTEGRAL_FORMS.index("paper")
-
-
 FORMS = (PAPER, force_law.BUMPLESS)
 
 

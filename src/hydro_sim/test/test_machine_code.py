@@ -51,11 +51,7 @@ def test_arrays_that_are_not_the_models_are_refused() -> None:
 
 
 INNER = "from numba import njit\n@njit(cache=True)\ndef inner(): return {value}\n"
-
-
 OUTER = "from numba import njit\nfrom toy.inner import inner\n@njit(cache=True)\ndef outer(): return inner()\n"
-
-
 INIT = """from pathlib import Path
 from hydro_sim.compiled import remove_stale_caches
 remove_stale_caches(Path(__file__).parent)

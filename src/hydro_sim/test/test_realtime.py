@@ -27,15 +27,8 @@ VALVE, NOMINAL, K_P = (
 @pytest.fixture(autouse=True, scope="module")
 def compiled() -> None:
     """Before any thread is waited for: on a fresh machine it takes longer than that, and is told of as a sentence."""
-    bench = Bench.nominal()
-    still = Simulation(
-        Box(bench),
-        AnalyticPlant(bench),
-        CommandGuard(),
-        SimSettings(),
-        lambda stamp, fields: None,
-        lambda sentence: None,
-    )
+    bench, nobody = Bench.nominal(), lambda *heard: None
+    still = Simulation(Box(bench), AnalyticPlant(bench), CommandGuard(), SimSettings(), nobody, nobody)
     still.stop()
     still.run()
 

@@ -43,15 +43,11 @@ def wave(samples: int) -> FloatArray:
     return np.asarray(4e-3 * np.sin(2 * np.pi * 3 * time) + 2e-3 * np.sin(2 * np.pi * 17 * time))
 
 
-def _made(name: str) -> tuple[BenchModel, Sensitivities]:
-    model = BenchModel(replace(Bench.nominal(), **SETS[name]), substeps=10)
-    return model, Sensitivities(model)
-
-
 @pytest.mark.parametrize("name", SETS)
 def test_sensitivities_are_those_of_differences(name: str) -> None:
     """By every parameter of every effect and closure, by the bench's numbers, and by the start, over 70 samples."""
-    model, exact = _made(name)
+    model = BenchModel(replace(Bench.nominal(), **SETS[name]), substeps=10)
+    exact = Sensitivities(model)
     k, dk = exact.coefficients(model.values)
     np.testing.assert_array_equal(k, model.begin(model.values)[0])
     _, start, _ = model.begin(model.values)
