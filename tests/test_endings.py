@@ -28,7 +28,7 @@ EXECUTABLES = {
 }
 
 
-def started(package: str, executable: str, folder: Path, *words: str, **more: object) -> subprocess.Popen[str]:
+def started(package: str, executable: str, folder: Path, *words: str) -> subprocess.Popen[str]:
     environment = os.environ | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
     return subprocess.Popen(
         [str(executable_path(package, executable)), *words],
@@ -38,7 +38,6 @@ def started(package: str, executable: str, folder: Path, *words: str, **more: ob
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-        **more,  # type: ignore[call-overload]
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make soak` in short: a few faults, each of which the plant is safe in. How soon is judged by `make soak`."""
+"""`make soak` and `make fuzz-line` in short; how soon the plant is safe is judged by `make soak`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from tests.hostile_line import attack
 from tests.soak.soak import soaking
 
 pytestmark = [pytest.mark.graph, pytest.mark.study]
@@ -27,3 +28,10 @@ def test_the_plant_is_safe_in_each_fault_and_nothing_is_left_behind(tmp_path: Pa
     assert {outcome.cause for outcome in soak.outcomes} == set(CAUSES)
     assert len(soak.records) > 5000
     assert not soak.violations(SLACK), soak.crew.text[-5000:]
+
+
+def test_hostile_bytes_on_the_line_of_an_armed_plant_move_nothing(tmp_path: Path) -> None:
+    seen, report = attack(500_000, 100.0, 1, tmp_path)
+    print(seen, report)
+    assert seen.samples > 2000 and not seen.unsafe
+    assert min(report[way]["hostile"] for way in ("up", "down")) >= 500_000

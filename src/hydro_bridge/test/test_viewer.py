@@ -18,9 +18,10 @@ from rosbags.typesys import get_types_from_msg
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.bags.types import definition
 from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, Thinner
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import STATE_DTYPE, Flag
 from hydro_bridge.viewer.runs import ORDERS, list_runs, refresh_index, write_index
 from hydro_bridge.viewer.view import main, read_recorded, rendered
+from tests import browser
 
 ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
 
@@ -243,3 +244,31 @@ def test_what_plotjuggler_plots_is_in_the_messages() -> None:
         assert field in fields(topic), curve
     for splitter in root.iter("DockSplitter"):
         assert len(splitter) == int(splitter.get("count", 0)) == len(str(splitter.get("sizes")).split(";"))
+
+
+@pytest.mark.skipif(bool(browser.MISSING), reason=browser.MISSING)
+def test_in_a_browser_it_opens_from_disk_loads_nothing_and_the_slider_shows_its_time(tmp_path: Path) -> None:
+    """30 s: force 100 N + 1 N/s; armed from 10 s on, tripped at 20 s."""
+    states = np.zeros(30_000, STATE_DTYPE)
+    states["time"] = 1_700_000_000.0 + 1e-3 * np.arange(len(states))
+    states["sequence"] = np.arange(len(states))
+    states["load_force"] = 100.0 + 1e-3 * np.arange(len(states))
+    states["flags"][10_000:20_000] = ARMED
+    states["flags"][20_000:] = TRIPPED | int(Flag.FORCE_LIMIT)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_states(states)
+    (tmp_path / "bag.html").write_text(rendered(read_recorded(tmp_path / "bag")), encoding="utf-8")
+    slide = "const s = document.getElementById('time'); s.value = {}; s.dispatchEvent(new Event('input'))"
+    with browser.browser(tmp_path / "profile") as page:
+        page.open((tmp_path / "bag.html").as_uri())
+        page.wait("document.getElementById('state').textContent == 'disarmed'", 120.0)  # once the data are unpacked
+        assert "0.00 s of 30.0" in page.text("at").replace("29.99", "30.0").replace("30.00", "30.0")
+        assert not page.driver.get_log("browser")
+        loaded = page.run("return performance.getEntriesByType('resource').map((one) => one.name)")
+        assert all(name.startswith("data:") for name in loaded)
+        page.run(slide.format(15.0))
+        page.wait("document.getElementById('state').textContent == 'ARMED'")
+        force = float(page.run("return document.querySelector('.plot b').textContent"))
+        assert force == pytest.approx(115.0, abs=1.0)
+        page.run(slide.format(25.0))
+        page.wait("document.getElementById('state').textContent == 'TRIPPED'")
