@@ -66,6 +66,16 @@ def test_bounded_disturbances_are_no_part_of_the_linearized_loop(bench: Bench, d
         assert np.array_equal(with_it, without)
 
 
+def test_dry_friction_that_has_no_name_is_a_bounded_disturbance_too(bench: Bench) -> None:
+    law = {"coefficient": 670.0, "threshold": 0.027}
+    closure = {"equation": "motion", "form": "friction, below a speed", "parameters": law}
+    truth = replace(of(LAG), closures=(closure,))
+    for with_it, without in zip(
+        rest_loop(loop_of(truth, bench), 60.0), rest_loop(loop_of(of(LAG), bench), 60.0), strict=True
+    ):
+        assert np.array_equal(with_it, without)
+
+
 def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(bench: Bench) -> None:
     """The design point is the still bench as these sensors show it, its valve closed by the current that this takes."""
     shift = {"id": "valve_offset", "parameters": {"current": 1e-3}}

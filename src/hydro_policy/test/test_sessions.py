@@ -19,7 +19,7 @@ from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import StepClock, TaskSettings
@@ -207,6 +207,22 @@ def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
     graph.run(session, 30.0)
     (score,) = session.scores
     assert (score.stopped, score.samples, score.held) == ("", 500, 0) and not session.warnings
+
+
+def test_a_bench_that_base_gains_do_not_hold_is_not_armed_for_ever() -> None:
+    settings = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=0.5)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=BoxConfig(load_force_limit=0.1))
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
+    trips, take, before = 0, session.on_sample, False
+
+    def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        nonlocal trips, before
+        trips, before = trips + (before and bool(flags & Flag.TRIPPED)), bool(flags & Flag.ARMED)
+        return take(sequence, sample, flags, now)
+
+    session.on_sample = arrive  # type: ignore[method-assign]
+    graph.run(session, 60.0)
+    assert [score.stopped for score in session.scores][-1] == UNHELD and session.finished and trips <= 4
 
 
 def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one_is_warned_of() -> None:

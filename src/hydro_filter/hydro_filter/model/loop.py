@@ -6,8 +6,9 @@ Two models stand behind it, both compiled from the bench file::
     whole   all effects: for predictions, hidden states and the monitor
     loop    without `DISTURBANCES`: linearized, by its exact Jacobian
 
-Dry friction, overlap and gaps are bounded disturbances to the metric: within them nothing moves, and a derivative there
-does not describe the loop. The certificate counts what of the current passes an overlap (`overlap`).
+Dry friction, as an effect or a closure, overlap and gaps are bounded disturbances to the metric: within them nothing
+moves, and a derivative there does not describe the loop. The certificate counts what of the current passes an overlap
+(`overlap`).
 
 The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
 (`added_coordinates`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
@@ -52,7 +53,7 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
-from hydro_sim.model.grammar import remembers, uses
+from hydro_sim.model.grammar import remembers, reverses, uses
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
@@ -216,8 +217,12 @@ def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, Floa
 
 
 def without_disturbances(truth: Bench) -> Bench:
-    """Return the bench without the effects that the linearization leaves out."""
-    return replace(truth, effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES))
+    """Return the bench without the effects and closures that the linearization leaves out."""
+    return replace(
+        truth,
+        effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES),
+        closures=tuple(one for one in truth.closures if one["equation"] != "motion" or not reverses(one)),
+    )
 
 
 def without_overlap(truth: Bench) -> Bench | None:

@@ -6,6 +6,7 @@ order     repeat, case, controller: controllers follow each other closely, so th
           those of the compensated law last, since the plant is disarmed for another law
 failure   the box trips, or the monitor requests a stop: the run counts as stopped, and a second of calm follows. If the
           plant is lost, or a person takes the gains, the run is restarted
+unheld    the box trips at once under base gains, several times: all runs under this force law count as stopped
 hold-up   corrections, commands or samples came late, or the box heard nothing for so long that it tripped: the run is
           started again, `REPEATS` times at most
 """
@@ -22,7 +23,7 @@ from hydro_bridge.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import FALLBACK, TRIALS, UNHELD, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, StepClock, held
 from hydro_sim.files import load_force
@@ -182,23 +183,24 @@ class EvaluationSession:
         self._law_trials *= wrong or not flags & Flag.ARMED
         self._wrong_law = wrong
         if self._law_trials > LAW_TRIALS:
-            self._give_up_law()
+            self._give_up_law(NOT_TAKEN_UP)
         elif wrong and self.override.gains(now) is None:
             self._run = None
             self.watch.spoil(ANOTHER_LAW)
         elif not wrong and sequence % SAMPLES_PER_STEP == 0:
             self._outputs.command_law(law, self._steps)
 
-    def _give_up_law(self) -> None:
-        """Score what is left, which is all under one law, as stopped."""
-        self._outputs.say(f"{NOT_TAKEN_UP}: its runs are left out", warning=True)
+    def _give_up_law(self, why: str) -> None:
+        """Score what is left under the present force law as stopped."""
+        law = self._controller.law.law
+        self._outputs.say(f"{why}: what is left under the {law.name.lower()} law is left out", warning=True)
         for repeat, case, controller in self.plan[len(self.scores) :]:
-            frequency = case.signal.frequency
-            self.scores.append(
-                Score(
-                    controller=controller.name, case=case.name, frequency=frequency, repeat=repeat, stopped=NOT_TAKEN_UP
+            if controller.law.law is law:
+                frequency = case.signal.frequency
+                self.scores.append(
+                    Score(controller=controller.name, case=case.name, frequency=frequency, repeat=repeat, stopped=why)
                 )
-            )
+        self._run, self._repeats = None, 0
 
     def _in_law(self, gains: tuple[float, float]) -> tuple[float, float]:
         """Return changes [1/s], [1/s^2] of the paper's base gains as changes of those of the law that acts."""
@@ -309,6 +311,9 @@ class EvaluationSession:
         silent = not flags & FAULTS
         if self._run is not None and not (silent and self._again(self._run, SILENCE)):
             self._stop(self._run, SILENCE if silent else self.watch.condition)
+        elif self.watch.trips >= TRIALS and not self.finished:
+            self.watch.trips = 0
+            self._give_up_law(UNHELD)
         elif not self.watch.calming:
             self.watch.calm()
 

@@ -316,6 +316,8 @@ def metric(at: Site) -> str:
     laws = "compensated" if at.compensated else "both"
     said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", laws)
     found = ScheduledMetric.load(out)
+    if reason := found.unfit(out.name):
+        raise GateError(reason)
     at.record.certified_gains = {
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]
         for one in found.certificates

@@ -4,6 +4,8 @@
 no state for 100 ms      lost: disarming is requested, so that a reconnected plant is not armed
 requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`); if found armed: disarmed
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box reports ARMED; else a person is asked
+tripped at once          more than `TRIALS` times in a row within `CALM` of arming: base gains do not hold this bench:
+                         nothing is armed again
 armed and idle           no controller has acted for `IDLE`: disarmed, and armed again as above. Base gains wind up the
                          law's integral against dry friction, and the next gains would make the current jump
 MISMATCH                 the filter's model is not this bench's: nothing is armed or begun until the filter decides
@@ -20,8 +22,8 @@ from collections.abc import Callable, Sequence
 
 from hydro_bridge.files.site import ANEW
 from hydro_bridge.safety.limits import NARROW
-from hydro_bridge.safety.readiness import Readiness, Requirement
-from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
+from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
+from hydro_bridge.signals import FAULTS, CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.supervision.interfaces import ActingLearner, Outputs
 from hydro_policy.supervision.override import GainOverride
 
@@ -128,6 +130,10 @@ the paper's fixed (90, 15). A policy clamped to that range requests less and tra
 CALM = 1.0
 """s, armed, between a stop and the next run."""
 
+TRIALS = 3
+"""Trips in a row within `CALM` of arming after which a session may try another force law, and no more is armed."""
+UNHELD = f"the box tripped {TRIALS} times within {CALM:g} s of arming: its base gains do not hold this bench"
+
 IDLE = 2.0
 """s armed without a controller after which none may begin (measurements in decision 0056)."""
 
@@ -177,6 +183,9 @@ class PlantSupervisor:
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
         self._seen = -math.inf
         self._acted = -math.inf  # time of the last action of a controller, or of arming
+        self._armed_at = -math.inf
+        self.trips = 0
+        """Trips in a row, but by silence, within `CALM` of arming."""
         self._spoilt = TOO_EARLY  # why no controller may act: it has been armed for an unknown time
         self._flags = int(Flag.FILTER_STALE)
         self._told: str | None = None
@@ -227,6 +236,9 @@ class PlantSupervisor:
         if flags & Flag.ARMED and not (self.armed or self.lost):
             wanted = self.readiness.complete or self._arming.under_way(now)
             self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
+            self._armed_at = now
+        if self.armed and flags & Flag.TRIPPED and flags & FAULTS:
+            self.trips = self.trips + 1 if now - self._armed_at < CALM else 0
         self._seen, self._flags = now, flags
         if self._calm_until is not None:
             self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
@@ -279,8 +291,10 @@ class PlantSupervisor:
     def on_tick(self, now: float) -> None:
         """Detect a loss and request arming; call some twenty times a second.
 
-        Raises NotReadyError: a requirement for arming was not met in time.
+        Raises NotReadyError: a requirement for arming was not met in time, or base gains do not hold the bench.
         """
+        if self.trips > TRIALS:
+            raise NotReadyError(f"{UNHELD}; nothing is armed again")
         self._silent = 0.0 if self._heard else self._silent + max(now - self._ticked, 0.0)
         self._heard, self._ticked = False, now
         if not self.lost and now - self._seen > LOST_AFTER:

@@ -145,6 +145,12 @@ def remembers(closure: Mapping[str, Any]) -> bool:
     return law is not None and law.remembers
 
 
+def reverses(closure: Mapping[str, Any]) -> bool:
+    """Return whether an entry of a bench file's `closures` is a law that follows the sign of the velocity."""
+    law = ALL.get((str(closure["equation"]), str(closure["form"])))
+    return isinstance(law, Law) and law.reverses
+
+
 def uses(closure: Mapping[str, Any]) -> frozenset[str]:
     """Signals that the law of an entry of a bench file's `closures` says it is made of."""
     law = ALL.get((str(closure["equation"]), str(closure["form"])))
