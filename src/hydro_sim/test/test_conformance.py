@@ -37,6 +37,7 @@ from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthBench, profile
+from hydro_sim.emulator.truth.effects import Effects, LoadCellBias
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
@@ -93,10 +94,11 @@ class Corrupt(InStep):
         )
 
 
-def python_box(memory: Any, bench: Bench = NOMINAL, **settings: Any) -> InStep:
+def python_box(memory: Any, bench: Bench = NOMINAL, effects: Effects | None = None, **settings: Any) -> InStep:
     config = BoxConfig(**settings).of_bench(bench)
     own = {name: value for name, value in bench.to_mapping().items() if hasattr(TruthBench, name)}
-    machine = Machine(replace(profile("nominal"), bench=TruthBench(**own)), bench, config)
+    plant = replace(profile("nominal"), bench=TruthBench(**own), effects=effects or Effects())
+    machine = Machine(plant, bench, config)
     details = box_details(bench, config, machine.sensors, epoch=3)
     info = box_info(bench, config, "in step")
     told = (lambda: machine.refused, config.compensated, lambda: machine.law_state)
@@ -156,6 +158,13 @@ def only(line: InStep, *names: str) -> list[Result]:
     )
 
 
+@pytest.mark.parametrize("force", [-300.0, 200.0, 600.0])
+def test_the_shaping_is_judged_alike_from_whatever_force_the_box_fades_in(memory: Any, force: float) -> None:
+    """The jumps of f_r'' at both ends of a fade go with the force that it begins at."""
+    box = python_box(memory, effects=Effects(load_cell_bias=(LoadCellBias(force=force),)))
+    assert [(one.outcome, one.found) for one in only(box, "compensated.shaping")] == [(PASS, "")]
+
+
 def test_a_box_whose_frames_cannot_be_read_is_told_so_once(memory: Any) -> None:
     box = c_box(memory)
     with pytest.raises(UnreadableError, match=r"\d+ bytes came and no frame in them: \d+ pieces with a wrong CRC"):
@@ -202,11 +211,11 @@ BROKEN: dict[str, tuple[str, set[str], str, str]] = {
     "does not clamp K_p": ("guard.h", {"clamp.high", "clamp.low", "refused.counted"},
         "law->delta_kp_min, law->delta_kp_max);", "HYDRO_R(-1e9), HYDRO_R(1e9));"),
     "keeps the gain where none is given": ("guard.h",
-        {"clamp.not_finite", "compensated.shaping", "compensated.safe"},
+        {"clamp.not_finite", "compensated.shaping"},
         "broken ? safe : hydro_clamp", "broken ? guard->delta_kp : hydro_clamp"),
     "keeps the reference's phase back": ("reference.h", {"reference.sine"},
         "hydro_turned(angle + signal->phase)", "hydro_turned(angle)"),
-    "equal weights in the multisine": ("reference.h", {"reference.multisine"},
+    "equal weights in the multisine": ("reference.h", {"reference.multisine", "compensated.shaping"},
         "0.44789526038332517, 0.2585924491510704, 0.1692884960541141, 0.1242237944114903", "0.25, 0.25, 0.25, 0.25"),
     "edges of a quarter of a period": ("reference.h", {"reference.smooth_step", "reference.fade"},
         "#define HYDRO_EDGE 0.125", "#define HYDRO_EDGE 0.25"),
@@ -276,8 +285,9 @@ BROKEN: dict[str, tuple[str, set[str], str, str]] = {
         "law->safe[4], law->low[4],", "law->high[4] + 1, law->low[4],"),
     "coefficients jump": ("force_law.h", {"compensated.shaping", "compensated.safe"},
         "hydro_clamp(wanted[i] - state->shaping[i], -step, step)", "wanted[i] - state->shaping[i]"),
-    "the moving coefficients are not part of f_c'": ("force_law.h", {"compensated.shaping", "compensated.safe"},
-        " + change / period * terms[i];", ";"),
+    "f_r'' moves a_2's part of f_c' where f_c has not followed it yet": ("force_law.h",
+        {"compensated.shaping", "compensated.safe"},
+        " + change / period * terms[i];", " + change / period * (i == 2 ? wave->second : terms[i]);"),
     "f_c jumps with f_r''": ("force_law.h", {"compensated.shaping", "compensated.safe"},
         "(HYDRO_KINK + HYDRO_PERIOD)", "HYDRO_PERIOD"),
     "coefficients stay where commands are late": ("box.h", {"compensated.safe"},

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from itertools import pairwise
-from math import isclose, isfinite
+from math import copysign, isclose, isfinite
 from typing import Any
 
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.conformance.reference import compare, nominal_current
+from hydro_bridge.conformance.reference import Point, compare, expected, nominal_current
 from hydro_bridge.files import bench_file
 from hydro_bridge.serial.frames import BoxInfo, BoxLaw, LawState
 from hydro_bridge.serial.protocol import State
@@ -385,58 +385,58 @@ def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
     `tolerance` is of f_c [N], in the box's size, and 50 times as much of f_c' [N/s].
 
     The shaping goes to the one that was commanded, within its limits, no faster than LAW says; to the safe one where
-    the command is late or for the paper's law. f_r'' is the difference of f_r': within an allowance where that jumps,
-    which goes as the jump comes into f_c. There and everywhere f_c goes where f_c' says. At arming f_r'' begins at 0.
+    the command is late or for the paper's law. f_r and f_r' are the box's own, f_r'' and f_r''' those of its command.
     """
+    found = [_compensation(host, points, host.size * tolerance) for points in expected(host, followed(host))]
+    return "" if "" in found else found[0]
+
+
+def _compensation(host: Host, points: Sequence[Point | None], tolerance: float) -> str:
     law, commands = _record(host), {each.sequence: each.command for each in host.sent}
-    low, _, high, rate = _shaping(law)
-    seen, bend, jump = 0, 0.0, 0.0
-    for before, state, behind in zip(host.states, host.states[1:], host.states[2:], strict=False):
-        rates = [value(each, "reference_force_rate") for each in (before, state, behind)]
-        last_bend, bend = bend, abs(rates[2] - 2.0 * rates[1] + rates[0]) / SAMPLE_PERIOD
-        jump = max(bend + last_bend, jump * _KINK / (_KINK + SAMPLE_PERIOD))
-        if not all(each.flags & Flag.ARMED for each in (before, state, behind)):
+    low, safe, high, rate = _shaping(law)
+    room = [_CLOSE * max(abs(least), abs(most)) for least, most in zip(low, high, strict=True)]
+    old, second, third = safe, 0.0, 0.0
+    for state, point in zip(host.states, points, strict=True):
+        if point is None:
+            old, second, third = safe, 0.0, 0.0
             continue
         wanted, gains = _wanted(law, commands.get(state.last_command), late=bool(state.flags & Flag.WATCHDOG))
         shown = value(state, "proportional_gain"), value(state, "integral_gain")
         if not all(map(near, shown, gains)):
             return f"the gains are {shown} in STATE {state.sequence}, {gains} is right"
-        found, last = _numbers(_acting(state)), _numbers(_acting(before))
-        for number, old, new, least, most, fastest in zip(found, last, wanted, low, high, rate, strict=True):
-            step, room = fastest * SAMPLE_PERIOD, _CLOSE * max(abs(least), abs(most))
-            right = old + min(max(new - old, -step), step)
-            if not abs(number - right) <= room or not least - room <= number <= most + room:
-                return f"{number:g} acts in STATE {state.sequence}, {right:g} is right: {old:g} before, {new:g} wanted"
-        if sentence := _reference(law, before, state, rates, jump, host.size * tolerance):
+        found = _numbers(_acting(state))
+        for number, last, new, least, most, fastest, off in zip(found, old, wanted, low, high, rate, room, strict=True):
+            right = last + min(max(new - last, -fastest * SAMPLE_PERIOD), fastest * SAMPLE_PERIOD)
+            if not abs(number - right) <= off or not least - off <= number <= most + off:
+                return f"{number:g} acts in STATE {state.sequence}, {right:g} is right: {last:g} before, {new:g} wanted"
+        middle = second + 0.5 * SAMPLE_PERIOD * (point[3] + third)
+        second = middle + (point[2] - middle) * SAMPLE_PERIOD / (SAMPLE_PERIOD + _KINK)
+        third = point[3]
+        wave = value(state, "reference_force"), value(state, "reference_force_rate")
+        slopes = wave[1], point[2], third + (point[2] - second) / _KINK, 0.0
+        if sentence := _reference(law, state, old, (*wave, second, 1.0), slopes, tolerance):
             return sentence
-        seen += 1
-    return "" if seen else "it was not armed"
+        old = found
+    return "" if any(points) else "it was not armed"
 
 
-def _reference(law: BoxLaw, before: State, state: State, rates: Sequence[float], jump: float, tolerance: float) -> str:
-    """Compare f_c with the formula, and f_c' by what is known of it; what is wrong, or nothing.
-
-    `rates` are f_r' [N/s] before, now and behind; `jump` is what f_r'' [N/s^2] may be off.
-    """
-    acting, last = _acting(state), _acting(before)
-    second = (rates[2] - rates[0]) / (2.0 * SAMPLE_PERIOD)
-    terms = (value(state, "reference_force"), rates[1], second, 1.0)
-    a, changes = acting.coefficients, [new - old for new, old in zip(acting[3], last[3], strict=True)]
+def _reference(
+    law: BoxLaw, state: State, old: Sequence[float], terms: Sequence[float], slopes: Sequence[float], tolerance: float
+) -> str:
+    """Compare f_c and f_c' with their formula; what is wrong, or nothing."""
+    acting = _acting(state)
+    a, changes = acting.coefficients, [new - last for new, last in zip(acting.coefficients, old[:4], strict=True)]
     right = sum(number * term for number, term in zip(a, terms, strict=True))
-    allowed = tolerance + abs(a[2]) * jump
-    if abs(right) > law.reference_max - allowed:
-        return "" if abs(acting.compensated_reference) <= law.reference_max * (1.0 + _CLOSE) else "f_c is not cut off"
-    if not abs(acting.compensated_reference - right) <= allowed:
-        return f"f_c is {acting.compensated_reference:g} N in STATE {state.sequence}, {right:g} N is right"
     moved = sum(change * term for change, term in zip(changes, terms, strict=True)) / SAMPLE_PERIOD
-    right = a[0] * rates[1] + a[1] * second + moved
-    allowed = 50.0 * tolerance + (abs(a[1]) + 2.0 * abs(a[2]) / SAMPLE_PERIOD) * jump
-    if not abs(acting.compensated_reference_rate - right) <= allowed:
-        return f"f_c' is {acting.compensated_reference_rate:g} N/s in STATE {state.sequence}, {right:g} N/s is right"
-    moved = acting.compensated_reference - last.compensated_reference
-    allowed = tolerance + abs(a[1]) * jump * SAMPLE_PERIOD
-    if not abs(moved - SAMPLE_PERIOD * acting.compensated_reference_rate) <= allowed:
-        return f"f_c moves by {moved:g} N to STATE {state.sequence}, f_c' is {acting.compensated_reference_rate:g} N/s"
+    right_rate = moved + sum(number * slope for number, slope in zip(a, slopes, strict=True))
+    if abs(right) > law.reference_max:
+        right, right_rate = copysign(law.reference_max, right), 0.0
+    if not abs(acting.compensated_reference - right) <= tolerance:
+        return f"f_c is {acting.compensated_reference:g} N in STATE {state.sequence}, {right:g} N is right"
+    if not abs(acting.compensated_reference_rate - right_rate) <= 50.0 * tolerance:
+        return (
+            f"f_c' is {acting.compensated_reference_rate:g} N/s in STATE {state.sequence}, {right_rate:g} N/s is right"
+        )
     return ""
 
 

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import cos, pi, sin, sqrt
+from collections.abc import Iterator, Mapping, Sequence
+from math import comb, pi, sin, sqrt
 from typing import Any
 
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.serial.protocol import State
 from hydro_bridge.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 
@@ -18,8 +17,8 @@ FADE = 0.3
 _RATIOS = tuple(map(sqrt, (1.0, 3.0, 7.0, 13.0)))
 _WEIGHTS = tuple(1.0 / ratio / sum(1.0 / other for other in _RATIOS) for ratio in _RATIOS)
 
-Point = tuple[float, float]
-"""Value [N] and rate [N/s]."""
+Point = tuple[float, ...]
+"""Value [N] and its first three derivatives by time [s]."""
 
 
 def shape(signal: ReferenceSignal, time: float) -> Point:
@@ -27,34 +26,40 @@ def shape(signal: ReferenceSignal, time: float) -> Point:
     omega = 2.0 * pi * signal.frequency
     angle = omega * time + signal.phase
     if signal.waveform is Waveform.HOLD:
-        value, slope = 0.0, 0.0
+        form: Point = (0.0,) * 4
     elif signal.waveform is Waveform.SINE:
-        value, slope = sin(angle), cos(angle)
+        form = _sine(angle, omega)
     elif signal.waveform is Waveform.MULTISINE:
         inner = [ratio * omega * time + (i + 1) * signal.phase for i, ratio in enumerate(_RATIOS)]
-        value = sum(weight * sin(each) for weight, each in zip(_WEIGHTS, inner, strict=True))
-        slope = sum(w * r * cos(each) for w, r, each in zip(_WEIGHTS, _RATIOS, inner, strict=True))
+        parts = [_sine(each, ratio * omega, w) for w, ratio, each in zip(_WEIGHTS, _RATIOS, inner, strict=True)]
+        form = tuple(map(sum, zip(*parts, strict=True)))
     else:
-        value, slope = _smooth_step(angle)
-    return signal.offset + signal.amplitude * value, signal.amplitude * omega * slope
+        form = _smooth_step(angle, omega)
+    value, *rates = (signal.amplitude * each for each in form)
+    return signal.offset + value, *rates
 
 
-def _smooth_step(angle: float) -> Point:
+def _sine(angle: float, omega: float, weight: float = 1.0) -> Point:
+    return tuple(weight * omega**n * sin(angle + n * pi / 2) for n in range(4))
+
+
+def _smooth_step(angle: float, omega: float) -> Point:
     """Return a step from -1 to 1 in the eighth of a period after angle 0, and back after pi."""
     turn = angle / (2.0 * pi) % 1.0
     side, inside = (1.0, turn) if turn < 0.5 else (-1.0, turn - 0.5)
     if inside >= 0.125:
-        return side, 0.0
-    return -side * cos(8.0 * pi * inside), 4.0 * side * sin(8.0 * pi * inside)
+        return side, 0.0, 0.0, 0.0
+    return _sine(8.0 * pi * inside - pi / 2, 4.0 * omega, side)
 
 
-def faded(old: Point, new: Point, time: float) -> Point:
-    """Return the point at `time` [s] into a cross-fade."""
-    z = time / FADE
-    if z >= 1.0:
+def faded(old: Point, new: Point, time: float, end: float) -> Point:
+    """Return the point at `time` [s] into a cross-fade, from `end` [s] on the new one."""
+    if time >= end:
         return new
-    s, rate = 3.0 * z**2 - 2.0 * z**3, 6.0 * z * (1.0 - z) / FADE
-    return old[0] + s * (new[0] - old[0]), (1.0 - s) * old[1] + s * new[1] + rate * (new[0] - old[0])
+    z = time / FADE
+    share = 3.0 * z**2 - 2.0 * z**3, 6.0 * z * (1.0 - z) / FADE, (6.0 - 12.0 * z) / FADE**2, -12.0 / FADE**3
+    gap = [after - before for before, after in zip(old, new, strict=True)]
+    return tuple(old[n] + sum(comb(n, j) * share[j] * gap[n - j] for j in range(n + 1)) for n in range(4))
 
 
 FLOOR_SHARE = 0.1
@@ -116,7 +121,7 @@ _ROUNDING = 1e-6
 
 
 class Generator:
-    """Expected f_r and f_r': `force` is the field of the force that the law follows, `fade` [s] its cross-fade."""
+    """Expected f_r with its derivatives: `force` is the field of the followed force, `fade` [s] the cross-fade."""
 
     def __init__(self, force: str, fade: float) -> None:
         self.force = STATE_FIELDS.index(force)
@@ -136,7 +141,7 @@ class Generator:
         elif time - self.new[1] >= self.fade and wanted != self.new[0]:
             self.old, self.new = self.new, (wanted, time)
         points = [shape(signal, time - begun) for signal, begun in (self.old, self.new)]
-        return faded(points[0], points[1], time - self.new[1])
+        return faded(points[0], points[1], time - self.new[1], self.fade)
 
 
 def playable(signal: ReferenceSignal, force_range: float) -> bool:
@@ -149,31 +154,34 @@ def playable(signal: ReferenceSignal, force_range: float) -> bool:
     return signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
 
 
+def expected(host: Host, force: str) -> Iterator[list[Point | None]]:
+    """Yield the points of all states, None where the box is not armed: with either rounding of a fade's end."""
+    reach = host.details.details.force_range if host.details else 0.0
+    commands = {each.sequence: each.command for each in host.sent}
+    for rounding in (-_ROUNDING, _ROUNDING):
+        generator, wanted, points = Generator(force, FADE + rounding), ReferenceSignal(), []
+        for state in host.states:
+            command = commands.get(state.last_command)
+            if command is not None and playable(command.reference, reach or 1e6):
+                wanted = command.reference
+            points.append(generator.point(state, wanted, state.time_us * 1e-6))
+        yield points
+
+
 def compare(host: Host, force: str, tolerance: float, rate_tolerance: float) -> str:
     """Describe where the box's reference differs [N], [N/s]; empty if right with either rounding of the fade's end."""
-    made = [Generator(force, FADE + rounding) for rounding in (-_ROUNDING, _ROUNDING)]
-    found = [_compare(host, tolerance, rate_tolerance, generator) for generator in made]
+    found = [_compare(host, points, tolerance, rate_tolerance) for points in expected(host, force)]
     return "" if "" in found else found[0]
 
 
-def _compare(host: Host, tolerance: float, rate_tolerance: float, generator: Generator) -> str:
-    info: BoxInfo | None = host.hello.info if host.hello else None
-    reach = host.details.details.force_range if host.details else 0.0
-    commands, seen = {each.sequence: each.command for each in host.sent}, 0
-    wanted = ReferenceSignal()
-    assert info is not None
-    for state in host.states:
-        command = commands.get(state.last_command)
-        if command is not None and playable(command.reference, reach or 1e6):
-            wanted = command.reference
-        point = generator.point(state, wanted, state.time_us * 1e-6)
+def _compare(host: Host, points: Sequence[Point | None], tolerance: float, rate_tolerance: float) -> str:
+    for state, point in zip(host.states, points, strict=True):
         if point is None:
             continue
-        seen += 1
         for name, index, right, allowed in (
             ("reference_force", _VALUE, point[0], tolerance),
             ("reference_force_rate", _RATE, point[1], rate_tolerance),
         ):
             if not abs(state.values[index] - right) <= allowed + 1e-4 * abs(right):
                 return f"{name} is {state.values[index]:g} in STATE {state.sequence}, {right:g} is right"
-    return "" if seen else "it was not armed"
+    return "" if any(points) else "it was not armed"
