@@ -155,10 +155,11 @@ def written(case: Case, name: str, attempt: Attempt, scratch: Path) -> dict[str,
 
 
 def truth_of(case: Case) -> dict[str, Any]:
-    """The case as the emulator's truth file: the nominal bench plus the concealed causes."""
+    """The case as the emulator's truth file: the nominal bench, whatever the box assumes, plus the concealed causes."""
     effects = {name: dict(values) for name, values in case.effects.items()}
     outside = {name: dict(values) for name, values in case.outside.items()}
-    return {"profile": "nominal", "sensors": {"noise_scale": case.noise}, "effects": effects, "outside": outside}
+    parts = {"bench": Bench.nominal().to_mapping(), "sensors": {"noise_scale": case.noise}}
+    return {"profile": "nominal", **parts, "effects": effects, "outside": outside}
 
 
 def run_seed(case: Case, name: str) -> int:

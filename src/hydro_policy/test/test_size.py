@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.safety.limits import GuardSettings
+from hydro_bridge.settings import to_mapping
 from hydro_bridge.signals import STATE_FIELDS, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_bridge.size import resized
 from hydro_filter.controller.loop_filter import loop_filter
@@ -28,7 +29,8 @@ from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import Step, TaskSettings
 from hydro_sim.box.box import Box, BoxConfig, box_details
-from hydro_sim.excitation import Range
+from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
+from hydro_sim.excitation import Range, schedule_from
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -159,6 +161,14 @@ def test_a_box_takes_references_as_far_as_its_line_tells() -> None:
             config = BoxConfig().of_bench(other)
             told = float(np.float32(box_details(other, config, Sensors(), 1).force_range))
             assert config.constants(other)[0]["high"][0] == told
+
+
+def test_a_schedule_goes_with_the_size_and_may_be_of_any() -> None:
+    here, there = (default_schedule(bench) for bench in similar(effects=False))
+    assert here == list(DEFAULT_SCHEDULE)
+    assert [each.amplitude for each in there] == pytest.approx([FORCE * each.amplitude for each in here])
+    segments = [replace(each, amplitude=1e3 * each.amplitude, delta_u=0.5) for each in there]
+    assert schedule_from({"segments": [to_mapping(each) for each in segments]}, "own") == segments
 
 
 def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:

@@ -37,13 +37,13 @@ class Segment:
 
     seconds: Annotated[float, quantity("s", 1e-3, 36000.0)]
     waveform: WaveformName = "sine"
-    amplitude: Annotated[float, quantity("N", 0.0, 5000.0)] = 0.0
-    offset: Annotated[float, quantity("N", -5000.0, 5000.0)] = 0.0
+    amplitude: Annotated[float, quantity("N", 0.0, 1e8)] = 0.0
+    offset: Annotated[float, quantity("N", -1e8, 1e8)] = 0.0
     frequency: Annotated[float, quantity("Hz", 1e-3, 100.0)] = 1.0
     phase: Annotated[float, quantity("rad", -100.0, 100.0)] = 0.0
     kp: Annotated[float, quantity("1/s", -500.0, 500.0)] = 90.0
     ki: Annotated[float, quantity("1/s^2", -500.0, 500.0)] = 15.0
-    delta_u: Annotated[float, quantity("A", -0.1, 0.1)] = 0.0
+    delta_u: Annotated[float, quantity("A", -20.0, 20.0)] = 0.0
 
     @property
     def signal(self) -> ReferenceSignal:

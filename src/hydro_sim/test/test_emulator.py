@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import STATE_DTYPE, Command, StateArray
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
+from hydro_sim.emulator import offline
 from hydro_sim.emulator.command import main
 from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
@@ -37,6 +39,17 @@ def test_nominal_profile_is_the_shipped_bench() -> None:
     assert truth["bench"] == Bench.nominal().to_mapping()
     assert truth["effects"] == {}
     assert truth["outside"] == {}
+
+
+def test_the_emulated_bench_is_the_box_s_where_the_truth_does_not_say_otherwise(tmp_path: Path) -> None:
+    own = replace(Bench.nominal(), piston_area=1e-3, moving_mass=9.0, load_cell_bandwidth=None)
+    file = tmp_path / "truth.yaml"
+    file.write_text("profile: nominal\nbench: {moving_mass: 8}\n")
+    emulated = truth_to_mapping(offline.truth(str(file), own))["bench"]
+    assert {name: emulated[name] for name in own.to_mapping()} == own.to_mapping() | {"moving_mass": 8.0}
+    assert emulated["load_cell_bandwidth"] is None
+    assert offline.truth(None, own).bench.piston_area == 1e-3
+    assert offline.truth(None, Bench.nominal()) == profile("default")
 
 
 @pytest.mark.parametrize(

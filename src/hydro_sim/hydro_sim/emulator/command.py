@@ -50,7 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> None:
     if options.print_truth:
-        print(yaml.safe_dump(truth_to_mapping(offline.truth(options.truth)), sort_keys=False), end="")
+        truth = offline.truth(options.truth, _believed(options))
+        print(yaml.safe_dump(truth_to_mapping(truth), sort_keys=False), end="")
     elif options.offline or options.batch:
         if options.firmware != "python":
             raise SettingsError("--firmware is for a serial line: offline the Python box runs")
@@ -63,7 +64,8 @@ def _run(options: argparse.Namespace) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="emulator", description=__doc__, allow_abbrev=False)
     parser.add_argument("--truth", metavar="FILE", help="what the bench is made of (default: the default profile)")
-    parser.add_argument("--bench", metavar="FILE", help="what the box believes (default: the nominal bench)")
+    parser.add_argument("--bench", metavar="FILE", help="what the box believes, and the numbers of the "
+                        "emulated bench where --truth has no others (default: the nominal bench)")  # fmt: skip
     parser.add_argument("--seconds", type=float, metavar="S", help="how long (default: until stopped)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of noise, random forces and link faults")
     parser.add_argument(
@@ -108,6 +110,10 @@ def _jobs(options: argparse.Namespace) -> list[offline.Job]:
     ]
 
 
+def _believed(options: argparse.Namespace) -> Bench:
+    return Bench.load(options.bench) if options.bench else Bench.nominal()
+
+
 def _serve(options: argparse.Namespace) -> None:
     if options.out or options.schedule or options.noise_free:
         raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
@@ -115,8 +121,8 @@ def _serve(options: argparse.Namespace) -> None:
         raise SettingsError(f"--seconds {options.seconds:g}: must be 0.001 s or more")
     if options.seed < 0:
         raise SettingsError(f"--seed {options.seed}: must be 0 or more")
-    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.truth(options.truth)
+    bench = _believed(options)
+    box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.truth(options.truth, bench)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
     machine: Machine
     link: BoxLink

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,15 +15,16 @@ import numpy.typing as npt
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.settings import quantity
+from hydro_bridge.settings import from_mapping, quantity
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
+from hydro_bridge.size import resized
 from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, Integral, fill_command
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
+from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, load_truth, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.excitation import Segment, load_schedule
-from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench import NOMINAL, Bench
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,7 +127,12 @@ DEFAULT_SCHEDULE = (
     Segment(seconds=4.0, waveform="sine", amplitude=150.0, offset=100.0, frequency=0.5),
     Segment(seconds=2.0, waveform="hold", offset=-100.0),
 )
-"""Default schedule of 20 s, of varied waveforms."""
+"""Default schedule of 20 s, of varied waveforms, for the nominal bench."""
+
+
+def default_schedule(bench: Bench) -> list[Segment]:
+    """Return the default schedule for a bench of this size."""
+    return [resized(segment, NOMINAL, bench.size) for segment in DEFAULT_SCHEDULE]
 
 
 def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
@@ -145,7 +151,7 @@ class Job:
     """One offline recording; paths are relative to the working directory."""
 
     out: str
-    truth: str | None = None  # absent: the default profile
+    truth: str | None = None  # absent: the default profile, with the numbers of `bench`
     schedule: str | None = None  # absent: 20 s with something of everything
     bench: str | None = None  # what the box believes; absent: the nominal bench
     noise_free: str | None = None  # .npz for scoring; absent: none
@@ -157,9 +163,9 @@ class Job:
 def run(job: Job) -> Recording:
     """Record `job` into its folder and, if asked for, its noise-free file; prints one line."""
     began = time.perf_counter()
-    config = truth(job.truth)
     bench = Bench.load(job.bench) if job.bench else Bench.nominal()
-    segments: Sequence[Segment] = load_schedule(job.schedule) if job.schedule else DEFAULT_SCHEDULE
+    config = truth(job.truth, bench)
+    segments = load_schedule(job.schedule) if job.schedule else default_schedule(bench)
     if job.seconds is not None:
         segments = fit_to(segments, job.seconds)
     box = with_gain_limits_for(segments, BoxConfig(integral=job.integral).of_bench(bench))
@@ -183,6 +189,11 @@ def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:
         bag.write_states(states)
 
 
-def truth(path: str | None) -> TruthConfig:
-    """Load the truth from a YAML file, or return the default profile."""
-    return load_truth(path) if path else profile("default")
+def truth(path: str | None, bench: Bench) -> TruthConfig:
+    """Truth of a YAML file, absent: the default profile; its numbers are those of `bench` where the file has no other.
+
+    Raises SettingsError: as `truth_from_mapping`, or a number of `bench` is outside of what can be emulated.
+    """
+    numbers = {each.name: getattr(bench, each.name) for each in fields(TruthBench) if hasattr(bench, each.name)}
+    own = from_mapping(TruthBench, numbers, "bench")
+    return load_truth(path, own) if path else truth_from_mapping({}, bench=own)

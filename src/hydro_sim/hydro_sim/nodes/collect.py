@@ -24,33 +24,42 @@ from hydro_bridge.cli.console import Table, UserError, add_json_argument, comman
 from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
 from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_bridge.signals import Flag, StateArray
+from hydro_bridge.size import Size
 from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode
 from hydro_sim.plotting import UNITS
 
-WORKING_RANGE: dict[str, tuple[float, float]] = {
-    "load_force": (-400.0, 400.0),
-    "load_force_rate": (-3770.0, 3770.0),
-    "pressure_a": (4e6, 9e6),
-    "pressure_b": (5e6, 14e6),
-    "piston_position": (0.02, 0.06),
-    "piston_velocity": (-0.19, 0.19),
-    "valve_current": (-5e-3, 5e-3),
-    "proportional_gain": (15.0, 75.0),
-    "integral_gain": (5.0, 15.0),
+WORKING_RANGE: dict[str, tuple[str, float, float]] = {
+    "load_force": ("force", -400.0, 400.0),
+    "load_force_rate": ("force", -3770.0, 3770.0),
+    "pressure_a": ("pressure", 4e6, 9e6),
+    "pressure_b": ("pressure", 5e6, 14e6),
+    "piston_position": ("length", 0.02, 0.06),
+    "piston_velocity": ("length", -0.19, 0.19),
+    "valve_current": ("current", -5e-3, 5e-3),
+    "proportional_gain": ("", 15.0, 75.0),
+    "integral_gain": ("", 5.0, 15.0),
 }
-"""Working range of a model: 300 N at 2 Hz with offsets (physics.md), SI units."""
+"""Scale of `Size`, and working range of a model of the nominal bench: 300 N at 2 Hz with offsets (physics.md), SI."""
+
+
+def working_range(size: Size) -> dict[str, tuple[float, float]]:
+    """Return the working range of a model of a bench of this size, SI units."""
+    shares = {name: getattr(size, name) / getattr(NOMINAL, name) for name in vars(NOMINAL)} | {"": 1.0}
+    return {field: (shares[scale] * low, shares[scale] * high) for field, (scale, low, high) in WORKING_RANGE.items()}
+
 
 BINS = 20
 
 
-def coverage(states: StateArray) -> Table:
-    """One row per quantity: its range, its spread, and how much of the working range was visited while armed.
+def coverage(states: StateArray, size: Size) -> Table:
+    """One row per quantity: its range, its spread, and how much of the bench's working range was visited while armed.
 
     `visited` is the share of 20 bins of the working range with at least 0.1 % of the samples; the last row is the share
-    of cells of load force by velocity, 10 each way, within the ellipse that sines of 400 N and 3770 N/s fill.
+    of cells of load force by velocity, 10 each way, within the ellipse that sines of 400 N and 3770 N/s fill (on the
+    nominal bench).
     """
     armed = states[(states["flags"] & Flag.ARMED) != 0]
     seconds = 1e-3 * len(armed)
@@ -59,22 +68,23 @@ def coverage(states: StateArray) -> Table:
         "std": "standard deviation", "visited": "share of the working range visited",
     }  # fmt: skip
     table = Table(columns, title=f"{seconds:g} s armed of {1e-3 * len(states):g} s")
-    for field in WORKING_RANGE:
+    ranges = working_range(size)
+    for field in ranges:
         name, unit, factor = UNITS[field]
         values = armed[field]
         low, high = np.quantile(values, [0.001, 0.999])
-        counts, _ = np.histogram(values, BINS, WORKING_RANGE[field])
+        counts, _ = np.histogram(values, BINS, ranges[field])
         table.add(
             quantity=name, unit=unit, low=float(factor * low), high=float(factor * high),
             std=float(factor * values.std()),
             visited=float((counts > 0.001 * len(values)).mean()),
         )  # fmt: skip
-    table.add(quantity="force by velocity", unit="", low=np.nan, high=np.nan, std=np.nan, visited=_plane(armed))
+    table.add(quantity="force by velocity", unit="", low=np.nan, high=np.nan, std=np.nan, visited=_plane(armed, size))
     return table
 
 
-def _plane(armed: StateArray) -> float:
-    ranges = (WORKING_RANGE["load_force"], WORKING_RANGE["piston_velocity"])
+def _plane(armed: StateArray, size: Size) -> float:
+    ranges = [working_range(size)[field] for field in ("load_force", "piston_velocity")]
     counts, force, velocity = np.histogram2d(armed["load_force"], armed["piston_velocity"], 10, ranges)
     f, v = 0.5 * (force[1:] + force[:-1]) / ranges[0][1], 0.5 * (velocity[1:] + velocity[:-1]) / ranges[1][1]
     inside = f[:, None] ** 2 + v[None, :] ** 2 <= 1.0
@@ -181,7 +191,9 @@ def main() -> int:
     if options.out.exists():
         raise UserError(f"{options.out} exists already; a recording is never overwritten")
     trouble = _play(schedule, bench, options, ros)
-    coverage(read_bag(options.out).state).show(options.json)
+    recorded = read_bag(options.out)
+    played = Bench.from_mapping(yaml.safe_load(recorded.attachments["bench.yaml"]))
+    coverage(recorded.state, played.size).show(options.json)
     if trouble:
         print(f"error: {trouble}; {options.out} holds what was played so far", file=sys.stderr)
     return TRIPPED if trouble else 0

@@ -90,25 +90,27 @@ def profile(name: str) -> TruthConfig:
     )
 
 
-def truth_from_mapping(data: Mapping[str, Any], where: str = "truth") -> TruthConfig:
+def truth_from_mapping(data: Mapping[str, Any], where: str = "truth", bench: TruthBench | None = None) -> TruthConfig:
     """`TruthConfig` from plain YAML data.
 
     `data`: keys `profile` (nominal | default, the default), `bench`, `sensors`, `effects`, `outside`. The last four
     change single entries of the profile: an effect given replaces the profile's, `null` turns it off. `where`: name of
-    the source, for messages. Raises SettingsError: on an unknown key, a wrong type, or a value outside its range.
+    the source, for messages. `bench`: in the place of the profile's. Raises SettingsError: on an unknown key, a wrong
+    type, or a value outside its range.
     """
     sections = ("bench", "sensors", "effects", "outside")
     for key in data:
         if key not in ("profile", *sections):
             raise SettingsError(unknown_key(str(key), ["profile", *sections], where))
     base = profile(data.get("profile", "default"))
+    base = replace(base, bench=bench or base.bench)
     changes = {name: _overlaid(getattr(base, name), data[name], f"{where}.{name}") for name in sections if name in data}
     return check(replace(base, **changes))
 
 
-def load_truth(path: str | Path) -> TruthConfig:
+def load_truth(path: str | Path, bench: TruthBench | None = None) -> TruthConfig:
     """`TruthConfig` from a YAML file; see `truth_from_mapping`."""
-    return truth_from_mapping(read_yaml(path), Path(path).name)
+    return truth_from_mapping(read_yaml(path), Path(path).name, bench)
 
 
 def truth_to_mapping(config: TruthConfig) -> dict[str, Any]:
