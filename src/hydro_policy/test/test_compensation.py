@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import NEUTRAL, Flag, FloatArray, Law
+from hydro_bridge.signals import NEUTRAL, CorrectionStatus, Flag, FloatArray, Law
+from hydro_filter.controller.loop_filter import Result
 from hydro_policy.compensation.estimator import STEP, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated, FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import MISMATCH, PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -255,6 +256,25 @@ def test_gains_held_by_a_person_are_those_of_the_law_that_acts() -> None:
     assert graph.gained and set(graph.gained) <= {(int(Law.PAPER), 75.0), (int(Law.COMPENSATED), 90.0 - LAW.base_kp)}
     graph.run(session, 30.0, compensation=live)
     assert session.finished and session.scores[1].controller == "compensated" and not session.scores[1].stopped
+
+
+def test_under_mismatch_the_law_s_base_gains_hold_and_its_run_begins_again() -> None:
+    live, graph = LiveCompensation(LAW), Held(GainOverride())
+    settings = EvaluationSettings(frequencies=(1.0,), measure=1.0)
+    session = EvaluationSession(settings, [Compensated(live)], PlantSupervisor(graph, True), compensation=live)
+    graph.run(session, 2.5, compensation=live)
+    assert graph.armed[-1] == (True, Law.COMPENSATED)
+    fits, graph.answer = graph.answer, Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
+    graph.gained.clear()
+    graph.run(session, 2.0, compensation=live)
+    assert set(graph.gained) == {(int(Law.COMPENSATED), 0.0)} and not session.scores
+    assert session.watch.summary == "armed, waiting for a filter that fits" and MISMATCH in graph.sentences
+    graph.answer = fits
+    graph.run(session, 1.0, compensation=live)
+    assert not session.scores, "from its beginning"
+    graph.run(session, 10.0, compensation=live)
+    (score,) = session.scores
+    assert not score.stopped and score.held == 0 and not session.warnings
 
 
 def test_a_plant_that_does_not_take_up_the_law_ends_its_runs() -> None:

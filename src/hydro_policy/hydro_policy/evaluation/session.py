@@ -159,7 +159,9 @@ class EvaluationSession:
         if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
             self._run = None  # restarted once the filter fits
             self.watch.acted(now)
-            return self._publish(self._in_law(FALLBACK)) if sequence % SAMPLES_PER_STEP == 0 else False
+            compensated = self.compensation is not None and self.compensation.acting is Law.COMPENSATED
+            gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
+            return self._publish(gains) if sequence % SAMPLES_PER_STEP == 0 else False
         if self._run is None:
             if not self.watch.may_begin(now):
                 return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))

@@ -143,7 +143,7 @@ TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so t
 UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law starts again"
 MISMATCH = (
     "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
-    f"range, nothing is learned or begun; {ANEW}"
+    f"range, under the compensated law its base gains; nothing is learned or begun; {ANEW}"
 )
 FITS = "the filter's model fits again: going on"
 UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"

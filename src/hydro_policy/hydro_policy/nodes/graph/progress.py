@@ -140,7 +140,7 @@ class EvaluationProgress:
         self._bar.n = round(session.seconds_done)
         if not session.finished:
             _, case, controller = session.plan[len(session.scores)]
-            state = "" if session.watch.armed else f" ({session.watch.summary})"
+            state = "" if (now := session.watch.summary) == "armed" else f" ({now})"
             held = f"OVERRIDDEN {session.override.description}, " if session.override.active else ""
             self._bar.set_description_str(f"evaluating{state}", refresh=False)
             self._bar.set_postfix_str(f"{held}{controller.name} at {case.name}", refresh=False)
