@@ -151,7 +151,7 @@ def test_a_controller_under_which_the_piston_stood_is_left_out(tmp_path: Path) -
         "compensated": {"name": "compensated", "rmse": {"1 Hz": 212.0, "2 Hz": 180.0}, "trips": 0},
     }
     made = Record(amplitude=300.0, comparison=entries)
-    at = Site(folder=tmp_path, record=made, port="", arm="auto", compensated=False, policy=False, log=sys.stderr)
+    at = Site(folder=tmp_path, record=made, port="", arm="auto", policy=False, log=sys.stderr)
     with pytest.raises(GateError, match=r"completed .*: fixed \(15, 5\), fixed .*, compensated: .* piston stood"):
         comparison(at)
     entries["compensated"]["rmse"] = {"1 Hz": 190.0, "2 Hz": 180.0}

@@ -53,12 +53,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--policy", action="store_true", help="pretrain a policy in simulation, and compare it, too")
     repeat = result.add_mutually_exclusive_group()
     repeat.add_argument("--from", dest="start", choices=NAMES, metavar="GATE", help=f"repeat from: {', '.join(NAMES)}")
-    repeat.add_argument(
-        "--again",
-        action="store_true",
-        help=f"the bench has changed: repeat from {AGAIN}; if the compensated law was adopted, with a metric for that "
-        "alone",
-    )
+    repeat.add_argument("--again", action="store_true", help=f"the bench has changed: repeat from {AGAIN}")
     return result
 
 
@@ -72,7 +67,6 @@ def main() -> int:
     untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
     start = AGAIN if options.again else options.start or ("policy" if untrained else None)
     starts = [name for name in (start, "signs" if changed else None) if name]
-    compensated = options.again and record.adopted in ("compensated", "residual")
     first = record.hold(folder, min((NAMES.index(name) for name in starts), default=len(GATES)))
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
@@ -81,9 +75,7 @@ def main() -> int:
         emulated = record.plant == "emulator"
         port = str(folder / "port") if emulated else record.plant
         arm = "auto" if (options.arm or ("auto" if emulated else "person")) == "auto" else "ask"
-        at = Site(
-            folder=folder, record=record, port=port, arm=arm, compensated=compensated, policy=options.policy, log=log
-        )  # fmt: skip
+        at = Site(folder=folder, record=record, port=port, arm=arm, policy=options.policy, log=log)
         if emulated and any(gate.plant for gate in GATES[first:]):
             start_emulator(stack, at, options.seed)
         passed = all(_pass(at, gate) for gate in GATES[first:])

@@ -61,8 +61,6 @@ class Site:
     port: str
     arm: str
     """`auto` or `ask`, as `--rearm` of `evaluate`."""
-    compensated: bool
-    """Whether a metric of the compensated law alone will do: it is commissioned again, and that law was adopted."""
     policy: bool
     """Whether a policy is to be trained."""
     log: IO[str]
@@ -313,8 +311,7 @@ def metric(at: Site) -> str:
     out = at.folder / site.METRIC
     held_out = at.recording("held_out")
     words = ("--model", str(at.folder / site.MODEL), "--bench", at.bench, "--out", str(out))
-    laws = "compensated" if at.compensated else "both"
-    said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", laws)
+    said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", "both")
     found = ScheduledMetric.load(out)
     if reason := found.unfit(out.name):
         raise GateError(reason)
@@ -325,8 +322,7 @@ def metric(at: Site) -> str:
     own = loop_filter(found, Bench.load(str(at.folder / site.MODEL)), Bench.load(at.bench))
     checks.fits(_states(held_out), own)
     ranges = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in at.record.certified_gains.items())
-    missing = laws == "both" and len(at.record.certified_gains) < 2
-    return "; ".join([*ranges, *([said] if missing else [])])
+    return "; ".join([*ranges, *([said] if len(at.record.certified_gains) < 2 else [])])
 
 
 def policy(at: Site) -> str:
