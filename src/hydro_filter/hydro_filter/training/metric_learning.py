@@ -277,15 +277,16 @@ def learn(options: argparse.Namespace) -> None:
     if options.law != "paper":
         laws += _compensated(options, bench, data)
     found: list[tuple[ScheduledMetric, Table]] = []
+    missing: list[str] = []
     for law in laws:
         try:
             found.append(_certificate(model, bench, loop, law, rates, options))
         except ValueError as error:
             if len(laws) == 1:
                 raise
-            _say(f"{law.law.name.lower()} law: {error}")
+            missing.append(f"{law.law.name.lower()} law: {error}")
     if not found:
-        raise ValueError("no force law has a certificate on this bench")
+        raise ValueError(f"no force law has a certificate on this bench: {'; '.join(missing)}")
     table = found[0][1]
     for row in (row for _, more in found[1:] for row in more.rows):
         table.add(**row)
@@ -301,7 +302,9 @@ def learn(options: argparse.Namespace) -> None:
     for metric, _ in found:
         if reason := metric.unfit(out.name):
             kept = "left out of the file" if metric is not sound[0] else "the filter refuses it"
-            _say(f"C_1 = {metric.velocity_compensation:g}: {reason}; {kept}")
+            missing.append(f"C_1 = {metric.velocity_compensation:g}: {reason}; {kept}")
+    for sentence in missing:
+        _say(sentence)
 
 
 def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) -> list[DataSettings]:

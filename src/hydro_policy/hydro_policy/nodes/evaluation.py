@@ -233,7 +233,8 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         if not may_rearm(options):
             node.listen_for_enter()
         watch = node.supervisor(rearm=may_rearm(options))
-        node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
+        if options.filter.split() != list(NO_FILTER):  # one that runs all the same may be of the bench as it was
+            node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
         if grid is not None:
             before = search_on(node, grid, settings, watch)
             if not before.finished:
