@@ -130,6 +130,15 @@ def test_python_blocks_import_what_is_there() -> None:
     assert lost == []
 
 
+def test_files_that_the_table_of_failures_names_hold_tests() -> None:
+    table = next(path for path in PAGES if path.name == "failures.md").read_text(encoding="utf-8")
+    named = {cell for row in re.findall(r"^\|.*\| ([a-z_/, ]+) \|$", table, re.MULTILINE) for cell in row.split(", ")}
+    files = {name: ROOT / ("src/hydro_{}/test/{}.py" if "/" in name else "tests/{}.py").format(*name.split("/"))
+             for name in named - {"tests"}}  # fmt: skip
+    assert len(files) > 20
+    assert [name for name, path in files.items() if not path.exists() or "def test_" not in path.read_text()] == []
+
+
 def test_generated_pages_are_current() -> None:
     pages = generate_reference.pages()
     stale = [str(path.relative_to(ROOT)) for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
