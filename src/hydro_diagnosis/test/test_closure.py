@@ -24,6 +24,7 @@ from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
@@ -74,7 +75,10 @@ def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_benc
     assert position["rmse_named"] > 2.0 * position["rmse_after"]
     corrected = Bench.load(tmp_path / "out" / "corrected.yaml")
     assert corrected.closures[0]["form"] == "quadratic drag" and corrected.digest != BENCH.digest
-    assert diagnose([files[2]], bench=corrected).report.verdict == "no_mismatch"
+    again = diagnose([files[2]], bench=corrected)
+    assert again.report.verdict == "no_mismatch"
+    twice = replace(again, report=replace(again.report, closures=[ClosureReport(**term)] * 2))
+    assert str(twice).lower().count("close") == 1, "what all terms close together is said once"
 
 
 NAMES = {effect.label: effect.adapted(Bench.nominal()) for effect in LIBRARY if effect.named}

@@ -72,7 +72,10 @@ class Diagnosis:
         lines += [f"  {number.sentence}" for number in report.estimated]
         for closure in report.closures:
             lines.append(f"  without a name, in {closure.equation}: {closure.expression}")
-            lines.append(f"    {closure.sentence} Closes {closure.share_closed * 100:.3g} % of the held-out gap.")
+            lines.append(f"    {closure.sentence}")
+        if report.closures:
+            closed = 100.0 * report.closures[0].share_closed
+            lines.append(f"  terms without a name together close {closed:.3g} % of the gap that names leave held out")
         if report.remainder:
             places = ", ".join(place["equation"] for place in report.remainder["location"])
             depends = ", ".join(report.remainder["depends_on"]) or "none of the variables tried"
