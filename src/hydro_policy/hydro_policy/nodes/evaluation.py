@@ -334,7 +334,6 @@ def evaluate_on(
         compensation=compensation,
         felt=node.load_force,
     )
-    node.listen_to_corrections()
     bar = EvaluationProgress(session)
     try:
         node.run_session(session, bar.tick)
