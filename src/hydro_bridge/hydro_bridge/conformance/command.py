@@ -196,7 +196,7 @@ def parser() -> argparse.ArgumentParser:
         "--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; absent: not tried"
     )
     parser.add_argument(
-        "--moving", action="store_true", help="also what arms the box: the piston moves, by some 60 N about its rest"
+        "--moving", action="store_true", help="also what arms the box: the piston moves, how far says your_own_box.md"
     )
     parser.add_argument("--only", nargs="+", default=[], metavar="CASE", help="ids, or their beginnings")
     parser.add_argument("--list", action="store_true", dest="listed", help="show the cases and end")
