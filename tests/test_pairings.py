@@ -19,13 +19,18 @@ import yaml
 
 pytest.importorskip("rclpy")
 
+from rclpy.serialization import serialize_message
+
+from hydro_bridge.bags.recording import BagWriter
 from hydro_filter.metric import scheduled
+from hydro_msgs.msg import BoxInfo
 from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
 from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, PairingError, stamped
+from hydro_sim.files.recordings import BOX_TOPIC
 from hydro_sim.model.bench import Bench
 
 FOREIGN = "was made for bench"
@@ -48,6 +53,7 @@ WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "hydro_filter learn_metric": (
         ("--out @new/m.safetensors --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+        ("--out @new/m.safetensors --recording @own_bag", "the box of the recording own_bag believes bench"),
     ),
     "hydro_sim sim": (
         ("--model shipped --box-bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
@@ -85,6 +91,9 @@ def make_files(folder: Path) -> None:
     nominal = Bench.nominal()
     own = replace(nominal, spring_stiffness=4e4, piston_area=3e-4, supply_pressure=12e6)
     (folder / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()), encoding="utf-8")
+    with BagWriter(folder / "own_bag") as writer:
+        writer.add_topic(BOX_TOPIC, "hydro_msgs/msg/BoxInfo")
+        writer.write(BOX_TOPIC, serialize_message(BoxInfo(bench_digest=own.digest)), 0)
     metric, learned = scheduled.shipped().read_bytes(), learned_bench.load_model()
     for name in ("other_model.yaml", "own_model.yaml"):  # a hair off the shipped one: another by its digest
         changed = replace(learned, moving_mass=learned.moving_mass * (1.0 + 1e-9), learned=None)

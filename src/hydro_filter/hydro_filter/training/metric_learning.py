@@ -268,7 +268,10 @@ def learn(options: argparse.Namespace) -> None:
     model = learned_bench.load_model(options.model)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     remedy = "name the bench.yaml of its box by --bench, or learn a model from this box's recordings (hydro_sim learn)"
-    learned_bench.require_match(options.model, BoxIdentity.of_file(options.bench), remedy)
+    box = BoxIdentity.of_file(options.bench)
+    learned_bench.require_match(options.model, box, remedy)
+    if options.recording:
+        recordings.require_box(options.recording, box)
     made = MadeFor(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
     loop = loop_of(model, bench)
     if free_plant(model) is not None:

@@ -5,20 +5,21 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.bags.recording import objects, read_bag
+from hydro_bridge.bags.recording import RecordingError, objects, read_bag
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
+from hydro_sim.files.pairing import BoxIdentity, PairingError
 
 LAW_TOPIC = "/hydro/box_law"
 
-BOX_TOPIC, BENCH_FILE = "/hydro/box", "bench.yaml"
-"""Where a recording states the bench that its box believed: the topic, or the attachment of older recordings."""
+BOX_TOPIC = "/hydro/box"
 
 SHORTEST = 2000
 """Shortest run [samples] that is used."""
@@ -99,6 +100,15 @@ def box_law(path: str | Path) -> BoxLaw | None:
     """
     *_, (_, message) = objects(path, LAW_TOPIC)
     return BoxLaw.told(message)
+
+
+def require_box(path: str | Path, bench: BoxIdentity) -> None:
+    """Raise PairingError if the box of a recording told another bench than this one."""
+    with suppress(RecordingError):  # it tells none
+        *_, (_, box) = objects(path, BOX_TOPIC)
+        if box.bench_digest not in ("", bench.digest):
+            told = f"the box of the recording {Path(path).name} believes bench {box.bench_digest}, not {bench.told}"
+            raise PairingError(f"{told}: name the bench.yaml of its box by --bench")
 
 
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
