@@ -9,16 +9,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.closure.admission import harmless, share_closed, without_harmful_names
+from hydro_diagnosis.closure import admission
+from hydro_diagnosis.closure.admission import admitted, share_closed, without_harmful_names
 from hydro_diagnosis.closure.evidence import within_form_error, without_idle_terms
 from hydro_diagnosis.closure.growth import ClosureFit, ForwardSelection, _exchanged
-from hydro_diagnosis.closure.screen import Screen, laws
+from hydro_diagnosis.closure.screen import Screen, laws, threshold
 from hydro_diagnosis.closure.selection import closures, merged, renamed, starting_points, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
@@ -28,6 +30,7 @@ from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.grammar.composition import divided
 from tests.segments import segment
 
 BENCH = Bench.nominal()
@@ -48,12 +51,21 @@ def test_share_closed_counts_what_stands_above_the_noise() -> None:
     assert share_closed(held(a=3.0, b=1.0), held(a=3.0, b=2.0)) == pytest.approx(1.0 - 11.0 / 8.0)
 
 
-def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_others() -> None:
-    named = held(a=10.0, b=1.5)
+def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_others(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named, closed = held(a=10.0, b=1.5), ClosureFit(fit(problem, ()), "law", 1.0, problem)
     assert share_closed(named, held(a=1.0, b=1.6)) > 0.9
-    assert not harmless(named, held(a=1.0, b=1.6))
-    assert not harmless(named, held(a=1.0, b=float("nan")))
-    assert harmless(named, held(a=1.0, b=1.5))
+    for later, taken in ((1.6, False), (float("nan"), False), (1.5, True)):
+        monkeypatch.setattr(admission, "held_out", lambda *_, b=later: held(a=1.0, b=b))
+        assert (admitted(problem, problem, [closed], (), named) is not None) == taken
+
+
+def test_the_threshold_pays_for_the_number_of_columns_and_a_coefficient_has_the_unit_that_is_left() -> None:
+    assert threshold(153) == pytest.approx(30.0, abs=0.1), "the best of n columns of noise gains some 2 ln n"
+    assert threshold(3000) - threshold(30) == pytest.approx(2.0 * np.log(100.0))
+    assert divided("N", "m/s", "-") == "N s/m" and divided("m3/s", "Pa", "A") == "m3/s/Pa/A"
+    assert divided("m3/s", "m3/s", "-") == "-" and divided("-", "A2", "-") == "1/A2"
 
 
 def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_bench(
@@ -257,3 +269,9 @@ def test_names_that_do_nothing_beside_a_law_are_dropped(rubbed: Problem) -> None
     assert {claim.effect.label for claim in found.claims} == {FORM, "friction_coulomb"}
     assert within_form_error(rubbed, found, found)  # nothing is no more than the law's form may be off by
     assert not within_form_error(rubbed, fit(rubbed, truth[:1]), found)
+
+
+def test_laws_of_flows_are_no_kin_of_laws_of_forces() -> None:
+    for law in (*grammar.LAWS, *grammar.TABLES):
+        of_flows = law.equation.startswith(("actuation", "pressure")) or law.where.startswith("pressure")
+        assert closure(law, BENCH).family == ("closure of flows" if of_flows else "closure of forces")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.reliability import contradicted, differing, doubted, explained_shares, moved, objections
-from hydro_diagnosis.selection.steady_motion import FRICTION, curves, missed
+from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
 from hydro_sim.model.bench import Bench
 
 DRY = next(effect for effect in LIBRARY if effect.label == "friction_coulomb")
@@ -123,6 +124,12 @@ def test_what_is_left_and_what_is_not_identified_are_objections() -> None:
 def test_with_an_objection_nothing_is_fully_explained(verdict: str, named: bool, says: str) -> None:
     assert doubted(verdict, ["that"], named=named) == says
     assert doubted(verdict, [], named=named) == verdict
+
+
+def test_a_point_is_missed_beyond_chance_alone() -> None:
+    point = Point(at=0.1, measured=10.0, before=0.0, model=8.0, uncertainty=1.0)
+    sure = replace(point, uncertainty=0.1)
+    assert missed([point]) == [] and missed([sure]) == [sure] and missed([sure], noise=2.5) == []
 
 
 @pytest.mark.parametrize("noise, level, cut", [(2e5, 5e5, False), (2e5, 0.0, True), (1e3, 2e4, True)])

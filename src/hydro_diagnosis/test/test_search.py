@@ -13,6 +13,7 @@ from hydro_bridge.signals import StateArray
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FitParameter
+from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.fit import fit, mean_squares, noticeable, score
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims
@@ -136,6 +137,13 @@ def test_budget_of_work_ends_it_with_the_best_answer_so_far(worn: list[Path], tm
     assert reports[0] == reports[1]
     assert any("budget of work (0.05 s" in note for note in reports[0]["data_quality"])
     assert reports[0]["verdict"] in ("explained", "partly_explained", "unknown")
+
+
+def test_budget_grows_with_what_is_recorded_unless_it_is_chosen() -> None:
+    budgets = [Budget(), Budget(), Budget(5.0)]
+    for budget, samples in zip(budgets, (20_000, 600_000, 600_000), strict=True):
+        budget.allow(samples)
+    assert [budget.seconds for budget in budgets] == [60.0, 600.0, 5.0]
 
 
 def amplitudes(effect: Effect) -> list[FitParameter]:
