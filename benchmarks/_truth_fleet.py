@@ -14,7 +14,7 @@ import numpy.typing as npt
 from numba.extending import overload
 
 from hydro_bridge.signals import SAMPLES_PER_STEP
-from hydro_policy.envs import vector_plants
+from hydro_policy.envs import vector_env
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import FleetFilter
 from hydro_sim.box.box import BoxConfig
@@ -38,7 +38,7 @@ class Truth(NamedTuple):
     count: npt.NDArray[np.int64]
 
 
-@overload(vector_plants.advance)
+@overload(vector_env.advance)
 def _advance(plants, i, noise, current):
     if getattr(plants, "instance_class", None) is not Truth:
         return None
@@ -69,7 +69,7 @@ def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
     arrays.x[index] = plant.measurement()
 
 
-vector_plants.KINDS[TruthPlant] = (_rows, _copy)
+vector_env.KINDS[TruthPlant] = (_rows, _copy)
 
 
 def truth_fleet(

@@ -21,7 +21,7 @@ from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, 
 from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings
 from hydro_filter.model.sample import Sample
-from hydro_filter.validation.trial import Trial, run
+from hydro_filter.validation.runs import Trial, run
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 

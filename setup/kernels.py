@@ -17,7 +17,7 @@ from setup.layout import Layout
 from setup.progress import run_logged
 
 RECORDING = "HYDRO_COMPILATIONS"
-"""The environment variable by which `hydro_sim.compilations` writes down what a run compiles: this is none."""
+"""The environment variable by which `hydro_sim.compiled` writes down what a run compiles: this is none."""
 
 HINT = "`make lint` says what is wrong with a source that was edited. "
 

@@ -23,7 +23,7 @@ from hydro_bridge.signals import (
 )
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
-from hydro_filter.validation.trial import Corrector
+from hydro_filter.validation.runs import Corrector
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, SaveRequest
 from hydro_policy.runs.run import RunDirectory, TrainingSettings

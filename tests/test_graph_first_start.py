@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import executable_path
-from hydro_sim.compilations import VARIABLE, read_compilations
+from hydro_sim.compiled import VARIABLE, read_compilations
 from tests.graph_probe import own_domain
 
 

@@ -25,7 +25,7 @@ from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
 from benchmarks.paper.validation import corrector
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag
-from hydro_filter.validation.trial import Corrector
+from hydro_filter.validation.runs import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent

@@ -17,11 +17,10 @@ import numpy as np
 from benchmarks.paper.network import NetworkModel
 from benchmarks.paper.store import PRINTED
 from hydro_bridge.signals import CorrectionStatus, FloatArray
-from hydro_filter.certificate.qp import closed_form
+from hydro_filter.certificate import closed_form
 from hydro_filter.controller.loop_filter import Result
-from hydro_filter.model import force_law
-from hydro_filter.model.sample import Sample
-from hydro_filter.model.state import LOAD_FORCE, STATES
+from hydro_filter.model import coordinates
+from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
@@ -96,7 +95,7 @@ class ForceLaw:
         """K [A per unit of each state], shape (8,)."""
         out = np.empty(STATES)
         gain = sample.proportional_gain
-        force_law.gradient(self.constants, sample.state, sample.nominal_current, gain, self.gain_floor, out)
+        coordinates.gradient(self.constants, sample.state, sample.nominal_current, gain, self.gain_floor, out)
         return out
 
 

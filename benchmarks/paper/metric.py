@@ -23,8 +23,7 @@ from benchmarks.paper.network import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.scheduled import ScheduledMetric
-from hydro_filter.model.sample import Sample
-from hydro_filter.model.state import LOAD_FORCE, STATES
+from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
 from hydro_sim.model.bench import Bench
 

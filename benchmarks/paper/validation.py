@@ -14,8 +14,8 @@ from benchmarks.paper.certificate import PaperFilter
 from benchmarks.paper.store import CASES, FILTERS, Result, Store
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.validation import cases, runs
-from hydro_filter.validation.trial import Corrector, Trial, gammas
-from hydro_filter.validation.trial import run as run_trial
+from hydro_filter.validation.runs import Corrector, Trial, gammas
+from hydro_filter.validation.runs import run as run_trial
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench

@@ -16,8 +16,7 @@ from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
 from hydro_filter.training import thresholds
 from hydro_filter.training.data import DataSettings, collect
-from hydro_filter.validation.cases import CASES
-from hydro_filter.validation.plants import PLANTS
+from hydro_filter.validation.cases import CASES, PLANTS
 from hydro_filter.validation.runs import FILTERS, Task, evaluate_task
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench

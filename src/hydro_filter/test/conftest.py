@@ -12,7 +12,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.design import MetricDesign
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
-from hydro_filter.model.state import STATES
+from hydro_filter.model.sample import STATES
 from hydro_filter.precompile import FOUND
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench

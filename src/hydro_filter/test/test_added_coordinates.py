@@ -15,7 +15,7 @@ from hydro_filter.controller import innovations
 from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
 from hydro_filter.metric.scheduled import ScheduledMetric
-from hydro_filter.model import force_law
+from hydro_filter.model import coordinates
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.displacement import displace
 from hydro_filter.model.linearization import CLOSED, linearize
@@ -29,7 +29,7 @@ from hydro_filter.model.loop import (
 )
 from hydro_filter.model.observer import follow, hydraulic_slopes, model_state, settle
 from hydro_filter.model.parts import NONE, Loop
-from hydro_filter.model.state import STATES
+from hydro_filter.model.sample import STATES
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -77,7 +77,7 @@ def whole_loop(bench: Bench, gain: float) -> FloatArray:
         y[p.spool] = CLOSED
     _, slopes, _ = model.jacobian(k, y, CLOSED)
     law, memory = np.empty(STATES), p.memories[1]
-    force_law.gradient(loop.bench, rest_measurement(p), 1e-9, gain, loop.gain_floor, law)
+    coordinates.gradient(loop.bench, rest_measurement(p), 1e-9, gain, loop.gain_floor, law)
     shown = {chamber: signal for signal, _, chamber in p.lagging}
     closed, feedback = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
     feedback[[p.cell, 2, n]] = law[[2, 6, 7]]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import CorrectionStatus
-from hydro_filter.certificate import qp, sampled
-from hydro_filter.certificate.qp import LEAST_IMPROVEMENT, QpFilter, closed_form
+from hydro_filter import certificate
+from hydro_filter.certificate import LEAST_IMPROVEMENT, QpFilter, closed_form
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.loop import loop_of, step_of
 from hydro_sim.files.learned_bench import load_model
@@ -111,7 +111,7 @@ def test_the_quadratic_is_two_samples_moved_on() -> None:
         step.feedback[:] = rng.standard_normal(LOOP)
         v, known, asked = rng.standard_normal(LOOP), rng.standard_normal(), rng.standard_normal()
         one, two = np.empty(LOOP), np.empty(LOOP)
-        bent, slope, level, size = sampled.quadratic(step, metric, v, known, asked, 3.0, one, two)
+        bent, slope, level, size = certificate.quadratic(step, metric, v, known, asked, 3.0, one, two)
         moved = step.transition @ v + step.push * (step.feedback @ v + known)
         assert size == pytest.approx(moved @ metric @ moved)
         for change in (0.0, 0.7, -2.0):
@@ -125,8 +125,8 @@ def test_the_half_line_gives_the_smallest_du_of_the_interval() -> None:
     for _ in range(2000):
         bent, slope = 10.0 ** rng.uniform(-6, 6), rng.standard_normal() * 10.0 ** rng.uniform(-6, 6)
         level = slope**2 / bent * rng.uniform(-2.0, 1.0)  # with an answer
-        a, b, _ = sampled.half_line(bent, slope, level)
-        change, _ = qp.closed_form(a, b, -1e15, 1e15)
+        a, b, _ = certificate.half_line(bent, slope, level)
+        change, _ = closed_form(a, b, -1e15, 1e15)
         left = bent * change**2 + 2.0 * slope * change + level
         assert left <= 1e-9 * abs(level)
         if level > 0.0:
@@ -135,5 +135,5 @@ def test_the_half_line_gives_the_smallest_du_of_the_interval() -> None:
 
 
 def test_where_no_du_helps_the_nearest_is_told() -> None:
-    a, b, best = sampled.half_line(1.0, 1.0, 2.0)
+    a, b, best = certificate.half_line(1.0, 1.0, 2.0)
     assert np.isnan([a, b]).all() and best == -1.0

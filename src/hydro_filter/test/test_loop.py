@@ -18,8 +18,7 @@ import yaml
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.model.coordinates import LOOP
-from hydro_filter.model.force_law import PAPER_SCALES
+from hydro_filter.model.coordinates import LOOP, PAPER_SCALES
 from hydro_filter.model.linearization import linearize
 from hydro_filter.model.loop import (
     SUBSTEPS,
@@ -32,10 +31,10 @@ from hydro_filter.model.loop import (
 )
 from hydro_filter.model.observer import follow, hydraulic_slopes, model_state, settle
 from hydro_filter.model.parts import Loop
-from hydro_filter.model.state import POSITION, VELOCITY
+from hydro_filter.model.sample import POSITION, VELOCITY
 from hydro_filter.model.terms import hidden_state_numbers
 from hydro_sim.box import force_law
-from hydro_sim.compilations import VARIABLE, read_compilations
+from hydro_sim.compiled import VARIABLE, read_compilations
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench

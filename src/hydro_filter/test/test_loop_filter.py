@@ -13,7 +13,7 @@ from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter
 from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
-from hydro_filter.validation.trial import Run, Trial, gammas, run
+from hydro_filter.validation.runs import Run, Trial, gammas, run
 from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant

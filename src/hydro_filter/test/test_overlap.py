@@ -16,7 +16,7 @@ from hydro_filter.model.loop import memories, overlap_of, without_overlap
 from hydro_filter.model.overlap import Overlap, change_for, lost, passed_change
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
-from hydro_filter.validation.trial import Run, Trial, run
+from hydro_filter.validation.runs import Run, Trial, run
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 

@@ -16,7 +16,7 @@ from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric.design import MetricDesign, design_table
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
-from hydro_filter.validation.trial import Trial, run
+from hydro_filter.validation.runs import Trial, run
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs

@@ -9,8 +9,7 @@ together); `excitation`, `files`, `identification` (a bench learnt from recordin
 from pathlib import Path
 
 import hydro_bridge
-from hydro_sim.compilations import record_compilations
-from hydro_sim.compiled import remove_stale_caches
+from hydro_sim.compiled import record_compilations, remove_stale_caches
 
 record_compilations()
 remove_stale_caches(*(Path(file).parent for file in (__file__, hydro_bridge.__file__)))

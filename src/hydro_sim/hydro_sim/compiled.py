@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Removal of stale numba caches.
+"""Removal of stale numba caches, and a record of what is compiled at run time: nothing should be after set-up.
 
 numba recompiles a cached function when the function's own file changes, not when a function it calls does: after an
 edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `remove_stale_caches`
@@ -7,6 +7,13 @@ empties the cache of every module that imports a changed source, directly or thr
 
 A function with fastmath must not call a cached one without: numba compiles that one with the caller's fastmath if it
 comes first, and caches it so, for every other caller.
+
+Where the environment variable HYDRO_COMPILATIONS names a file, each compilation appends one line of JSON to it:
+
+    {"program": "trainer", "process": 4711, "function": "hydro_policy.sac.algorithm.learn", "seconds": 7.3}
+
+A function that comes from numba's cache appends none. One that is compiled inside of another has a line of its own,
+and the outer one's time holds it.
 """
 
 from __future__ import annotations
@@ -15,9 +22,13 @@ import ast
 import contextlib
 import fcntl
 import json
+import os
+import sys
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from time import monotonic
+from typing import Any
 
 STAMP = "sources.stamp"
 
@@ -129,3 +140,44 @@ def _read(text: str) -> dict[str, dict[str, object]]:
         if isinstance(found, dict) and {"all", "modules"} <= set(found):
             return found
     return {"all": {}, "modules": {}}
+
+
+VARIABLE = "HYDRO_COMPILATIONS"
+
+
+def record_compilations() -> None:
+    """Start recording if the environment asks for it. Call it once, before anything is compiled."""
+    name = os.environ.get(VARIABLE)
+    if not name:
+        return
+    file = Path(name)
+    from numba.core import event  # takes half a second: only where it is needed
+
+    class _Recorder(event.Listener):
+        def __init__(self) -> None:
+            self._begun: list[float] = []
+
+        def on_start(self, event: Any) -> None:
+            self._begun.append(monotonic())
+
+        def on_end(self, event: Any) -> None:
+            _append(file, event.data["dispatcher"], monotonic() - self._begun.pop())
+
+    event.register("numba:compile", _Recorder())
+
+
+def read_compilations(file: Path) -> list[dict[str, Any]]:
+    """Recorded compilations; empty if there is no such file."""
+    return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+
+def _append(file: Path, dispatcher: Any, seconds: float) -> None:
+    function = dispatcher.py_func
+    line = {
+        "program": Path(sys.argv[0]).name,
+        "process": os.getpid(),
+        "function": f"{function.__module__}.{function.__qualname__}",
+        "seconds": round(seconds, 3),
+    }
+    with file.open("a") as out:  # one short write: lines of several processes do not mix
+        out.write(json.dumps(line) + "\n")

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_filter.certificate.qp import QpCounts
+from hydro_filter.certificate import QpCounts
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric.scheduled import ScheduledMetric, shipped
 from hydro_filter.model.loop import effects_to_compile
-from hydro_filter.model.sample import Sample
-from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, STATES, Sample
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError

@@ -35,7 +35,7 @@ import numpy.typing as npt
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.observer import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.parts import MEMORY_DTYPE, NONE
-from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.jit import copy_vector, njit
 
 EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.certificate import qp, sampled
+from hydro_filter import certificate
 from hydro_filter.metric import scheduled
 from hydro_filter.metric.scheduled import MetricParts
 from hydro_filter.model import overlap
@@ -37,7 +37,7 @@ from hydro_filter.model.loop import step_of
 from hydro_filter.model.observer import follow, reset, settle
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import Loop, Step
-from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
+from hydro_filter.model.sample import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.jit import njit
 from hydro_sim.model.hydraulics import input_gain, velocity_term
 
@@ -159,19 +159,19 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     outside = scheduled.uncertified(parts.metric, known)
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, gain, law)
-    asked = sampled.excess_integral(term, parts.integral_allowance) / law_gain
+    asked = certificate.excess_integral(term, parts.integral_allowance) / law_gain
     if outside:
         velocity = x[VELOCITY] - loop.scale[Q_VELOCITY] * workspace.v[Q_VELOCITY]
         asked += feedforward_excess(loop.bench[0], x, velocity, reference, reference_rate, gain, law) / law_gain
     limit = loop.current_max
     applied = min(max(nominal, -limit), limit)
-    bent, slope, level, size = sampled.quadratic(
+    bent, slope, level, size = certificate.quadratic(
         step, metric, workspace.v, current - overlap.lost(parts.overlap, current) - nominal + asked,
         asked - overlap.lost(parts.overlap, applied), rate, workspace.next_v, workspace.after_v,
     )  # fmt: skip
-    share = sampled.displacement_share(size, parts.foreign_noise_size if outside else parts.noise_size)
+    share = certificate.displacement_share(size, parts.foreign_noise_size if outside else parts.noise_size)
     slope, level = share * slope, share * share * level
-    a, b, best = sampled.half_line(bent, slope, level)
+    a, b, best = certificate.half_line(bent, slope, level)
     if a != 0.0 and math.isfinite(a):
         b = a * overlap.change_for(parts.overlap, applied, b / a)
     best = overlap.change_for(parts.overlap, applied, best)
@@ -198,9 +198,9 @@ def least_violation(of, problem):
     change = min(max(problem.best, problem.low), problem.high)
     before, after = certificate_before_after(of, problem, change)
     removed = SAMPLE_PERIOD * (before - after)
-    if removed < qp.LEAST_IMPROVEMENT * problem.level:
-        return 0.0, qp.INFEASIBLE
-    return change, qp.RELAXED
+    if removed < certificate.LEAST_IMPROVEMENT * problem.level:
+        return 0.0, certificate.INFEASIBLE
+    return change, certificate.RELAXED
 
 
 @njit
@@ -240,13 +240,13 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
     """
     if not finite(x, nominal, current, reference, reference_rate, gain, law):
         reset(memory)
-        return Decision(0.0, math.nan, math.nan, qp.NAN)
+        return Decision(0.0, math.nan, math.nan, certificate.NAN)
     problem = build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, law, workspace)
     if not armed:
-        return Decision(0.0, 0.0, 0.0, qp.PASS)
+        return Decision(0.0, 0.0, 0.0, certificate.PASS)
     if math.isnan(problem.a) and math.isfinite(problem.best):
         change, status = least_violation(parts.overlap, problem)
     else:
-        change, status = qp.closed_form_kernel(problem.a, problem.b, problem.low, problem.high)
+        change, status = certificate.closed_form_kernel(problem.a, problem.b, problem.low, problem.high)
     before, after = certificate_before_after(parts.overlap, problem, change)
     return Decision(correction_of(nominal, change, parts.loop.current_max), before, after, status)

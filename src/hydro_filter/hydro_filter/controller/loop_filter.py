@@ -25,7 +25,7 @@ import numpy as np
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import CorrectionStatus
-from hydro_filter.certificate.qp import QpFilter
+from hydro_filter.certificate import QpFilter
 from hydro_filter.controller import innovations, loop_decision
 from hydro_filter.controller.loop_decision import LoopParts, Problem
 from hydro_filter.metric.scheduled import ScheduledMetric

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from hydro_bridge.process.realtime import Latency
 from hydro_bridge.signals import CorrectionStatus
-from hydro_filter.certificate.qp import QpCounts
+from hydro_filter.certificate import QpCounts
 
 TROUBLE = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.INFEASIBLE)
 """Statuses without a useful decision."""

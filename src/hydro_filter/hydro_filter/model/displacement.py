@@ -34,7 +34,7 @@ from hydro_filter.model.coordinates import (
 )
 from hydro_filter.model.observer import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.parts import NONE
-from hydro_filter.model.state import (
+from hydro_filter.model.sample import (
     HYDRAULIC_FORCE,
     LOAD_FORCE,
     LOAD_FORCE_RATE,

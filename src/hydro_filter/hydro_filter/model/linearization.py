@@ -21,7 +21,7 @@ from hydro_filter.model.coordinates import (
 )
 from hydro_filter.model.observer import hydraulic_slopes, model_state, set_opening
 from hydro_filter.model.parts import NONE
-from hydro_filter.model.state import PRESSURE_A
+from hydro_filter.model.sample import PRESSURE_A
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import machine_code
 

@@ -36,7 +36,7 @@ from hydro_filter.model.added_coordinates import (
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, least_gain, loop_scale
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import MEMORY_DTYPE, Loop, ModelParts, Step
-from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_filter.model.terms import (
     cell_dynamics,
     cell_states,

@@ -20,7 +20,7 @@ import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.parts import NONE
-from hydro_filter.model.state import (
+from hydro_filter.model.sample import (
     LOAD_FORCE,
     LOAD_FORCE_RATE,
     POSITION,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs of the filter: one bench sample."""
+"""Inputs of the filter: one bench sample, and the layout of its state x."""
 
 from __future__ import annotations
 
@@ -9,6 +9,21 @@ import numpy as np
 
 from hydro_bridge.serial.frames import LawState
 from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, Law
+
+STATES = 8
+"""Length of x (paper eq. state_def)."""
+
+(
+    HYDRAULIC_FORCE,
+    HYDRAULIC_FORCE_RATE,
+    LOAD_FORCE,
+    LOAD_FORCE_RATE,
+    PRESSURE_A,
+    PRESSURE_B,
+    POSITION,
+    VELOCITY,
+) = range(STATES)
+"""Indices into x."""
 
 
 class Sample(NamedTuple):

@@ -22,10 +22,8 @@ from hydro_bridge.cli.console import Table, UserError, add_json_argument, comman
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_filter.controller.factory import LEARNED, FilterChoice
-from hydro_filter.validation.cases import CASES
-from hydro_filter.validation.plants import PLANTS
-from hydro_filter.validation.runs import COLUMNS, FILTERS, Outcome, Task, evaluate_task, simulate, table_row
-from hydro_filter.validation.trial import Run
+from hydro_filter.validation.cases import CASES, PLANTS
+from hydro_filter.validation.runs import COLUMNS, FILTERS, Outcome, Run, Task, evaluate_task, simulate, table_row
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench

@@ -11,17 +11,23 @@ Results are bit-identical to those of `simulation.offline.simulate` and of the n
 compiled functions. Gains act `gain_delay` samples after the step that chose them (1 to 10; 1: the fastest possible
 graph), and the valve follows its current `dead_time` samples late (0: the box's own loop).
 
+Plants of one kind are rows of arrays: a NamedTuple with two compiled functions, `advance` and `measurement`, dispatched
+on its type (numba's overloading). They are created and reset as usual; here only their memories are stacked.
+
 `Environment` is the task on such a fleet, the counterpart of `TrainingSession` without the graph's interruptions:
 observation, reward, gains and penalty are computed by the same functions of `task`; each episode starts from rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba.core import types
+from numba.extending import overload
 
 from hydro_bridge.signals import (
     SAMPLE_PERIOD,
@@ -35,15 +41,108 @@ from hydro_bridge.signals import (
     ReferenceSignal,
     StateArray,
 )
-from hydro_policy.envs import vector_filter, vector_plants
+from hydro_policy.envs import vector_filter
 from hydro_policy.envs.vector_filter import FleetFilter, NoFilter
-from hydro_policy.envs.vector_plants import PlantRows
 from hydro_policy.task.mdp import ACTIONS, TaskSettings, observe
 from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.jit import njit
+from hydro_sim.model import plant as plants_of
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import Plant
+from hydro_sim.model.plant import AnalyticPlant, Plant
+
+Records = npt.NDArray[np.void]
+
+
+class Analytic(NamedTuple):
+    """Rows of `AnalyticPlant`."""
+
+    constants: Records
+    sensors: Records
+    state: Records
+
+
+@dataclass
+class PlantRows:
+    """Arrays for compiled code, and the plants that they represent (for resets and noise)."""
+
+    plants: list[Plant]
+    arrays: Any
+    copy: Callable[[Any, int, Any], None]
+    """Function that writes a plant's constants and memory into a row."""
+
+
+def stack_plants(plants: Sequence[Plant]) -> PlantRows:
+    """Stack plants of one kind into arrays.
+
+    Raises
+    ------
+    ValueError
+        The plants are of several kinds, or of a kind without compiled rows.
+    """
+    if len({type(plant) for plant in plants}) != 1:
+        raise ValueError("a fleet needs plants of one kind")
+    for known, (make, copy) in KINDS.items():
+        if type(plants[0]) is known:
+            result = PlantRows(list(plants), make(plants), copy)
+            for index, plant in enumerate(plants):
+                copy(result.arrays, index, plant)
+            return result
+    kind = type(plants[0]).__name__
+    raise ValueError(f"many benches at once are those of bench files, no {kind}")
+
+
+def measurements(rows: PlantRows) -> FloatArray:
+    """Return the present measurements, a view of shape (plants, 8)."""
+    held = rows.arrays.state["x"] if isinstance(rows.arrays, Analytic) else rows.arrays.x
+    return np.asarray(held)
+
+
+def advance(plants: Any, i: int, noise: FloatArray, current: float) -> None:
+    """Advance row i by one sample of 1 ms, in place; for compiled code."""
+    raise NotImplementedError("compiled code only")
+
+
+def measurement(plants: Any, i: int) -> FloatArray:
+    """Return the measurement x, shape (8,), of row i; for compiled code."""
+    raise NotImplementedError("compiled code only")
+
+
+@overload(advance)
+def _advance(plants, i, noise, current):
+    if getattr(plants, "instance_class", None) is Analytic:
+
+        def analytic(plants, i, noise, current):
+            one = slice(i, i + 1)
+            plants_of.advance(plants.constants[one], plants.sensors[one], plants.state[one], noise, current)
+
+        return analytic
+    return None
+
+
+@overload(measurement)
+def _measurement(plants, i):
+    if getattr(plants, "instance_class", None) is Analytic:
+        return lambda plants, i: plants.state[i].x
+    if isinstance(plants, types.NamedTuple):
+        return lambda plants, i: plants.x[i]
+    return None
+
+
+def _analytic(plants: Sequence[AnalyticPlant]) -> Analytic:
+    return Analytic(*(np.concatenate([getattr(plant, name) for plant in plants]) for name in Analytic._fields))
+
+
+def _copy_analytic(arrays: Analytic, index: int, plant: AnalyticPlant) -> None:
+    for name in Analytic._fields:
+        getattr(arrays, name)[index] = getattr(plant, name)[0]
+
+
+KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
+    AnalyticPlant: (_analytic, _copy_analytic),
+}
+"""Kinds of plants, with the functions that stack them and write one into a row. A benchmark may add its own."""
+
 
 DEAD_TIME_MAX = 8
 """Maximum delay of a command, samples."""
@@ -75,7 +174,7 @@ class VectorBench:
         filters: FleetFilter | None = None,
     ) -> None:
         self.config, self.filters = config or BoxConfig(), filters or NoFilter()
-        self.rows: PlantRows = vector_plants.stack_plants(plants)
+        self.rows: PlantRows = stack_plants(plants)
         count = len(plants)
         self.benches = np.concatenate([bench.constants() for bench in benches])
         self.settings = np.concatenate([self.config.constants(bench) for bench in benches])
@@ -96,7 +195,8 @@ class VectorBench:
         self.benches[index] = bench.constants()[0]
         self.settings[index] = self.config.constants(bench)[0]
         self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
-        vector_plants.replace_plant(self.rows, index, plant)
+        self.rows.plants[index] = plant
+        self.rows.copy(self.rows.arrays, index, plant)
 
     def begin(
         self,
@@ -108,7 +208,9 @@ class VectorBench:
     ) -> None:
         """Start from rest: disarm once, arm with `reference`, gain changes and law, take the first sample."""
         one = slice(index, index + 1)
-        vector_plants.reset_plant(self.rows, index, seed)
+        plant = self.rows.plants[index]
+        plant.reset(seed)
+        self.rows.copy(self.rows.arrays, index, plant)
         kernel.reset(self.boxes[one])
         fill_command(self.commands[one], Command())
         kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
@@ -128,7 +230,7 @@ class VectorBench:
         self.links[index]["held"] = 0.0
         vector_filter.reset_memory(self.filters, index)
         box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
-        _exchange(*box, self.filters, index, vector_plants.measurements(self.rows)[index], self.samples[index, -1:])
+        _exchange(*box, self.filters, index, measurements(self.rows)[index], self.samples[index, -1:])
         self.compensated[index, -1] = self.boxes[index]["compensated_reference"]
 
     def step(self, changes: FloatArray, coefficients: FloatArray | None = None) -> StateArray:
@@ -144,7 +246,7 @@ class VectorBench:
         if coefficients is None:
             coefficients = self.commands["shaping"]["coefficients"]
         box = self.benches, self.settings, self.boxes, self.commands
-        noise = vector_plants.noise(self.rows, SAMPLES_PER_STEP)
+        noise = np.stack([plant.noise.rows(SAMPLES_PER_STEP) for plant in self.rows.plants])  # type: ignore[attr-defined]
         step = _step if type(self.rows.arrays).__module__.startswith("hydro_policy.") else _step_foreign
         actions = np.ascontiguousarray(changes), np.array(coefficients)
         outputs = self.samples, self.compensated
@@ -172,14 +274,14 @@ def _step(
         one, link = slice(i, i + 1), links[i]
         current = samples[i, length - 1].valve_current
         for k in range(length):
-            vector_plants.advance(plants, i, noise[i, k], _delayed(link, current))
+            advance(plants, i, noise[i, k], _delayed(link, current))
             if k == link.gain_delay - 1:
                 commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
                 for j in range(4):
                     commands[i].shaping.coefficients[j] = coefficients[i, j]
             sample = samples[i, k : k + 1]
-            measurement = vector_plants.measurement(plants, i)
-            _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, measurement, sample)
+            read = measurement(plants, i)
+            _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, read, sample)
             current, compensated[i, k] = sample[0].valve_current, boxes[i].compensated_reference
 
 

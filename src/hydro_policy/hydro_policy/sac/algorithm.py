@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from hydro_bridge.signals import FloatArray
-from hydro_policy.sac import dense, network_kernel
+from hydro_policy.sac import network_kernel
 from hydro_policy.sac.network_kernel import BATCH_MAX, Adam, Floats, Layers
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
@@ -75,7 +75,7 @@ def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places
     `losses`: output of the losses of critics, actor and temperature before each update, shape (updates, 3).
     """
     count, kind, inputs = places.shape[1], networks.target_parameters.dtype, numbers.observations + numbers.actions
-    width = dense.four(inputs)
+    width = network_kernel.four(inputs)
     now, following = network_kernel.buffer(width, kind), network_kernel.buffer(width, kind)
     reward, end, target = np.empty(count, kind), np.empty(count, kind), np.empty(count, kind)
     actor_pass = network_kernel.pass_buffers(networks.actor, kind)
@@ -158,9 +158,13 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
         loss += alpha * draw.log_probability[k] - min(first.y[k], second.y[k])
     network_kernel.backpropagate(critic_1, first, count)
     network_kernel.backpropagate(critic_2, second, count)
-    slopes = np.zeros((2, dense.four(actions) * network_kernel.ROW), draw.action.dtype)
-    network_kernel.product(network_kernel.input_rows(networks.critics[0].w1, n, actions), first.g1, slopes[0], count)
-    network_kernel.product(network_kernel.input_rows(networks.critics[1].w1, n, actions), second.g1, slopes[1], count)
+    slopes = np.zeros((2, network_kernel.four(actions) * network_kernel.ROW), draw.action.dtype)
+    network_kernel.whole_product(
+        network_kernel.input_rows(networks.critics[0].w1, n, actions), first.g1, slopes[0], count
+    )
+    network_kernel.whole_product(
+        network_kernel.input_rows(networks.critics[1].w1, n, actions), second.g1, slopes[1], count
+    )
     for j in range(actions):
         for k in range(count):
             a = draw.action[j, k]

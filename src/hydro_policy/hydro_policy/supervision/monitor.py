@@ -29,7 +29,7 @@ from hydro_sim.model.bench import NOMINAL
 _EVALUATED = frozenset(
     set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH}
 )
-_TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.trial.gammas`
+_TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.runs.gammas`
 _RECOVERY = 20
 """Steps after a held one whose u' is not due to the policy: the force recovers from the base gains' error."""
 _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
