@@ -73,20 +73,28 @@ _TIME = re.compile(
 class Columns:
     """Columns and single numbers of a file."""
 
-    series: Mapping[str, FloatArray]
+    series: dict[str, FloatArray] = field(default_factory=dict)
     """Columns by name, each of shape (n,); n may differ between clocks."""
-    constants: Mapping[str, float] = field(default_factory=dict)
+    constants: dict[str, float] = field(default_factory=dict)
     """Single numbers by name (of .mat and HDF5 files)."""
-    other: tuple[str, ...] = ()
+    other: list[str] = field(default_factory=list)
     """Names of what is neither: texts, columns of another length."""
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
     """Units that the file states, as `QUANTITY` spells them; only those that are known."""
-    clocks: Mapping[str, str] = field(default_factory=dict)
+    clocks: dict[str, str] = field(default_factory=dict)
     """By column, the name of the column that holds its times; none for a table in which every row is one instant."""
-    notes: tuple[str, ...] = ()
+    notes: list[str] = field(default_factory=list)
     """Notes on these times, one sentence each."""
     extents: Mapping[str, Extent] = field(default_factory=dict)
     """By column of which `series` holds every n-th number: what is known of all."""
+
+    def add(self, name: str, values: FloatArray, unit: str = "") -> str:
+        """Add a column in a unit as the file states it; returns its name, with a number behind it if it was taken."""
+        column = unique(name, self.series)
+        self.series[column] = values
+        if known(unit):
+            self.units[column] = known(unit)
+        return column
 
 
 def named_like_time(name: str) -> bool:
@@ -100,29 +108,27 @@ def runs_forward(values: FloatArray) -> bool:
     return len(steps) > 0 and float(np.mean(steps > 0.0)) > 0.9
 
 
-def with_clocks_of_equal_length(
-    series: Mapping[str, FloatArray], constants: Mapping[str, float], other: tuple[str, ...], units: Mapping[str, str]
-) -> Columns:
+def assign_clocks_of_equal_length(found: Columns) -> None:
     """Assign clocks to columns of several lengths: the one column of times of the same length.
 
     The time beside a column, in the same struct or group, comes before one elsewhere. Columns of one length need no
     clock; of several lengths, the longest does without, and what has neither is listed under `other`.
     """
+    series, clocks = found.series, found.clocks
     lengths = {len(values) for values in series.values()}
     if len(lengths) <= 1:
-        return Columns(series, constants, other, units)
+        return
     times = [name for name, values in series.items() if named_like_time(name) and runs_forward(values)]
-    longest, clocks, left = max(lengths), {}, []
-    for name, values in series.items():
+    longest = max(lengths)
+    for name, values in [*series.items()]:
         alike = [time for time in times if len(series[time]) == len(values)]
         if alike:
             clocks[name] = max(alike, key=lambda time: _kinship(time, name))
         elif len(values) != longest:
-            left.append(name)
-    kept = {name: values for name, values in series.items() if name not in left}
-    if len({clocks.get(name) for name in kept}) == 1:
-        clocks = {}
-    return Columns(kept, constants, (*other, *left), units, clocks)
+            found.other.append(name)
+            del series[name]
+    if len({clocks.get(name) for name in series}) == 1:
+        clocks.clear()
 
 
 def _kinship(one: str, other: str) -> int:

@@ -69,7 +69,7 @@ def header_of(lines: list[str], separator: str, decimal: str) -> Header:
     body = rows[first][lead:]
     width = len(body) - (1 if len(body) > 2 and body[-1] == "" and _ends_empty(rows[first:]) else 0)
     above = rows[:first]
-    names, units = _keyed(above, width) if lead else _plain(above, width, decimal)
+    names, units = _keyed(above, width) if lead else _plain(above, width)
     stated = tuple(known(unit) or in_name(name) for name, unit in zip(names, units, strict=True))
     return Header(first, lead, _distinct(names), stated)
 
@@ -119,7 +119,7 @@ def _keyed(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
     return _filled_cells(names, width), [*units, *[""] * (width - len(units))]
 
 
-def _plain(above: list[list[str]], width: int, decimal: str) -> tuple[list[str], list[str]]:
+def _plain(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
     """The last row as wide as the numbers that is not one of units, and below it the row of units if there is one."""
     wide = [row for row in above if any(row) and width <= len(row) <= width + 1]
     units = wide.pop() if wide and len(wide) > 1 and _are_units(wide[-1]) else []
@@ -140,13 +140,9 @@ def _filled_cells(names: list[str], width: int) -> list[str]:
 
 
 def _distinct(names: list[str]) -> tuple[str, ...]:
-    found: list[str] = []
+    found: dict[str, None] = {}
     for name in names:
-        number = 2
-        chosen = name
-        while chosen in found:
-            chosen, number = f"{name}.{number}", number + 1
-        found.append(chosen)
+        found[unique(name, found)] = None
     return tuple(found)
 
 
@@ -168,16 +164,13 @@ def delimited_columns(path: Path) -> Columns:
     encoding = _encoding(head)
     text = head.decode(encoding, errors="replace")
     separator, decimal = _style(text.splitlines()[:-1] if len(head) == _HEAD else text.splitlines())
-    series: dict[str, FloatArray] = {}
-    units: dict[str, str] = {}
-    clocks: dict[str, str] = {}
-    other: list[str] = []
     blocks, notes = _joined(_blocks(path, encoding, separator, decimal))
+    found = Columns(notes=notes)
     for header, frame in blocks:
-        _take(header, frame, series, units, clocks, other)
-    if len({len(values) for values in series.values()}) == 1 and len(set(clocks.values())) <= 1:
-        clocks = {}
-    return Columns(series, {}, tuple(other), units, clocks, tuple(notes))
+        _take(header, frame, found)
+    if len({len(values) for values in found.series.values()}) == 1 and len(set(found.clocks.values())) <= 1:
+        found.clocks.clear()
+    return found
 
 
 def _joined(blocks: Iterable[tuple[Header, pd.DataFrame]]) -> tuple[list[tuple[Header, pd.DataFrame]], list[str]]:
@@ -303,15 +296,9 @@ def _holds_headers(rows: pd.DataFrame) -> bool:
     return bool(first.str.match(_TEXT.pattern, case=False).any())
 
 
-def _take(
-    header: Header,
-    frame: pd.DataFrame,
-    series: dict[str, FloatArray],
-    units: dict[str, str],
-    clocks: dict[str, str],
-    other: list[str],
-) -> None:
+def _take(header: Header, frame: pd.DataFrame, found: Columns) -> None:
     """Add a block's columns; a column of times is the clock of those to its right."""
+    series, clocks = found.series, found.clocks
     columns = [frame[k].to_numpy(dtype=np.float64) for k in range(len(header.names))]
     times = [
         k
@@ -319,16 +306,14 @@ def _take(
         if named_like_time(name) and runs_forward(columns[k][_filled(columns[k])])
     ]
     clock, steps = "", np.empty(0)
-    renamed = {}
     for k, name in enumerate(header.names):
         there = _filled(columns[k])
         if not np.isfinite(columns[k]).any():
-            other.append(name)
+            found.other.append(name)
             continue
         column = unique(name, series)
-        renamed[k] = column
         if header.units[k]:
-            units[column] = header.units[k]
+            found.units[column] = header.units[k]
         if k in times:
             series[column], clock, steps = columns[k][there], column, columns[k]
         elif clock and _thinned(columns[k], steps):

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.io.columns import Columns, known, unique, with_clocks_of_equal_length
+from hydro_diagnosis.io.columns import Columns, assign_clocks_of_equal_length, known
 
 
 def matlab_columns(path: Path) -> Columns:
@@ -33,26 +33,24 @@ def matlab_columns(path: Path) -> Columns:
     captures = [value for value in variables.values() if _is_capture(value)]
     if len(captures) == 1 == len(variables):
         return _capture(captures[0])
-    return leaves_as_columns(_leaves(variables), {})
+    return leaves_as_columns((name, value, "") for name, value in _leaves(variables))
 
 
-def leaves_as_columns(leaves: Iterator[tuple[str, Any]], units: Mapping[str, str]) -> Columns:
-    """Arrays, numbers and the rest by name as columns, single numbers and others."""
-    series: dict[str, FloatArray] = {}
-    constants: dict[str, float] = {}
-    other: list[str] = []
-    stated: dict[str, str] = {}
-    for name, value in leaves:
+def leaves_as_columns(leaves: Iterator[tuple[str, Any, str]]) -> Columns:
+    """Arrays, numbers and the rest by name and unit as columns, single numbers and others."""
+    found = Columns()
+    for name, value, unit in leaves:
         array = np.asarray(value)
         if array.dtype.kind not in "fiub" or array.ndim > 2 or array.size == 0:
-            other.append(name)
+            found.other.append(name)
         elif array.size == 1:
-            constants[name] = float(array.reshape(()))
+            found.constants[name] = float(array.reshape(()))
         else:
             columns = split(name, array.astype(np.float64))
-            series.update(columns)
-            stated.update({column: units[name] for column in columns if name in units})
-    return with_clocks_of_equal_length(series, constants, tuple(other), stated)
+            found.series.update(columns)
+            found.units.update(dict.fromkeys(columns, unit) if unit else {})
+    assign_clocks_of_equal_length(found)
+    return found
 
 
 def split(name: str, array: FloatArray) -> dict[str, FloatArray]:
@@ -108,29 +106,21 @@ def _is_capture(value: Any) -> bool:
 
 def _capture(content: Mapping[str, Any]) -> Columns:
     """Signals of a ControlDesk export by their names; `XIndex` counts its axes from 1."""
-    series: dict[str, FloatArray] = {}
-    units: dict[str, str] = {}
-    clocks: dict[str, str] = {}
-    axes = []
-    for axis in _listed(content["X"]):
-        axes.append(_add(axis, "time", series, units))
+    found = Columns()
+    axes = [_add(axis, "time", found) for axis in _listed(content["X"])]
     for signal in _listed(content["Y"]):
-        name = _add(signal, str(signal["Name"]), series, units)
+        name = _add(signal, str(signal["Name"]), found)
         index = int(signal.get("XIndex", 1)) - 1
-        clocks[name] = axes[index if 0 <= index < len(axes) else 0]
-    lengths_fit = all(len(series[name]) == len(series[clock]) for name, clock in clocks.items())
-    if not lengths_fit:
+        found.clocks[name] = axes[index if 0 <= index < len(axes) else 0]
+    if any(len(found.series[name]) != len(found.series[clock]) for name, clock in found.clocks.items()):
         raise ValueError("a signal and its axis have different lengths")
-    return Columns(series, units=units, clocks=clocks if len(axes) > 1 else {})
+    if len(axes) <= 1:
+        found.clocks.clear()
+    return found
 
 
-def _add(entry: Mapping[str, Any], name: str, series: dict[str, FloatArray], units: dict[str, str]) -> str:
-    column = unique(name, series)
-    series[column] = np.asarray(entry["Data"], dtype=np.float64).reshape(-1)
-    unit = known(str(entry.get("Unit", "")))
-    if unit:
-        units[column] = unit
-    return column
+def _add(entry: Mapping[str, Any], name: str, found: Columns) -> str:
+    return found.add(name, np.asarray(entry["Data"], dtype=np.float64).reshape(-1), str(entry.get("Unit", "")))
 
 
 def _listed(value: Any) -> list[Mapping[str, Any]]:
@@ -153,34 +143,30 @@ def hdf5_columns(path: Path) -> Columns:
     """
     if not is_hdf5(path):
         raise ValueError("not an HDF5 file that can be read")
-    units: dict[str, str] = {}
     with h5py.File(path, "r") as file:
-        return leaves_as_columns(_hdf5_leaves(file, "", units), units)
+        return leaves_as_columns(_hdf5_leaves(file, ""))
 
 
-def _hdf5_leaves(group: h5py.Group, prefix: str, units: dict[str, str]) -> Iterator[tuple[str, Any]]:
+def _hdf5_leaves(group: h5py.Group, prefix: str) -> Iterator[tuple[str, Any, str]]:
     for key, item in group.items():
         if key.startswith("#"):  # where MATLAB keeps what its cells refer to
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(item, h5py.Group):
-            yield from _hdf5_leaves(item, name, units)
+            yield from _hdf5_leaves(item, name)
         elif isinstance(item, h5py.Dataset):
-            yield from _dataset(item, name, units)
+            yield from _dataset(item, name)
 
 
-def _dataset(item: h5py.Dataset, name: str, units: dict[str, str]) -> Iterator[tuple[str, Any]]:
+def _dataset(item: h5py.Dataset, name: str) -> Iterator[tuple[str, Any, str]]:
     """One array, or the fields of a table; texts come as texts, which are no columns."""
     unit = known(_text(next((item.attrs[key] for key in _UNIT_KEYS if key in item.attrs), "")))
     if item.dtype.names:
-        yield from ((f"{name}.{field}", item[field]) for field in item.dtype.names)
+        yield from ((f"{name}.{field}", item[field], "") for field in item.dtype.names)
     elif _text(item.attrs.get("MATLAB_class", "")) in ("char", "cell") or item.dtype.kind not in "fiub":
-        yield name, ""
+        yield name, "", ""
     else:
-        if unit:
-            units[name] = unit
-        array = np.asarray(item[()])
-        yield name, array
+        yield name, np.asarray(item[()]), unit
 
 
 def _text(value: Any) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from nptdms import TdmsFile
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.io.columns import Columns, known, named_like_time, runs_forward, unique
+from hydro_diagnosis.io.columns import Columns, named_like_time, runs_forward, unique
 from hydro_diagnosis.recording import InputError
 
 NEEDED = "asammdf==8.8.28"
@@ -41,35 +41,22 @@ def mdf_columns(path: Path) -> Columns:
 
 
 def _channels(file: Any) -> Columns:
-    series: dict[str, FloatArray] = {}
-    units: dict[str, str] = {}
-    clocks: dict[str, str] = {}
-    other: list[str] = []
-    masters: list[tuple[FloatArray, str]] = []
+    found = Columns()
     for signal in file.iter_channels(skip_master=True):
-        name = unique(str(signal.name), series)
         values = np.asarray(signal.samples)
         if values.dtype.kind not in "fiub" or values.ndim != 1 or len(values) < 2:
-            other.append(name)
+            found.other.append(unique(str(signal.name), found.series))
             continue
-        series[name] = values.astype(np.float64)
-        if known(str(signal.unit)):
-            units[name] = known(str(signal.unit))
-        clocks[name] = _master(np.asarray(signal.timestamps, dtype=np.float64), masters, series, units)
-    return Columns(series, {}, tuple(other), units, clocks)
+        name = found.add(str(signal.name), values.astype(np.float64), str(signal.unit))
+        found.clocks[name] = _master(np.asarray(signal.timestamps, dtype=np.float64), found)
+    return found
 
 
-def _master(
-    times: FloatArray, masters: list[tuple[FloatArray, str]], series: dict[str, FloatArray], units: dict[str, str]
-) -> str:
+def _master(times: FloatArray, found: Columns) -> str:
     """Name of the column that holds these times; groups sampled together share one."""
-    for known_times, name in masters:
-        if np.array_equal(known_times, times):
-            return name
-    name = unique("time", series)
-    series[name], units[name] = times, "s"
-    masters.append((times, name))
-    return name
+    masters = dict.fromkeys(found.clocks.values())
+    same = (name for name in masters if np.array_equal(found.series[name], times))
+    return next(same, "") or found.add("time", times, "s")
 
 
 def tdms_columns(path: Path) -> Columns:
@@ -83,42 +70,33 @@ def tdms_columns(path: Path) -> Columns:
         raise
     except Exception as error:  # of a damaged file the reader stumbles over anything
         raise ValueError(f"not a TDMS file that can be read ({error})") from None
-    series: dict[str, FloatArray] = {}
-    units: dict[str, str] = {}
-    clocks: dict[str, str] = {}
-    other: list[str] = []
-    groups = file.groups()
+    found = Columns()
+    series, groups = found.series, file.groups()
     for group in groups:
         prefix = f"{group.name}." if len(groups) > 1 else ""
-        named = _numbers(group, prefix, series, units, other)
+        named = _numbers(group, prefix, found)
         waveforms: dict[tuple[float, float, int], str] = {}
         times = [name for name in named if named_like_time(name) and runs_forward(series[name])]
         for name, channel in named.items():
-            clock = _clock(channel, len(series[name]), waveforms, prefix, series, units)
+            clock = _clock(channel, len(series[name]), waveforms, prefix, found)
             same = [time for time in times if len(series[time]) == len(series[name])]
             if clock or same:
-                clocks[name] = clock or same[0]
-    return Columns(series, {}, tuple(other), units, clocks)
+                found.clocks[name] = clock or same[0]
+    return found
 
 
-def _numbers(
-    group: Any, prefix: str, series: dict[str, FloatArray], units: dict[str, str], other: list[str]
-) -> dict[str, Any]:
-    """Channels of a group that hold numbers, by the names under which they are added to `series`."""
+def _numbers(group: Any, prefix: str, found: Columns) -> dict[str, Any]:
+    """Channels of a group that hold numbers, by the names under which they are added."""
     named = {}
     for channel in group.channels():
-        name = unique(f"{prefix}{channel.name}", series)
-        values = np.asarray(channel[:])
+        name, values = f"{prefix}{channel.name}", np.asarray(channel[:])
         if values.dtype.kind == "M":  # times of day: since the first of them
             values = (values - values[0]) / np.timedelta64(1, "s") if len(values) else values
         if values.dtype.kind not in "fiub" or len(values) < 2:
-            other.append(name)
+            found.other.append(unique(name, found.series))
             continue
-        series[name] = values.astype(np.float64)
-        named[name] = channel
-        unit = known(str(channel.properties.get("unit_string", channel.properties.get("NI_UnitDescription", ""))))
-        if unit:
-            units[name] = unit
+        unit = str(channel.properties.get("unit_string", channel.properties.get("NI_UnitDescription", "")))
+        named[found.add(name, values.astype(np.float64), unit)] = channel
     return named
 
 
@@ -127,8 +105,7 @@ def _clock(
     length: int,
     waveforms: dict[tuple[float, float, int], str],
     prefix: str,
-    series: dict[str, FloatArray],
-    units: dict[str, str],
+    found: Columns,
 ) -> str:
     """Name of the column of times that a channel's waveform properties make; empty if it has none."""
     step = float(channel.properties.get("wf_increment", 0.0))
@@ -136,8 +113,6 @@ def _clock(
         return ""
     start = float(channel.properties.get("wf_start_offset", 0.0))
     if (start, step, length) not in waveforms:
-        name = unique(f"{prefix}time", series)
-        series[name] = start + step * np.arange(length, dtype=np.float64)
-        units[name] = "s"
-        waveforms[start, step, length] = name
+        times = start + step * np.arange(length, dtype=np.float64)
+        waveforms[start, step, length] = found.add(f"{prefix}time", times, "s")
     return waveforms[start, step, length]

@@ -205,7 +205,7 @@ def _parquet(path: Path) -> Columns:
     numbers = {str(name): pd.to_numeric(frame[name], errors="coerce") for name in frame.columns}
     kept = {name: values.to_numpy(dtype=np.float64) for name, values in numbers.items() if values.notna().any()}
     units = {name: unit for name in kept if (unit := in_name(name))}
-    return Columns(kept, other=tuple(name for name in numbers if name not in kept), units=units)
+    return Columns(kept, other=[name for name in numbers if name not in kept], units=units)
 
 
 def _mat(path: Path) -> Columns:
@@ -276,7 +276,7 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
         bag = _bag(path, rows)
         series = {name: bag.state[name].copy() for name in ("time", *STATE_FIELDS)}
         extents = bag.extents.get(STATE_TOPIC, {})
-        return Columns(series, units={"time": "s"}, notes=bag.notes, extents=extents)
+        return Columns(series, units={"time": "s"}, notes=list(bag.notes), extents=extents)
     if path.suffix.lower() in SUFFIXES:
         return read_columns(path)
     raise InputError(f"{path}: {unreadable(path)}")
@@ -284,7 +284,7 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
 
 def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
     """Apply a column map to a bag's fields. Raises InputError: as `read_table`."""
-    turned = table_of(path, Columns({"time": raw.time, **raw.columns}, notes=raw.notes), columns)
+    turned = table_of(path, Columns({"time": raw.time, **raw.columns}, notes=list(raw.notes)), columns)
     same = turned.time is not None and len(turned.time) == len(raw.time)
     return replace(turned, name=raw.name, sample=raw.sample if same else None)
 

@@ -40,11 +40,8 @@ def topic_columns(path: Path, rows: int | None = None) -> Columns:
     """
     try:
         bag = read_bag(path, rows=rows)
-        series: dict[str, FloatArray] = {}
-        clocks: dict[str, str] = {}
-        units: dict[str, str] = {}
-        other: list[str] = []
-        unstamped = []
+        extents = {f"{topic}.{name}": one for topic, fields in bag.extents.items() for name, one in fields.items()}
+        found, unstamped = Columns(extents=extents), []
         for topic, type_name in sorted(bag.topics.items()):
             table = bag.tables.get(topic)
             if table is not None:
@@ -53,23 +50,22 @@ def topic_columns(path: Path, rows: int | None = None) -> Columns:
             else:
                 columns, stamped = _columns_of_objects(path, topic)
             if len(columns) < 2:
-                other.append(topic)
+                found.other.append(topic)
                 continue
             if not stamped:
                 unstamped.append(topic)
             for name, values in columns.items():
-                series[f"{topic}.{name}"] = values
-                clocks[f"{topic}.{name}"] = f"{topic}.time"
-            units[f"{topic}.time"] = "s"
+                found.series[f"{topic}.{name}"] = values
+                found.clocks[f"{topic}.{name}"] = f"{topic}.time"
+            found.units[f"{topic}.time"] = "s"
             field, unit = _UNITS.get(type_name, ("", ""))
             if field:
-                units[f"{topic}.{field}"] = unit
+                found.units[f"{topic}.{field}"] = unit
     except RecordingError as error:
         raise InputError(str(error)) from None
-    extents = {f"{topic}.{name}": one for topic, fields in bag.extents.items() for name, one in fields.items()}
-    said = "messages on {} carry no time: taken is when the recorder got them"
-    notes = (said.format(", ".join(unstamped)),) if unstamped else ()
-    return Columns(series, {}, tuple(other), units, clocks, notes, extents)
+    if unstamped:
+        found.notes.append(f"messages on {', '.join(unstamped)} carry no time: taken is when the recorder got them")
+    return found
 
 
 def _columns_of_objects(path: Path, topic: str) -> tuple[dict[str, FloatArray], bool]:
