@@ -19,6 +19,7 @@ from hydro_bridge.cli.console import Table, UserError
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.site import RECORD
 from hydro_bridge.pages import Section, results_page
+from hydro_policy.task.cases import relative_scores
 
 PAGE = "report.html"
 PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
@@ -187,12 +188,6 @@ def best(entries: Mapping[str, Mapping[str, Any]]) -> str:
 
     Only entries without a stopped run count; empty if there is none.
     """
-    whole = {
-        key: np.array(list(entry["rmse"].values()), float)
-        for key, entry in entries.items()
-        if entry["rmse"] and not entry["trips"]
-    }
-    if not whole:
-        return ""
-    smallest = np.min(list(whole.values()), axis=0)
-    return min(whole, key=lambda key: float(np.mean(whole[key] / smallest)))
+    whole = {key: [*entry["rmse"].values()] for key, entry in entries.items() if entry["rmse"] and not entry["trips"]}
+    scores = relative_scores(whole)
+    return min(scores, key=scores.__getitem__, default="")

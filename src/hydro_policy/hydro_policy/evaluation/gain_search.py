@@ -21,7 +21,7 @@ from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
-from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.cases import EvaluationSettings, relative_scores
 from hydro_policy.task.mdp import GainRange
 
 Gains = tuple[float, float]
@@ -108,16 +108,12 @@ class GridSearch:
     @property
     def scores(self) -> dict[Gains, float]:
         """Mean over the references of RMSE over the smallest RMSE there; infinite if a run was stopped."""
-        smallest = np.min(list(self.tried.values()), axis=0)
-        came_through = {pair: np.isfinite(rmse).all() for pair, rmse in self.tried.items()}
-        return {
-            pair: float(np.mean(self.tried[pair] / smallest)) if came_through[pair] else np.inf for pair in came_through
-        }
+        return {**dict.fromkeys(self.tried, np.inf), **relative_scores(self.tried)}
 
     @property
     def found(self) -> bool:
         """Whether any pair completed every reference."""
-        return any(np.isfinite(rmse).all() for rmse in self.tried.values())
+        return bool(relative_scores(self.tried))
 
     @property
     def best(self) -> Gains:
@@ -179,11 +175,6 @@ class GridSession:
     def best(self) -> FixedGains:
         """The best gains as a controller."""
         return FixedGains(*self.search.best, self.override.base, "best fixed")
-
-    @property
-    def pair(self) -> Gains | None:
-        """Pair under test."""
-        return self._pair
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Take a sample [14]; True if gains went out."""

@@ -17,7 +17,7 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
-from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.cases import EvaluationSettings, relative_scores
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
@@ -48,20 +48,17 @@ def best(session: EvaluationSession) -> str:
     names = dict.fromkeys(score.controller for score in session.scores)
     felt = session.compensation is not None and session.compensation.cell is not None
     felt = felt and all(math.isfinite(score.true_rmse) for score in session.scores if math.isfinite(score.rmse))
-    each = {
-        name: [[s.true_rmse if felt else s.rmse for s in runs(session.scores, name, case)] for case in cases]
-        for name in names
-    }
-    whole = {
-        name: np.array([np.mean(values) for values in found])
-        for name, found in each.items()
-        if all(values and np.isfinite(values).all() for values in found)
-    }
-    if len(whole) < 2:
+
+    def mean(name: str, case: str) -> float:
+        values = [score.true_rmse if felt else score.rmse for score in runs(session.scores, name, case)]
+        return float(np.mean(values)) if values else math.nan
+
+    rmse = {name: np.array([mean(name, case) for case in cases]) for name in names}
+    scores = relative_scores(rmse)
+    if len(scores) < 2:
         return ""
-    smallest = np.min(list(whole.values()), axis=0)
-    first, second, *_ = sorted(whole, key=lambda name: float(np.mean(whole[name] / smallest)))
-    ratio = whole[first] / whole[second]
+    first, second, *_ = sorted(scores, key=scores.__getitem__)
+    ratio = rmse[first] / rmse[second]
     told = f"{ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}"
     return f"Best: {first}, with {told}" + (", as the specimen feels it." if felt else ".")
 

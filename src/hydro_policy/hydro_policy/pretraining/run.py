@@ -35,6 +35,7 @@ from hydro_policy.envs.vector_env import Transitions
 from hydro_policy.pretraining.configurations import configuration, configuration_of
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
+from hydro_policy.runs.initial_agent import AGENT
 from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
@@ -195,8 +196,6 @@ def draw_curve(history: Sequence[dict[str, Any]], cases: Sequence[Case], referen
         ratios.set(xlabel="episodes", ylabel="RMSE / fixed ({:g}, {:g})".format(*REFERENCE_GAINS))
         legend(ratios)
 
-
-AGENT = "learner.safetensors"
 
 SAVE_PERIOD = 20.0
 """Minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk."""

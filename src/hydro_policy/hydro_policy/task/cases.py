@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_sim.model.bench import NOMINAL
+
+K = TypeVar("K")
 
 
 @dataclass(frozen=True)
@@ -167,3 +171,14 @@ def score(trace: Trace, repeat: int, held: int = 0, felt: FloatArray | None = No
         lost=int((steps - 1).sum()),
         held=held,
     )
+
+
+def relative_scores(rmse: Mapping[K, ArrayLike]) -> dict[K, float]:
+    """Return the mean over the references of RMSE over the smallest there, of those that completed every reference.
+
+    `rmse`: [N] on each reference, the same ones for all; not finite where a run was stopped.
+    """
+    arrays = {key: np.asarray(values, float) for key, values in rmse.items()}
+    whole = {key: values for key, values in arrays.items() if np.isfinite(values).all()}
+    smallest = np.min(list(whole.values()), axis=0) if whole else 1.0
+    return {key: float(np.mean(values / smallest)) for key, values in whole.items()}
