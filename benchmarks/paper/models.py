@@ -25,7 +25,7 @@ from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.recordings import Data
 from hydro_sim.identification import validate
-from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Predictor, Scales, Scored
+from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Predictor, Scored
 from hydro_sim.model.bench import Bench
 
 HORIZON, STRIDE = 70, 37
@@ -90,10 +90,10 @@ def _trained(store: Store, loss: str, seed: int) -> Result:
 def judged(model: Predictor) -> Result:
     """Errors on the recording that is held out."""
     scored = held_out()
-    scales = Scales.of(np.concatenate([item.reference for item in scored]))
+    reference = np.concatenate([item.reference for item in scored])
     states = [model.estimate(item.run) for item in scored]
     found = validate.prediction_errors(model, states, scored, recorded=False, horizon=HORIZON, stride=STRIDE)
     return {
-        "over_range": (found.rmse / scales.span).tolist(), "over_std": (found.rmse / scales.std).tolist(),
+        "over_range": (found.rmse / np.ptp(reference, axis=0)).tolist(), "over_std": (found.rmse / reference.std(axis=0)).tolist(),
         "load_force": {str(n): float(found.by_time[n - 1, LOAD_FORCE]) for n in TIMES},
     }  # fmt: skip

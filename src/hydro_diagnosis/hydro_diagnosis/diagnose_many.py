@@ -231,7 +231,3 @@ def main() -> int:
         f"{chosen.out}/diagnoses.parquet, parameters.parquet: {plural(len(found), 'recording')}, {len(refused)} refused"
     )
     return 0
-
-
-if __name__ == "__main__":
-    main()

@@ -259,7 +259,3 @@ def ranked(told: list[tuple[dict[str, Any], str, str]]) -> list[tuple[dict[str, 
     for row, *_ in told:
         worst[row["bench"]] = min(worst.get(row["bench"], urgency(row)), urgency(row))
     return sorted(told, key=lambda one: (worst[one[0]["bench"]], one[0]["bench"], urgency(one[0])))
-
-
-if __name__ == "__main__":
-    main()

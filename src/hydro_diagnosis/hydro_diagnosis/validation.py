@@ -23,6 +23,7 @@ from hydro_diagnosis.model.memory import Indices
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
+from hydro_diagnosis.recording import UNITS
 
 STANDS_OUT = 2.0
 """Error of a window from which it is examined [noise floors, root mean square over channels]."""
@@ -34,52 +35,6 @@ MOST = 0.25
 """Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
 DRAWS = 8
 """Starts per window."""
-
-
-@dataclass(frozen=True)
-class Window:
-    """A stretch of a held-out recording."""
-
-    recording: str
-    start: float
-    """s since the start of the recording."""
-
-
-def unpredictable(
-    plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float], apart: dict[str, FloatArray]
-) -> npt.NDArray[np.bool_]:
-    """Return whether the uncertainty of its start explains each window's error, shape (windows,).
-
-    `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
-    """
-    error = _size(apart, noise)
-    if not np.any(error > STANDS_OUT):
-        return np.zeros(len(begins), dtype=bool)
-    scatter = _scatter(plant, state, begins, length, noise)
-    enough = np.maximum(OF_THE_ERROR * error, UNSTEADY * np.nanmedian(scatter))
-    return np.asarray((error > STANDS_OUT) & (scatter >= enough))
-
-
-def _scatter(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
-    """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
-    moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * _state_uncertainty(plant, noise)[:, None]
-    starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
-    shown = plant.measurements(plant.run(starts, begins, length), begins)
-    each = {name: one.reshape(length, DRAWS + 1, len(begins)) for name, one in shown.items()}
-    return _size({name: (one[:, 1:] - one[:, :1]).reshape(-1, len(begins)) for name, one in each.items()}, noise)
-
-
-def _state_uncertainty(plant: Plant, noise: dict[str, float]) -> FloatArray:
-    """Standard deviation [m, m/s, Pa, Pa] of a state as the sensors give it at one instant, smoothed."""
-    position, step = noise.get("piston_position", 0.0), plant.model.step * plant.model.spacing
-    pressures = (TOTAL_NOISE_GAIN * noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
-    return np.array([POSITION_NOISE_GAIN * position, VELOCITY_NOISE_GAIN * position / step, *pressures])
-
-
-def _size(apart: dict[str, FloatArray], noise: dict[str, float]) -> FloatArray:
-    """Root mean square per window over time and channels, noise floors."""
-    squares = [np.mean(np.square(one / noise[name]), axis=0) for name, one in apart.items() if noise.get(name, 0.0)]
-    return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
 
 HORIZON = 0.07
@@ -106,8 +61,11 @@ class Comparison:
 
     channels: dict[str, ChannelError]
     windows: int
-    left_out: tuple[Window, ...]
-    """Windows that the second claim set cannot predict itself: not in `rmse_before` and `rmse_after`."""
+    left_out: list[dict[str, Any]]
+    """Windows that the second claim set cannot predict itself: not in `rmse_before` and `rmse_after`.
+
+    Each by its `recording`, and `start` in s since the recording's.
+    """
 
 
 Simulated = tuple[FloatArray, dict[str, FloatArray]]
@@ -116,79 +74,99 @@ Known = dict[tuple[Any, ...], Simulated]
 """By recording, horizon and claims: what has been simulated already."""
 
 
-def errors(
-    plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
-) -> dict[str, FloatArray]:
-    """Reading minus recording, by channel, shape (recorded rows, windows)."""
-    return _simulated(plant, begins, length, noise, shooting=shooting)[1]
-
-
-def _simulated(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> Simulated:
-    state = initial_states(plant, begins, length, noise, shooting=shooting)
-    return state, _deviations(plant, plant.run(state, begins, length), begins)
-
-
-def initial_states(
-    plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
-) -> FloatArray:
-    """Initial states of windows, shape (4, windows)."""
-    state = plant.start(begins)
-    return _shoot(plant, state, begins, length, noise) if shooting else state
-
-
-def _deviations(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
-    lanes = np.tile(begins, states.shape[2] // len(begins))
-    at = lanes[None, :] + np.arange(states.shape[0])[:, None]
-    apart = {name: shown - plant.channels[name][at] for name, shown in plant.measurements(states, begins).items()}
-    return {name: one[:: plant.model.spacing] for name, one in apart.items()}
-
-
-def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
-    """Initial states by least squares per window, near the recording's smoothed state as far as that is known.
-
-    Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
-    several forces are tried first, a step that makes it worse is halved, and the best state is kept.
-    """
-    aim = _ShootingTarget(plant, state.copy(), begins, length, noise)
-    if plant.sticks:
-        tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _TRIED]
-        costs = np.sum(np.square(aim.misses(np.concatenate(tries, axis=1))), axis=0)
-        first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
-        state = np.stack(tries)[first, :, np.arange(len(begins))].T
-    best, cost = state.copy(), np.full(len(begins), np.inf)
-    for _ in range(SHOTS):
-        moved = [state] + [state + _STATE_SCALE[:, None] * (np.arange(4) == j)[:, None] for j in range(4)]
-        misses = aim.misses(np.concatenate(moved, axis=1))
-        reached = np.sum(np.square(misses[:, 0]), axis=0)
-        gained = reached < cost
-        if not np.any(reached < SETTLED * cost):
-            break
-        best[:, gained], cost[gained] = state[:, gained], reached[gained]
-        state = 0.5 * (state + best)
-        for w in np.flatnonzero(gained):
-            slopes = misses[:, 1:, w] - misses[:, :1, w]
-            if np.all(np.isfinite(slopes)):
-                state[:, w] -= _STATE_SCALE * np.linalg.lstsq(slopes, misses[:, 0, w], rcond=1e-10)[0]
-    reached = np.sum(np.square(aim.misses(state)[:, 0]), axis=0)
-    return np.where(reached < cost, state, best)
-
-
 @dataclass(frozen=True)
-class _ShootingTarget:
-    """Target of the initial states."""
+class _Windows:
+    """Windows of one recording, and a plant that simulates them."""
 
     plant: Plant
-    recorded: FloatArray
     begins: Indices
+    """First sample of each, shape (windows,)."""
     length: int
+    """Samples of each."""
     noise: dict[str, float]
+    """Noise floors by channel."""
 
-    def misses(self, states: FloatArray) -> FloatArray:
+    def simulated(self, *, shooting: bool) -> Simulated:
+        """Simulate from the recording's smoothed states, or from those that fit each window best."""
+        state = self.plant.start(self.begins)
+        state = self._shot(state) if shooting else state
+        return state, self._apart(state)
+
+    def _apart(self, starts: FloatArray) -> dict[str, FloatArray]:
+        """Reading minus recording by channel, from starts of all windows, several times over: shape (4, lanes)."""
+        states = self.plant.run(starts, self.begins, self.length)
+        lanes = np.tile(self.begins, states.shape[2] // len(self.begins))
+        at = lanes[None, :] + np.arange(states.shape[0])[:, None]
+        shown = self.plant.measurements(states, self.begins)
+        return {name: (one - self.plant.channels[name][at])[:: self.plant.model.spacing] for name, one in shown.items()}
+
+    def unpredictable(self, state: FloatArray, apart: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
+        """Return whether the uncertainty of its start explains each window's error, shape (windows,).
+
+        `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
+        """
+        error = self._size(apart)
+        if not np.any(error > STANDS_OUT):
+            return np.zeros(len(self.begins), dtype=bool)
+        scatter = self._scatter(state)
+        enough = np.maximum(OF_THE_ERROR * error, UNSTEADY * np.nanmedian(scatter))
+        return np.asarray((error > STANDS_OUT) & (scatter >= enough))
+
+    def _scatter(self, state: FloatArray) -> FloatArray:
+        """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
+        moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * self._state_uncertainty()[:, None]
+        starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
+        shown = self.plant.measurements(self.plant.run(starts, self.begins, self.length), self.begins)
+        each = {name: one.reshape(self.length, DRAWS + 1, len(self.begins)) for name, one in shown.items()}
+        return self._size({name: (one[:, 1:] - one[:, :1]).reshape(-1, len(self.begins)) for name, one in each.items()})
+
+    def _state_uncertainty(self) -> FloatArray:
+        """Standard deviation [m, m/s, Pa, Pa] of a state as the sensors give it at one instant, smoothed."""
+        position, step = self.noise.get("piston_position", 0.0), self.plant.model.step * self.plant.model.spacing
+        pressures = (TOTAL_NOISE_GAIN * self.noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
+        return np.array([POSITION_NOISE_GAIN * position, VELOCITY_NOISE_GAIN * position / step, *pressures])
+
+    def _size(self, apart: dict[str, FloatArray]) -> FloatArray:
+        """Root mean square per window over time and channels, noise floors."""
+        noise = self.noise
+        squares = [np.mean(np.square(one / noise[name]), axis=0) for name, one in apart.items() if noise.get(name, 0.0)]
+        return np.asarray(np.sqrt(np.mean(squares, axis=0)))
+
+    def _shot(self, recorded: FloatArray) -> FloatArray:
+        """Initial states by least squares per window, near the recording's smoothed state as far as that is known.
+
+        Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
+        several forces are tried first, a step that makes it worse is halved, and the best state is kept.
+        """
+        state = recorded
+        if self.plant.sticks:
+            tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _TRIED]
+            costs = np.sum(np.square(self._misses(np.concatenate(tries, axis=1), recorded)), axis=0)
+            first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
+            state = np.stack(tries)[first, :, np.arange(len(self.begins))].T
+        best, cost = state.copy(), np.full(len(self.begins), np.inf)
+        for _ in range(SHOTS):
+            moved = [state] + [state + _STATE_SCALE[:, None] * (np.arange(4) == j)[:, None] for j in range(4)]
+            misses = self._misses(np.concatenate(moved, axis=1), recorded)
+            reached = np.sum(np.square(misses[:, 0]), axis=0)
+            gained = reached < cost
+            if not np.any(reached < SETTLED * cost):
+                break
+            best[:, gained], cost[gained] = state[:, gained], reached[gained]
+            state = 0.5 * (state + best)
+            for w in np.flatnonzero(gained):
+                slopes = misses[:, 1:, w] - misses[:, :1, w]
+                if np.all(np.isfinite(slopes)):
+                    state[:, w] -= _STATE_SCALE * np.linalg.lstsq(slopes, misses[:, 0, w], rcond=1e-10)[0]
+        reached = np.sum(np.square(self._misses(state, recorded)[:, 0]), axis=0)
+        return np.where(reached < cost, state, best)
+
+    def _misses(self, states: FloatArray, recorded: FloatArray) -> FloatArray:
         """Readings and initial state against the recording, in units of their doubt, shape (n, variants, windows)."""
-        apart = _deviations(self.plant, self.plant.run(states, self.begins, self.length), self.begins)
+        apart = self._apart(states)
         parts = [apart[name] / self.noise[name] for name in apart if self.noise.get(name, 0.0) > 0.0]
         variants = states.shape[1] // len(self.begins)
-        parts.append((states - np.tile(self.recorded, variants)) / _START_UNCERTAINTY[:, None])
+        parts.append((states - np.tile(recorded, variants)) / _START_UNCERTAINTY[:, None])
         stacked = np.concatenate(parts)
         return stacked.reshape(len(stacked), variants, len(self.begins))
 
@@ -210,20 +188,21 @@ def compare(
         with np.errstate(all="ignore"):
             found: list[Simulated] = []
             for claims in (before, after):
-                plant, key = Plant.of(model, claims), (number, seconds, shooting, *_written(claims))
+                stretch = _Windows(Plant.of(model, claims), begins, length, noise)
+                key = (number, seconds, shooting, *_written(claims))
                 if key not in known:
-                    known[key] = _simulated(plant, begins, length, noise, shooting=shooting)
+                    known[key] = stretch.simulated(shooting=shooting)
                 found.append(known[key])
             (_, old), (state, new) = found
             none = np.zeros(len(begins), dtype=bool)
-            left_out = unpredictable(plant, state, begins, length, noise, new) if shooting else none
+            left_out = stretch.unpredictable(state, new) if shooting else none
         seen.append(_Seen(model, begins, old, new, left_out))
     count, out = sum(len(one.begins) for one in seen), sum(int(np.sum(one.left_out)) for one in seen)
     if out > MOST * count:
         seen = [replace(one, left_out=np.zeros_like(one.left_out)) for one in seen]
     names = dict.fromkeys(name for one in seen for name in one.before)
     channels = {name: _channel(name, [one for one in seen if name in one.before], noise) for name in names}
-    return Comparison(channels, count, tuple(window for one in seen for window in one.windows()))
+    return Comparison(channels, count, [window for one in seen for window in one.windows()])
 
 
 def _written(claims: Sequence[Claim]) -> tuple[Any, ...]:
@@ -240,18 +219,18 @@ class _Seen:
     after: dict[str, FloatArray]
     left_out: npt.NDArray[np.bool_]
 
-    def windows(self) -> list[Window]:
+    def windows(self) -> list[dict[str, Any]]:
         """Return the windows that are left out."""
         segment = self.model.segment
         starts = segment.start + segment.step * self.begins[self.left_out]
-        return [Window(segment.recording, round(float(start), 6)) for start in starts]
+        return [{"recording": segment.recording, "start": round(float(start), 6)} for start in starts]
 
 
 def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> ChannelError:
     before, after = [one.before[name] for one in seen], [one.after[name] for one in seen]
     kept = [~one.left_out for one in seen]
     return ChannelError(
-        unit=_UNITS[name],
+        unit=UNITS[name],
         rmse_before=_rms([part[:, keep] for part, keep in zip(before, kept, strict=True)]),
         rmse_after=_rms([part[:, keep] for part, keep in zip(after, kept, strict=True)]),
         noise_floor=noise.get(name, 0.0),
@@ -264,9 +243,6 @@ def _rms(parts: list[FloatArray]) -> float:
     with np.errstate(over="ignore"):  # a model that runs away
         mean = float(np.mean(np.square(np.concatenate([part.ravel() for part in parts]))))
     return float(np.sqrt(mean)) if np.isfinite(mean) else float("inf")
-
-
-_UNITS = {"hydraulic_force": "N", "load_force": "N", "pressure_a": "Pa", "pressure_b": "Pa", "piston_position": "m"}
 
 
 SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
@@ -322,7 +298,7 @@ def equation_report(unseen: Problem, claims: Sequence[Claim]) -> dict[str, Any]:
 
 def _unpredictable(horizon: Comparison) -> dict[str, Any]:
     """Windows that the corrected model itself cannot predict, and why in a sentence."""
-    left_out = [{"recording": window.recording, "start": window.start} for window in horizon.left_out]
+    left_out = horizon.left_out
     why = (
         f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
         "cannot tell apart the model comes to outcomes as far from one another as from the recording (the piston "

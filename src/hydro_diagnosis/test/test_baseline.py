@@ -31,12 +31,12 @@ HEALTHY_LEAK = 1e-13
 
 
 def test_learned_constants_become_the_bench_and_its_effects() -> None:
-    believed = baseline(None, shipped())
-    assert believed.model == "learned learned_bench.yaml"
-    assert believed.bench.moving_mass == pytest.approx(1.2, rel=5e-3)
-    assert believed.bench.load_cell_bandwidth is None
-    assert believed.bench.valve_gain == pytest.approx(Bench.nominal().valve_gain, rel=1e-3)
-    claims = {claim.effect.id: dict(claim.values) for claim in claims_of(believed.bench)}
+    believed, origin = baseline(None, shipped())
+    assert origin == "learned learned_bench.yaml"
+    assert believed.moving_mass == pytest.approx(1.2, rel=5e-3)
+    assert believed.load_cell_bandwidth is None
+    assert believed.valve_gain == pytest.approx(Bench.nominal().valve_gain, rel=1e-3)
+    claims = {claim.effect.id: dict(claim.values) for claim in claims_of(believed)}
     assert claims["valve_lag"]["bandwidth"] == pytest.approx(110.0, rel=1e-2)
     assert claims["friction_coulomb"]["force"] == pytest.approx(HEALTHY_FRICTION, rel=1e-2)
     assert claims["sensor_lag"] == pytest.approx({"bandwidth": 25.0, "damping": 0.55}, rel=5e-3)

@@ -50,7 +50,7 @@ def test_true_model_is_at_the_noise_where_it_can_predict(held: SegmentModel) -> 
     found = against_nothing(held, [stribeck()])
     assert found.left_out and len(found.left_out) <= MOST * found.windows
     assert worst(found, "rmse_after") < 1.15 < 3.0 < worst(found, "rmse_after_all")
-    assert all(window.recording == "run" and 0.0 < window.start < 25.0 for window in found.left_out)
+    assert all(window["recording"] == "run" and 0.0 < window["start"] < 25.0 for window in found.left_out)
 
 
 @pytest.mark.parametrize("claims", [[], [stribeck(breakaway_force=2.0)]], ids=["no friction", "too little friction"])

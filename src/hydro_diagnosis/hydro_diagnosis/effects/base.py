@@ -49,7 +49,7 @@ class FitParameter:
     unit: str
     low: float
     high: float
-    neutral: float
+    neutral: float = 0.0
     """Value at which the effect vanishes (for shape parameters: the usual value)."""
     probes: tuple[float, ...]
     """Start values of the search, within the bounds."""

@@ -124,11 +124,7 @@ class WideningHoses(Effect):
     equations = ("pressure_a", "pressure_b")
     family = "oil"
     blocks = frozenset({PRESSURE})
-    parameters = (
-        FitParameter(
-            name="compliance", unit="m3/Pa", low=0.0, high=1e-12, neutral=0.0, probes=(1e-14,), smallest=6e-16
-        ),
-    )
+    parameters = (FitParameter(name="compliance", unit="m3/Pa", low=0.0, high=1e-12, probes=(1e-14,), smallest=6e-16),)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         more = values["compliance"] * (bench.bulk_modulus + _LEVEL)

@@ -93,9 +93,7 @@ class Closure(Effect):
         names = ("coefficient",) if isinstance(law, Law) else law.names[2:]
         reach = _REACH * size
         amplitudes = tuple(
-            FitParameter(
-                name=name, unit=law.unit, low=-reach, high=reach, neutral=0.0, probes=(size,), smallest=1e-3 * size
-            )
+            FitParameter(name=name, unit=law.unit, low=-reach, high=reach, probes=(size,), smallest=1e-3 * size)
             for name in names
         )
         return (*amplitudes, *(self._number(one) for one in self._numbers))

@@ -8,9 +8,7 @@ import numpy as np
 from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Memory, Values, changed
 from hydro_sim.model.bench import Bench
 
-_COEFFICIENT = FitParameter(
-    name="coefficient", unit="m3/s/Pa", low=0.0, high=1e-10, neutral=0.0, probes=(1e-13,), smallest=1e-15
-)
+_COEFFICIENT = FitParameter(name="coefficient", unit="m3/s/Pa", low=0.0, high=1e-10, probes=(1e-13,), smallest=1e-15)
 
 
 MEETING_POINT = 5e6
@@ -91,7 +89,7 @@ class SupplyDroop(Effect):
     equations = ("actuation",)
     blocks = frozenset({PRESSURE})
     parameters = (
-        FitParameter(name="resistance", unit="Pa s/m3", low=0.0, high=1e12, neutral=0.0, probes=(3e10,), smallest=1e9),
+        FitParameter(name="resistance", unit="Pa s/m3", low=0.0, high=1e12, probes=(3e10,), smallest=1e9),
         FitParameter(name="time_constant", unit="s", low=1e-3, high=3.0, neutral=0.05, probes=(0.01, 0.05, 0.3)),
     )
 
@@ -140,9 +138,7 @@ class EntrainedAir(Effect):
     family = "oil"
     blocks = frozenset({PRESSURE})
     parameters = (
-        FitParameter(
-            name="volume_fraction", unit="-", low=0.0, high=0.3, neutral=0.0, probes=(0.003, 0.02), smallest=1e-4
-        ),
+        FitParameter(name="volume_fraction", unit="-", low=0.0, high=0.3, probes=(0.003, 0.02), smallest=1e-4),
     )
 
     def stiffness(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:

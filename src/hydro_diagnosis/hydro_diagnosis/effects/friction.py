@@ -27,7 +27,7 @@ HEAVIEST = 1e6
 
 
 def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> FitParameter:
-    return FitParameter(name=name, unit="N", low=low, high=STRONGEST, neutral=0.0, probes=probes, smallest=smallest)
+    return FitParameter(name=name, unit="N", low=low, high=STRONGEST, probes=probes, smallest=smallest)
 
 
 def down_to_nothing(of_bench: float, otherwise: float) -> float:
@@ -78,11 +78,7 @@ class FrictionViscous(_Motion):
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         low = down_to_nothing(self.reference, HEAVIEST)
-        return (
-            FitParameter(
-                name="coefficient", unit="N s/m", low=low, high=HEAVIEST, neutral=0.0, probes=(30.0,), smallest=1.5
-            ),
-        )
+        return (FitParameter(name="coefficient", unit="N s/m", low=low, high=HEAVIEST, probes=(30.0,), smallest=1.5),)
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, reference=bench.viscous_friction)
@@ -161,9 +157,7 @@ class EndCushion(_Motion):
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
-        stiffness = FitParameter(
-            name="stiffness", unit="N/m", low=0.0, high=1e7, neutral=0.0, probes=(1e4,), smallest=200.0
-        )
+        stiffness = FitParameter(name="stiffness", unit="N/m", low=0.0, high=1e7, probes=(1e4,), smallest=200.0)
         # on its own half of the stroke: beyond, it would be an offset and a softer spring over the whole range
         stroke = self.reference
         middle, shares = 0.5 * stroke, (0.575, 0.625, 0.675)
@@ -190,7 +184,7 @@ class MovingMass(_Motion):
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         low = 0.95 * down_to_nothing(self.reference, 1e3)
-        return (FitParameter(name="mass", unit="kg", low=low, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
+        return (FitParameter(name="mass", unit="kg", low=low, high=1e3, probes=(0.3,), smallest=0.05),)
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, reference=bench.moving_mass)
@@ -204,7 +198,7 @@ class MovingMass(_Motion):
 
 
 _COEFFICIENT = FitParameter(
-    name="coefficient_positive", unit="N s/m", low=-HEAVIEST, high=HEAVIEST, neutral=0.0, probes=(30.0,), smallest=1.5
+    name="coefficient_positive", unit="N s/m", low=-HEAVIEST, high=HEAVIEST, probes=(30.0,), smallest=1.5
 )
 
 

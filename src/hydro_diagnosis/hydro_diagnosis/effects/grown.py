@@ -49,7 +49,7 @@ class Grown(Effect):
         bounds, seen = self._law.bounds, self._law.seen
         low, high = bounds["coefficient"]
         coefficient = FitParameter(
-            name="coefficient", unit=self._law.law.unit, low=low, high=high, neutral=0.0,
+            name="coefficient", unit=self._law.law.unit, low=low, high=high,
             probes=(seen["coefficient"],), smallest=SMALLEST * abs(seen["coefficient"]),
         )  # fmt: skip
         shapes = tuple(

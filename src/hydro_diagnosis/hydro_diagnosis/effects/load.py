@@ -46,9 +46,7 @@ class SpringHardening(_Load):
     """f_l + k_3 (x_p - x_rest)^3."""
 
     id = "spring_hardening"
-    parameters = (
-        FitParameter(name="coefficient", unit="N/m3", low=-1e10, high=1e10, neutral=0.0, probes=(5e6,), smallest=1e5),
-    )
+    parameters = (FitParameter(name="coefficient", unit="N/m3", low=-1e10, high=1e10, probes=(5e6,), smallest=1e5),)
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
              values: Values) -> FloatArray:  # fmt: skip
@@ -64,9 +62,7 @@ class Backlash(_Load):
     """Lost motion: the spring carries no force within width/2 of its rest position."""
 
     id = "backlash"
-    parameters = (
-        FitParameter(name="width", unit="m", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=1e-5),
-    )
+    parameters = (FitParameter(name="width", unit="m", low=0.0, high=0.02, probes=(1e-4, 5e-4, 2e-3), smallest=1e-5),)
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
              values: Values) -> FloatArray:  # fmt: skip

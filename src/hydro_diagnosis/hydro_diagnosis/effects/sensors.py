@@ -82,7 +82,7 @@ class LoadCellBias(_Bias):
     """Reading = force + bias."""
 
     id = "load_cell_bias"
-    parameters = (FitParameter(name="force", unit="N", low=-5e3, high=5e3, neutral=0.0, probes=(5.0,), smallest=0.3),)
+    parameters = (FitParameter(name="force", unit="N", low=-5e3, high=5e3, probes=(5.0,), smallest=0.3),)
 
     def sentence(self, values: Values) -> str:
         return f"A reading of {self.words} is off by {values['force']:.3g} N."
@@ -92,9 +92,7 @@ class PressureSensorBias(_Bias):
     """Reading = pressure + bias."""
 
     id = "pressure_sensor_bias"
-    parameters = (
-        FitParameter(name="pressure", unit="Pa", low=-3e6, high=3e6, neutral=0.0, probes=(5e4,), smallest=2.5e3),
-    )
+    parameters = (FitParameter(name="pressure", unit="Pa", low=-3e6, high=3e6, probes=(5e4,), smallest=2.5e3),)
 
     def sentence(self, values: Values) -> str:
         return f"A reading of {self.words} is off by {values['pressure'] * 1e-3:.4g} kPa."

@@ -33,9 +33,7 @@ class ValveDeadband(_Valve):
 
     id = "valve_deadband"
     parameters = (
-        FitParameter(
-            name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=5e-6
-        ),
+        FitParameter(name="half_width", unit="A", low=0.0, high=0.02, probes=(1e-4, 5e-4, 2e-3), smallest=5e-6),
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
@@ -51,7 +49,7 @@ class ValveDeadbandLopsided(_Valve):
 
     id = "valve_deadband"
     parameters = tuple(
-        FitParameter(name=name, unit="A", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4), smallest=5e-6)
+        FitParameter(name=name, unit="A", low=0.0, high=0.02, probes=(1e-4, 5e-4), smallest=5e-6)
         for name in ("half_width", "half_width_negative")
     )
 
@@ -70,7 +68,7 @@ class ValveDeadbandSoft(_Valve):
 
     id = "valve_deadband"
     parameters = (
-        FitParameter(name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(2e-4, 1e-3), smallest=5e-6),
+        FitParameter(name="half_width", unit="A", low=0.0, high=0.02, probes=(2e-4, 1e-3), smallest=5e-6),
         FitParameter(name="softness", unit="A", low=5e-6, high=5e-3, neutral=1e-4, probes=(5e-5, 2e-4), reported=False),
     )
 
@@ -88,9 +86,7 @@ class ValveOffset(_Valve):
 
     id = "valve_offset"
     stage = 1
-    parameters = (
-        FitParameter(name="current", unit="A", low=-0.02, high=0.02, neutral=0.0, probes=(2e-4,), smallest=4e-6),
-    )
+    parameters = (FitParameter(name="current", unit="A", low=-0.02, high=0.02, probes=(2e-4,), smallest=4e-6),)
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         return current + values["current"]
@@ -135,9 +131,7 @@ class ValveGainDrift(_Valve):
     """K_v (1 + r t), t from the start of a recording."""
 
     id = "valve_gain_drift"
-    parameters = (
-        FitParameter(name="rate", unit="1/s", low=-0.2, high=0.2, neutral=0.0, probes=(-0.005,), smallest=3e-4),
-    )
+    parameters = (FitParameter(name="rate", unit="1/s", low=-0.2, high=0.2, probes=(-0.005,), smallest=3e-4),)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         ratio = 1.0 + values["rate"] * time
@@ -152,7 +146,7 @@ class ValveNullLeakage(_Valve):
 
     id = "valve_null_leakage"
     parameters = (
-        FitParameter(name="coefficient", unit="m3/s/sqrt(Pa)", low=0.0, high=1e-7, neutral=0.0, probes=(3e-10,),
+        FitParameter(name="coefficient", unit="m3/s/sqrt(Pa)", low=0.0, high=1e-7, probes=(3e-10,),
                      smallest=2e-12),
         FitParameter(name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3),
                      reported=False),
@@ -184,9 +178,7 @@ class TransportDelay(_Valve):
 
     id = "transport_delay"
     stage = 0
-    parameters = (
-        FitParameter(name="time", unit="s", low=0.0, high=0.03, neutral=0.0, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),
-    )
+    parameters = (FitParameter(name="time", unit="s", low=0.0, high=0.03, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),)
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         flat = current.ravel()

@@ -52,32 +52,24 @@ def recording_entry(path: str | Path) -> dict[str, Any]:
         return {"name": path.stem, "begin": None}
 
 
-@dataclass(frozen=True)
-class Baseline:
-    """The assumed bench, its origin, and the parts of it that the diagnosis cannot represent."""
-
-    bench: Bench
-    model: str
-    """`analytic`, or `learned` and the file's name."""
-
-
 def baseline(
     bench: Bench | Mapping[str, Any] | str | Path | None,
     model: str | Path | None = None,
     estimated: Collection[str] = (),
-) -> Baseline:
+) -> tuple[Bench, str]:
     """The baseline of a bench, of a bench's file or its content (None: the nominal one), or of a learned bench.
 
+    Its origin with it: `analytic`, or `learned` and the file's name.
     Of a bench whose file lacks numbers it is a `PartialBench`; `estimated`: those that will be estimated.
 
     Raises InputError if a file cannot be read, or if both are given.
     """
-    if model is not None:
-        if bench is not None:
-            raise InputError("give a bench file or a learned bench as baseline, not both")
-        return _learned(Path(model))
+    if model is not None and bench is not None:
+        raise InputError("give a bench file or a learned bench as baseline, not both")
     try:
-        return Baseline(bench if isinstance(bench, Bench) else _read(bench, frozenset(estimated)), "analytic")
+        if model is not None:
+            return learned_bench.read(model), f"learned {Path(model).name}"
+        return bench if isinstance(bench, Bench) else _read(bench, frozenset(estimated)), "analytic"
     except ValueError as error:
         raise InputError(str(error)) from None
 
@@ -86,13 +78,6 @@ def _read(bench: Mapping[str, Any] | str | Path | None, estimated: frozenset[str
     if bench is None:
         return Bench.nominal()
     return completed(bench, estimated) if isinstance(bench, Mapping) else read_bench(bench, estimated)
-
-
-def _learned(path: Path) -> Baseline:
-    try:
-        return Baseline(learned_bench.read(path), f"learned {path.name}")
-    except ValueError as error:
-        raise InputError(str(error)) from None
 
 
 Progress = Callable[[str], None]
@@ -148,8 +133,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     """
     estimate = tuple(dict.fromkeys(question.estimate))
     refuse_inestimable(estimate)
-    base = baseline(question.bench, question.model, estimate)
-    given = base.bench
+    given, origin = baseline(question.bench, question.model, estimate)
     unruled = _candidates(question.without)
     progress(stage_bar.READING)
     inspection = Inspection() if inspection is None else inspection
@@ -178,7 +162,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
         "recordings": [recording_entry(path) for path in (*question.recordings, *question.holdout)],
         "data_quality": [*_untried(question.without), *left_out(channels, believed), *quality],
-        "baseline": {"bench": given.to_mapping(), "model": base.model},
+        "baseline": {"bench": given.to_mapping(), "model": origin},
         "versions": {"hydro_diagnosis": _version()},
     }
     numbers = {name: None if lacks(given, name) else float(getattr(given, name)) for name in estimate}

@@ -339,9 +339,10 @@ def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> lis
 
 def _batch(follower: StateEstimator, runs: list[Run], chosen: list[Indices], weights: FloatArray) -> Batch:
     starts = [follower.starts(run, samples) for run, samples in zip(runs, chosen, strict=True)]
+    states, roots = map(np.concatenate, zip(*starts, strict=True))
     steps = np.arange(HORIZON)
     return Batch(
-        starts=np.concatenate([one.states for one in starts]), roots=np.concatenate([one.roots for one in starts]),
+        starts=states, roots=roots,
         currents=np.concatenate([run.u[at[:, None] + steps] for run, at in zip(runs, chosen, strict=True)]),
         targets=np.concatenate([run.readings[at[:, None] + steps + 1] for run, at in zip(runs, chosen, strict=True)]),
         noise=weights,

@@ -8,7 +8,6 @@ deviation. Past currents are the recorded ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import comb
 
 import numpy as np
@@ -40,16 +39,6 @@ def noise_of(runs: list[Run]) -> FloatArray:
     return np.asarray(np.maximum(spread, 1e-6 * moved + 1e-12))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Starts:
-    """First guesses of windows of one run."""
-
-    states: FloatArray
-    """Shape (n, states)."""
-    roots: FloatArray
-    """Shape (n, held, held): square roots of the guesses' covariances."""
-
-
 class StateEstimator:
     """The extended Kalman filter with a model's parameters.
 
@@ -77,8 +66,11 @@ class StateEstimator:
         rest = self.exact.follow(self.k, track, run.u[:-1], run.readings[1:], self.q, self.noise**2)
         return np.concatenate([first[None], rest])
 
-    def starts(self, run: Run, samples: Indices) -> Starts:
-        """Return start states at some samples of a run, in rising order."""
+    def starts(self, run: Run, samples: Indices) -> tuple[FloatArray, FloatArray]:
+        """Return first guesses of windows that begin at some samples of a run, in rising order.
+
+        States, shape (n, states), and square roots of their covariances, shape (n, held, held).
+        """
         track, at, readings, r = self._begin(run), 0, run.readings, self.noise**2
         held = self.exact.held
         states, roots = np.empty((len(samples), len(track.y))), np.empty((len(samples), held, held))
@@ -87,7 +79,7 @@ class StateEstimator:
             self.exact.follow(self.k, track, run.u[at:sample], readings[at + 1 : sample + 1], self.q, r)
             at = int(sample)
             states[i], roots[i] = track.y, scales[:, None] * _root(track.covariance / np.outer(scales, scales))
-        return Starts(states=states, roots=roots)
+        return states, roots
 
     def _begin(self, run: Run) -> Track:
         model = self.exact.model

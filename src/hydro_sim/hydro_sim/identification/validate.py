@@ -22,7 +22,7 @@ from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.files.recordings import READING_COLUMNS, Run
 from hydro_sim.identification.bench_learning import SUBSTEPS, best_prediction_rmse
-from hydro_sim.identification.bench_states import SETTLED, Indices, noise_of
+from hydro_sim.identification.bench_states import SETTLED, noise_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects.catalogue import label
@@ -45,45 +45,24 @@ class Predictor(Protocol):
 class Errors:
     """Errors of one predictor on one recording, SI units."""
 
-    rmse: FloatArray
-    """Over all windows and samples of the horizon, shape (8,)."""
     by_time: FloatArray
-    """Over all windows, shape (H, 8)."""
-    by_window: FloatArray
-    """Over each window's horizon, shape (n, 8)."""
+    """RMS over all windows, shape (H, 8)."""
+    windows: int
 
-
-def window_starts(run: Run, horizon: int, stride: int) -> Indices:
-    """Start samples of a run's predictions, after the observer has settled."""
-    return np.arange(SETTLED, len(run) - horizon - 1, stride)
+    @property
+    def rmse(self) -> FloatArray:
+        """Over all windows and samples of the horizon, shape (8,)."""
+        return np.asarray(np.sqrt(np.mean(self.by_time**2, axis=0)))
 
 
 def errors(predictor: Predictor, states: FloatArray, run: Run, truth: FloatArray, horizon: int, stride: int) -> Errors:
     """Errors of predictions from `states` at the starts of windows against `truth`, shape (n, 8)."""
-    starts = window_starts(run, horizon, stride)
-    squares_time, squares_window = np.zeros((horizon, 8)), []
+    starts = np.arange(SETTLED, len(run) - horizon - 1, stride)
+    squares = np.zeros((horizon, 8))
     for part in np.array_split(starts, max(len(starts) * horizon // 500_000, 1)):
         rows = part[:, None] + np.arange(horizon)
-        square = (predictor.predict(states[part], run.u[rows]) - truth[rows + 1]) ** 2
-        squares_time += square.sum(axis=0)
-        squares_window.append(square.mean(axis=1))
-    by_time = np.sqrt(squares_time / len(starts))
-    return Errors(
-        rmse=np.sqrt(np.mean(by_time**2, axis=0)), by_time=by_time, by_window=np.sqrt(np.concatenate(squares_window))
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scales:
-    """Scales of the errors, shape (8,) each."""
-
-    std: FloatArray
-    span: FloatArray
-
-    @classmethod
-    def of(cls, x: FloatArray) -> Scales:
-        """Standard deviation and range of the columns of x, shape (n, 8)."""
-        return cls(std=x.std(axis=0), span=np.ptp(x, axis=0))
+        squares += ((predictor.predict(states[part], run.u[rows]) - truth[rows + 1]) ** 2).sum(axis=0)
+    return Errors(by_time=np.sqrt(squares / len(starts)), windows=len(starts))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,13 +81,10 @@ class Scored:
 
 def pooled(parts: list[Errors]) -> Errors:
     """Errors of several runs together, each window counting once."""
-    counts = np.array([len(part.by_window) for part in parts], float)
+    counts = np.array([part.windows for part in parts], float)
     weights = counts / counts.sum()
     by_time = np.sqrt(sum(w * part.by_time**2 for w, part in zip(weights, parts, strict=True)))
-    return Errors(
-        rmse=np.sqrt(np.mean(by_time**2, axis=0)), by_time=by_time,
-        by_window=np.concatenate([part.by_window for part in parts]),
-    )  # fmt: skip
+    return Errors(by_time=by_time, windows=sum(part.windows for part in parts))
 
 
 def prediction_errors(
@@ -256,18 +232,17 @@ def table_of(
     clean = prediction_errors(learned, states, scored, recorded=False, **how)
     noisy = prediction_errors(learned, states, scored, recorded=True, **how)
     other = prediction_errors(analytic, analytic_states, scored, recorded=False, **how)
-    scales = Scales.of(np.concatenate([item.reference for item in scored]))
+    references = np.concatenate([item.reference for item in scored])
+    std, span = references.std(axis=0), np.ptp(references, axis=0)
     floor = noise_floor(scored)
     noise = np.full(8, np.nan) if floor is None else floor
     judged = "recordings" if floor is None else "noise-free log"
-    table = ConsoleTable(
-        COLUMNS, title=f"{HORIZON}-sample predictions, {len(clean.by_window)} windows, against the {judged}"
-    )
+    table = ConsoleTable(COLUMNS, title=f"{HORIZON}-sample predictions, {clean.windows} windows, against the {judged}")
     for i, name in enumerate(PLANT_FIELDS):
         table.add(
-            state=name, unit=SI_UNITS[i], learned=float(clean.rmse[i] / scales.std[i]),
-            analytic=float(other.rmse[i] / scales.std[i]), learned_range=float(clean.rmse[i] / scales.span[i]),
-            analytic_range=float(other.rmse[i] / scales.span[i]), rmse=float(clean.rmse[i]),
+            state=name, unit=SI_UNITS[i], learned=float(clean.rmse[i] / std[i]),
+            analytic=float(other.rmse[i] / std[i]), learned_range=float(clean.rmse[i] / span[i]),
+            analytic_range=float(other.rmse[i] / span[i]), rmse=float(clean.rmse[i]),
             recorded=float(noisy.rmse[i]), noise=float(noise[i]), ratio=float(noisy.rmse[i] / noise[i]),
         )  # fmt: skip
     return table
