@@ -25,13 +25,12 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from hydro_bridge.cli.console import Table
-from hydro_bridge.dashboard.server import own_name
+from hydro_bridge.dashboard.server import file_response, is_foreign
 from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
 from hydro_diagnosis.bench_numbers import read_bench
@@ -198,16 +197,13 @@ def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Ser
     }
 
     def respond(connection: ServerConnection, request: Request) -> Response | None:
-        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        if not own_name(host, HOST) or (origin and origin != f"http://{host}"):
+        if is_foreign(request, HOST):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "only a page of this machine is answered\n")
         if request.path == "/socket":
             return None
         if request.path not in files:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
-        body, kind = files[request.path]
-        headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Content-Security-Policy": _POLICY}
-        return Response(200, "OK", Headers({**headers, "Connection": "close"}), body)
+        return file_response(*files[request.path], _POLICY)
 
     def attend(connection: ServerConnection) -> None:
         with tempfile.TemporaryDirectory(prefix="hydro-import-") as folder:

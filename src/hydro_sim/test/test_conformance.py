@@ -191,6 +191,7 @@ def test_without_moving_nothing_arms_and_the_piston_rests(memory: Any) -> None:
 
 
 def test_a_case_that_arms_and_does_not_say_so_is_refused() -> None:
+    assert len({case.id for case in shipped()}) == len(shipped())
     with pytest.raises(UserError, match="is not marked as moving"):
         read([{"id": "x", "says": "y", "steps": [{"commands": {"samples": 1, "arm": True}}]}])
     with pytest.raises(UserError, match="a step is one of"):

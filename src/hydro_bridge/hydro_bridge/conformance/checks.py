@@ -175,7 +175,7 @@ def hello(host: Host, bench: Bench) -> str:
     return "" if info.valve_current_max > 0.0 <= info.delta_u_max else "its limits of the current are not positive"
 
 
-def greeted(host: Host, bench: Bench, within: int, versions: tuple[int, int] | None = None) -> str:
+def greeted(host: Host, bench: Bench, within: int) -> str:
     """Check that the last HELLO was answered, with sequence 1 or more, within some samples plus the line's lag."""
     answers = [(n - host.greeted_at, each) for n, each in host.hellos if n >= host.greeted_at]
     if not answers or answers[0][0] > within + host.lag:

@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import yaml
 
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
@@ -27,26 +28,26 @@ NOMINAL_FORCE_GAIN = 10.53e6
 """g of the nominal bench [N/s/A]: a correction of 0.2 mA moves the force there by up to g 0.2 mA / K_p, 140 N."""
 
 
-@dataclass(frozen=True)
-class Step:
-    """One verb with its parameters."""
-
-    verb: str
-    words: Any
-
-
-@dataclass(frozen=True)
-class Case:
+class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One requirement on a box."""
 
     id: str
     says: str
     """The requirement, as one sentence."""
-    moving: bool
+    steps: tuple[dict[str, Any], ...]
+    """One verb each, with its parameters."""
+    moving: bool = False
     """Whether the case arms the box, or asks it to arm: the piston may move."""
-    needs: str
+    needs: str = ""
     """Precondition, `version 2`, `bench`, `compensated law`, or both of these; empty: none."""
-    steps: tuple[Step, ...]
+
+    def __post_init__(self) -> None:
+        for step in self.steps:
+            if len(step) != 1 or not step.keys() <= {*VERBS, "check"}:
+                raise UserError(f"conformance case {self.id!r}: a step is one of {', '.join(VERBS)}, check, not {step}")
+            (words,) = step.values()
+            if not self.moving and isinstance(words, dict) and words.get("arm"):
+                raise UserError(f"conformance case {self.id!r} asks the box to arm and is not marked as moving")
 
 
 def shipped() -> tuple[Case, ...]:
@@ -58,31 +59,10 @@ def shipped() -> tuple[Case, ...]:
 def read(content: Any) -> tuple[Case, ...]:
     """Parse the cases from a file's content.
 
-    Raises UserError: a case is incomplete, a verb is unknown, or a case that is not marked as moving asks a box to arm.
+    Raises UserError: a verb is unknown, or a case that is not marked as moving asks a box to arm;
+    msgspec.ValidationError: a case is incomplete.
     """
-    cases = tuple(_case(entry) for entry in content)
-    ids = [case.id for case in cases]
-    if len(set(ids)) < len(ids):
-        raise UserError("two conformance cases have the same id")
-    return cases
-
-
-def _case(entry: Mapping[str, Any]) -> Case:
-    unknown = set(entry) - {"id", "says", "moving", "needs", "steps"}
-    if unknown or not {"id", "says", "steps"} <= set(entry):
-        raise UserError(f"conformance case {entry.get('id')!r} needs id, says and steps, and knows moving and needs")
-    steps = tuple(_step(str(entry["id"]), step) for step in entry["steps"])
-    case = Case(entry["id"], entry["says"], bool(entry.get("moving")), str(entry.get("needs", "")), steps)
-    if not case.moving and any(isinstance(step.words, Mapping) and step.words.get("arm") for step in steps):
-        raise UserError(f"conformance case {case.id!r} asks the box to arm and is not marked as moving")
-    return case
-
-
-def _step(case: str, step: Any) -> Step:
-    if not isinstance(step, Mapping) or len(step) != 1 or next(iter(step)) not in (*VERBS, "check"):
-        raise UserError(f"conformance case {case!r}: a step is one of {', '.join(VERBS)}, check, not {step!r}")
-    ((verb, words),) = step.items()
-    return Step(verb, words)
+    return msgspec.convert(content, tuple[Case, ...])
 
 
 PASS, FAIL, LEFT_OUT, NOT_JUDGED = "pass", "FAIL", "left out", "not judged"
@@ -147,10 +127,11 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
         if "compensated law" in case.needs and host.law is None:
             return Result(case, LEFT_OUT, "the box runs the paper's law only")
         for step in case.steps:
-            if step.verb == "check":
-                checked.append((host.kept(), step.words))
+            ((verb, words),) = step.items()
+            if verb == "check":
+                checked.append((host.kept(), words))
             else:
-                VERBS[step.verb](host, step.words)
+                VERBS[verb](host, words)
         end(host)
     except SilentError as error:
         silent = str(error)

@@ -222,8 +222,7 @@ class PageServer:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the page's files; None for its WebSocket, which the library handles."""
-        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        if not own_name(host, self._host) or (origin is not None and urlsplit(origin).netloc != host):
+        if is_foreign(request, self._host):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "another page may not talk to this one\n")
         path = urlsplit(request.path).path
         if path == "/live":
@@ -232,19 +231,7 @@ class PageServer:
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS} viewers look already\n")
         if path not in self._files:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
-        body, kind = self._files[path]
-        headers = Headers(
-            {
-                "Content-Type": kind,
-                "Content-Length": str(len(body)),
-                "Cache-Control": "no-store",
-                "Connection": "close",
-                "Content-Security-Policy": _POLICY,
-                "X-Content-Type-Options": "nosniff",
-                "X-Frame-Options": "DENY",
-            }
-        )
-        return Response(200, "OK", headers, body)
+        return file_response(*self._files[path], _POLICY)
 
     async def _attend(self, viewer: ServerConnection) -> None:
         with self._lock:
@@ -284,6 +271,26 @@ def _page() -> str:
 
 def _file(name: str) -> bytes:
     return (resources.files("hydro_bridge.dashboard") / "page" / name).read_bytes()
+
+
+def file_response(body: bytes, kind: str, policy: str) -> Response:
+    """Return the answer that holds a file of a page, with its content's type and security policy."""
+    headers = {
+        "Content-Type": kind,
+        "Content-Length": str(len(body)),
+        "Cache-Control": "no-store",
+        "Connection": "close",
+        "Content-Security-Policy": policy,
+        "X-Content-Type-Options": "nosniff",
+        "X-Frame-Options": "DENY",
+    }
+    return Response(200, "OK", Headers(headers), body)
+
+
+def is_foreign(request: Request, given: str) -> bool:
+    """Return whether a request comes from another page, or under a name that is not of this machine."""
+    host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+    return not own_name(host, given) or (origin is not None and urlsplit(origin).netloc != host)
 
 
 def own_name(host: str, given: str) -> bool:

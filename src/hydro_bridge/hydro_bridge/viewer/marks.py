@@ -39,13 +39,8 @@ STILL = 1.0
 """s without a change, after which a change is marked."""
 
 
-def digest_of(weights: int) -> str:
-    """Return `PolicyStep.weights` as in the trainer's diagnostics: 12 hex digits."""
-    return f"{weights:012x}"
-
-
 class WeightChanges:
-    """Tracks the acting weights while a recording is read in order."""
+    """Tracks the acting weights while a recording is read in order; they are told as in the trainer's diagnostics."""
 
     def __init__(self) -> None:
         self._weights: int | None = None
@@ -59,13 +54,13 @@ class WeightChanges:
         marks = []
         if self._weights is None:
             self._changed, self._weights = float(times[0]), int(weights[0])
-            marks.append((self._changed, f"weights {digest_of(self._weights)}, the first to act"))
+            marks.append((self._changed, f"weights {self._weights:012x}, the first to act"))
         before = np.concatenate((np.array([self._weights], weights.dtype), weights[:-1]))
         for n in np.flatnonzero(weights != before):
             time, self._count = float(times[n]), self._count + 1
             if time - self._changed >= STILL:
                 often = f"{self._count} change{'s' if self._count > 1 else ''} since the mark before"
-                marks.append((time, f"weights {digest_of(int(weights[n]))}, {often}"))
+                marks.append((time, f"weights {int(weights[n]):012x}, {often}"))
                 self._count = 0
             self._changed = time
         self._weights = int(weights[-1])

@@ -10,6 +10,7 @@ import argparse
 import ctypes
 from collections.abc import Iterable
 from pathlib import Path
+from textwrap import fill
 from typing import Any, get_args
 
 import numpy as np
@@ -31,15 +32,9 @@ def reals(numbers: Iterable[float]) -> str:
     return "{" + ", ".join(f"HYDRO_R({float(number)!r})" for number in numbers) + "}"
 
 
-def wrapped(words: Iterable[str], width: int = 118, indent: str = "    ") -> str:
-    """Comma-separated words in lines of at most `width` characters."""
-    lines, line = [], indent
-    for word in words:
-        if len(line) + len(word) + 2 > width and line.strip():
-            lines.append(line.rstrip())
-            line = indent
-        line += f"{word}, "
-    return "\n".join([*lines, line.rstrip().rstrip(",")])
+def wrapped(words: Iterable[str], indent: str = "    ") -> str:
+    """Comma-separated words in lines of at most 118 characters."""
+    return fill(", ".join(words), 118, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def header_file(guard: str, origin: str, body: str) -> str:
@@ -152,12 +147,9 @@ def header(numbers: dict[str, Any]) -> str:
     for field in ("name", "digest"):
         lines.append(f"    .{field} = {{{', '.join(str(byte) for byte in numbers[field])}}},")
     name, digest = (numbers[field].rstrip(b"\0").decode() for field in ("name", "digest"))
-    return (
-        "/* SPDX-License-Identifier: Apache-2.0 */\n"
-        f"/* Written by `ros2 run hydro_sim export_c` for the bench {digest}, box {name}. */\n"
-        '#ifndef HYDRO_BOX_CONFIG_H\n#define HYDRO_BOX_CONFIG_H\n\n#include "hydro/config.h"\n\n'
-        "static const hydro_config HYDRO_BOX_CONFIG = {\n" + "\n".join(lines) + "\n};\n\n#endif\n"
-    )
+    body = ['#include "hydro/config.h"\n', "static const hydro_config HYDRO_BOX_CONFIG = {", *lines, "};"]
+    origin = f"Written by `ros2 run hydro_sim export_c` for the bench {digest}, box {name}."
+    return header_file("HYDRO_BOX_CONFIG_H", origin, "\n".join(body))
 
 
 def parser() -> argparse.ArgumentParser:
