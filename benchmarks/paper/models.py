@@ -94,6 +94,7 @@ def judged(model: Predictor) -> Result:
     states = [model.estimate(item.run) for item in scored]
     found = validate.prediction_errors(model, states, scored, recorded=False, horizon=HORIZON, stride=STRIDE)
     return {
-        "over_range": (found.rmse / np.ptp(reference, axis=0)).tolist(), "over_std": (found.rmse / reference.std(axis=0)).tolist(),
+        "over_range": (found.rmse / np.ptp(reference, axis=0)).tolist(),
+        "over_std": (found.rmse / reference.std(axis=0)).tolist(),
         "load_force": {str(n): float(found.by_time[n - 1, LOAD_FORCE]) for n in TIMES},
-    }  # fmt: skip
+    }
