@@ -31,6 +31,7 @@ from websockets.sync.server import Server, ServerConnection, serve
 
 from hydro_bridge.cli.console import Table
 from hydro_bridge.dashboard.server import file_response, is_foreign
+from hydro_bridge.dashboard.status import encoded
 from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
 from hydro_diagnosis.bench_numbers import read_bench
@@ -165,7 +166,7 @@ class Import:
         self._send("progress", text=text, done=STAGES.index(text) if text in STAGES else None, stages=len(STAGES))
 
     def _send(self, kind: str, **content: Any) -> None:
-        self._connection.send(msgspec.json.encode({"kind": kind, **content}).decode())
+        self._connection.send(encoded(kind, content))
 
 
 def _map(columns: Mapping[str, Mapping[str, str]]) -> ColumnMap:

@@ -67,12 +67,13 @@ LAW_COLUMNS = (
 )
 STATE_EXTRA = (Column("error", "", "N"), Column("armed", ""), Column("tripped", ""))
 """Columns derived from the state's fields: f_r - f_l; 1 or 0; 1 or 0."""
+SERIES = ((*STATE_COLUMNS, *STATE_EXTRA), CORRECTION_COLUMNS, LAW_COLUMNS)
+"""Columns of states, corrections and laws."""
 
 
 def described() -> list[list[dict[str, str]]]:
     """Return names and units of the columns of the series, states, corrections and laws, for the page."""
-    kinds = ((*STATE_COLUMNS, *STATE_EXTRA), CORRECTION_COLUMNS, LAW_COLUMNS)
-    return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in kinds]
+    return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in SERIES]
 
 
 class Decoder:
@@ -112,8 +113,6 @@ SLOT = 0.01
 KEPT = 6000
 """Slots kept for viewers that connect later: 60 s."""
 
-_AXES = 3
-
 
 @dataclass(frozen=True)
 class Slots:
@@ -126,7 +125,6 @@ class Slots:
 
     def encoded(self, series: int) -> bytes:
         """Return the bytes for the page: u32 series, u32 columns, f64 first, float32 values, all little endian."""
-        assert self.values.ndim == _AXES
         head = np.array([series, self.values.shape[1]], "<u4").tobytes() + np.array([self.first], "<f8").tobytes()
         return head + np.ascontiguousarray(self.values, "<f4").tobytes()
 

@@ -47,13 +47,7 @@ class Curve:
         self._result = (nan, nan)
 
     def add(
-        self,
-        phase: int,
-        episode: int,
-        rmse: float,
-        episode_return: float,
-        critic_loss: float = nan,
-        actor_loss: float = nan,
+        self, phase: int, episode: int, rmse: float, episode_return: float, critic_loss: float, actor_loss: float
     ) -> None:
         """Add a TrainingStatus; `episode` is the present one, in other phases than training the last one.
 

@@ -51,11 +51,7 @@ class Samples:
         self._decode_corrections = series.Decoder(series.CORRECTION_TYPE)
         self._laws, self._decode_laws = self._queued(LAW_STATE), series.Decoder(series.LAW_TYPE)
         self._sequence = -1
-        self.series = (
-            Thinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA)),
-            Thinner(len(series.CORRECTION_COLUMNS)),
-            Thinner(len(series.LAW_COLUMNS)),
-        )
+        self.series = tuple(Thinner(len(columns)) for columns in series.SERIES)
         """Thinners of the samples, of the corrections and of the compensated law."""
         self.decided = status.FilterCounts()
         self.taken_at = -inf

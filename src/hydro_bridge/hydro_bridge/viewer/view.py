@@ -79,7 +79,9 @@ _NEEDED = {
     STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
     CORRECTION_TOPIC: frozenset(column.field for column in series.CORRECTION_COLUMNS),
     LAW_TOPIC: frozenset(column.field for column in series.LAW_COLUMNS),
-    TRAINING_TOPIC: frozenset({"phase", "episode", "episode_return", "force_rmse", "learner_alive"}),
+    TRAINING_TOPIC: frozenset(
+        {"phase", "episode", "episode_return", "force_rmse", "critic_loss", "actor_loss", "learner_alive"}
+    ),
     POLICY_TOPIC: frozenset({"weights"}),
 }
 _OBJECTS = {
@@ -120,9 +122,8 @@ class _Reading:
     """Requested part, s from the first sample."""
     begin: float = 0.0
     """s, of the first sample."""
-    states: series.GrowingThinner | None = None
-    corrections: series.GrowingThinner | None = None
-    laws: series.GrowingThinner | None = None
+    thinners: tuple[series.GrowingThinner, ...] = ()
+    """Of states, corrections and laws; none before the first sample."""
     marks: Marks = field(default_factory=Marks)
     curve: status.Curve = field(default_factory=status.Curve)
     clock: SampleClock = field(default_factory=SampleClock)
@@ -131,44 +132,34 @@ class _Reading:
 
     def within(self, table: Table) -> Table:
         """Return the requested part, which counts from the first sample."""
-        if self.states is None:
+        if not self.thinners:
             return table[:0]
         since = table["time"] - self.begin
         return table[(since >= self.span[0]) & (since <= self.span[1])]
 
     def take_states(self, table: Table) -> None:
         """Add samples; all times count from the first one."""
-        if self.states is None and len(table):
+        if not self.thinners and len(table):
             self.begin = float(table["time"][0])
             first = self.begin + self.span[0]
-            self.states = series.GrowingThinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA), first)
-            self.corrections = series.GrowingThinner(len(series.CORRECTION_COLUMNS), first)
-            self.laws = series.GrowingThinner(len(series.LAW_COLUMNS), first)
+            self.thinners = tuple(series.GrowingThinner(len(columns), first) for columns in series.SERIES)
         table = self.within(table)
-        if self.states is not None and len(table):
-            self.states.add(table["time"], series.state_values(table))
+        if len(table):
+            self.thinners[0].add(table["time"], series.state_values(table))
             self.marks.states(table)
 
-    def take_corrections(self, table: Table) -> None:
-        """Add corrections."""
+    def take_series(self, number: int, table: Table) -> None:
+        """Add corrections or states of the compensated law, by their number in `series.SERIES`."""
         table = self.within(table)
-        if self.corrections is not None and len(table):
-            self.corrections.add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
-
-    def take_laws(self, table: Table) -> None:
-        """Add states of the compensated law."""
-        table = self.within(table)
-        if self.laws is not None and len(table):
-            self.laws.add(table["time"], series.values(series.LAW_COLUMNS, table))
+        if len(table):
+            self.thinners[number].add(table["time"], series.values(series.SERIES[number], table))
 
     def take_training(self, table: Table) -> None:
         """Add the trainer's status."""
         for row in self.within(table):
             self.marks.training({name: row[name] for name in row.dtype.names})
-            phase, episode = int(row["phase"]), int(row["episode"])
-            names = ("force_rmse", "episode_return", "critic_loss", "actor_loss")  # old recordings have no losses
-            told = [float(row[name]) for name in names if name in row.dtype.names]
-            self.curve.add(phase, episode, *told)
+            results = [float(row[name]) for name in ("force_rmse", "episode_return", "critic_loss", "actor_loss")]
+            self.curve.add(int(row["phase"]), int(row["episode"]), *results)
 
     def take_object(self, topic: str, time: float, message: Any) -> None:
         """Add a message about the authority, of the diagnostics or of the log."""
@@ -195,8 +186,8 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     decoder = MessageDecoder(source)
     tables: dict[str, Callable[[Table], None]] = {
         STATE_TOPIC: lambda table: reading.take_states(as_states(table, source.path)),
-        CORRECTION_TOPIC: reading.take_corrections,
-        LAW_TOPIC: reading.take_laws,
+        CORRECTION_TOPIC: lambda table: reading.take_series(1, table),
+        LAW_TOPIC: lambda table: reading.take_series(2, table),
         TRAINING_TOPIC: reading.take_training,
         POLICY_TOPIC: lambda table: reading.marks.steps(reading.within(table)),
     }
@@ -232,15 +223,15 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
 
 
 def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> Recorded:
-    states, corrections, laws = reading.states, reading.corrections, reading.laws
-    if states is None or corrections is None or laws is None:
+    thinners = reading.thinners
+    if not thinners:
         raise source.without(STATE_TOPIC, messages)
     begin = reading.begin + reading.span[0]
-    slot = max(states.slot, corrections.slot, laws.slot)
-    values = (states.values(slot), corrections.values(slot), laws.values(slot))
+    slot = max(thinner.slot for thinner in thinners)
+    values = tuple(thinner.values(slot) for thinner in thinners)
     if not len(values[0]):
         raise RecordingError(f"{source.path} has no samples from {reading.span[0]:g} to {reading.span[1]:g} s")
-    seconds = states.end - begin
+    seconds = thinners[0].end - begin
     metadata = {key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()}
     return Recorded(
         path=source.path,
@@ -253,7 +244,7 @@ def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) ->
         messages=messages,
         metadata=metadata,
         attachments=[name for scan in source.scans for name in scan.attachments],
-        notes=[*source.notes, *_lacking(messages, reading, states.left_out + corrections.left_out + laws.left_out)],
+        notes=[*source.notes, *_lacking(messages, reading)],
     )
 
 
@@ -264,11 +255,11 @@ def within(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
     return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
 
 
-def _lacking(messages: dict[str, int], reading: _Reading, left_out: int) -> list[str]:
+def _lacking(messages: dict[str, int], reading: _Reading) -> list[str]:
     notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOLD_BY.items()
              if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
     notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(reading.foreign)]
-    if left_out:
+    if left_out := sum(thinner.left_out for thinner in reading.thinners):
         notes.append(f"{left_out} samples have stamps from before the first one, or from an hour after the one before")
     if reading.marks.dropped:
         notes.append(f"{reading.marks.dropped} more marks are not shown: give a part of it by --from and --to")
@@ -321,7 +312,7 @@ def _about(recorded: Recorded) -> dict[str, Any]:
         "marks": marks,
         "curve": recorded.curve,
     }
-    return dict(msgspec.to_builtins(msgspec.json.decode(msgspec.json.encode(about))))
+    return dict(msgspec.json.decode(msgspec.json.encode(about)))
 
 
 def _packed(values: npt.NDArray[np.float32]) -> str:
