@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.atomic import json_text, write_whole
 
 INTERRUPTED = "interrupted"
 """Value in place of a verdict where there is none."""
@@ -164,11 +162,11 @@ class Report:
 
     def to_json(self) -> str:
         """report.json."""
-        return json.dumps(_plain(asdict(self)), indent=2)
+        return json_text(self).decode()
 
     def write(self, folder: Path) -> None:
         """Write report.json."""
-        write_whole(folder / "report.json", f"{self.to_json()}\n".encode())
+        write_whole(folder / "report.json", json_text(self))
 
 
 class DiagnosisInterrupted(KeyboardInterrupt):
@@ -182,14 +180,3 @@ class DiagnosisInterrupted(KeyboardInterrupt):
 def channel_errors(errors: dict[str, ChannelError]) -> dict[str, Any]:
     """Errors as they stand in report.json."""
     return {name: asdict(error) for name, error in errors.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
-    if isinstance(value, float) or hasattr(value, "item"):
-        number = float(value)
-        return number if isfinite(number) else None
-    return value

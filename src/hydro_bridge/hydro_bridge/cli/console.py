@@ -7,7 +7,6 @@ Tables and results go to standard output, progress and messages to standard erro
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import queue
 import sys
@@ -16,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import wraps
-from math import inf, isfinite
+from math import inf
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -24,7 +23,7 @@ from tqdm import tqdm
 
 from hydro_bridge.bags.types import RecordingError, UnknownTypeError
 from hydro_bridge.errors import UserError, is_file_error, user_message, writable, writable_folder
-from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.atomic import json_text, write_whole
 from hydro_bridge.process import endings
 from hydro_bridge.serial.port import PortLostError
 from hydro_bridge.settings import SettingsError
@@ -194,11 +193,10 @@ class Table:
 
         Raises UserError: the file cannot be written.
         """
-        rows = [{key: _plain(value) for key, value in row.items()} for row in self.rows]
-        content = {"title": self.title, "columns": dict(self.columns), "rows": rows}
+        content = {"title": self.title, "columns": self.columns, "rows": self.rows}
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(Path(path), (json.dumps(content, indent=1) + "\n").encode())
+            write_whole(Path(path), json_text(content))
         except OSError as error:
             raise UserError(f"{path} cannot be written: {error.strerror}") from None
 
@@ -222,11 +220,6 @@ def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) ->
 
 def _shown(value: Any) -> str:
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _plain(value: Any) -> Any:
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 NEW_ONLY: Any = object()

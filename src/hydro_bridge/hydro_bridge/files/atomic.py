@@ -7,6 +7,9 @@ import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 
 def write_whole(path: Path, content: bytes) -> None:
@@ -37,6 +40,12 @@ def write_whole(path: Path, content: bytes) -> None:
             error.filename = str(path)
         raise
     flush_folder(path.parent)
+
+
+def json_text(content: Any) -> bytes:
+    """Return mappings, sequences, dataclasses and numbers as JSON; non-finite numbers become null."""
+    encoded = msgspec.json.encode(content, enc_hook=lambda number: number.item())
+    return msgspec.json.format(encoded, indent=1) + b"\n"
 
 
 def flush_folder(folder: Path) -> None:

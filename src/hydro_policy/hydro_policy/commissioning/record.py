@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.cli.console import Table, UserError
-from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.atomic import json_text, write_whole
 from hydro_bridge.files.site import RECORD
 from hydro_bridge.pages import Section, results_page
 from hydro_policy.task.cases import relative_scores
@@ -115,7 +115,7 @@ class Record:
 
     def write(self, folder: Path) -> None:
         """Write commission.json and report.html."""
-        write_whole(folder / RECORD, (json.dumps(asdict(self), indent=1) + "\n").encode())
+        write_whole(folder / RECORD, json_text(self))
         about = {"plant": self.plant, "adopted": self.comparison.get(self.adopted, {}).get("name", "nothing yet")}
         write_whole(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, self._sections()).encode())
 

@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_bridge.cli.console import Table
-from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.atomic import json_text, write_whole
 from hydro_bridge.pages import Section
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
@@ -102,14 +100,9 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
 
 def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
     """Write settings, every single run, and `notes`; non-finite values become null, a missing folder is created."""
-
-    def plain(score: Score) -> dict[str, Any]:
-        values = asdict(score)
-        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
-
     content = {
         **notes,
-        "settings": asdict(session.settings),
+        "settings": session.settings,
         "units": {
             "rmse": "N",
             "true_rmse": "N",
@@ -119,10 +112,10 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
             **dict.fromkeys(("samples", "lost", "held"), "samples"),
         },
         "warnings": session.warnings,
-        "runs": [plain(score) for score in session.scores],
+        "runs": session.scores,
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, (json.dumps(content, indent=1) + "\n").encode())
+    write_whole(path, json_text(content))
 
 
 def sections(session: EvaluationSession, picture: Path) -> list[Section]:
