@@ -29,7 +29,7 @@ from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, PairingError, stamped
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, PairingError, with_provenance
 from hydro_sim.files.recordings import BOX_TOPIC
 from hydro_sim.model.bench import Bench
 
@@ -99,15 +99,15 @@ def make_files(folder: Path) -> None:
         changed = replace(learned, moving_mass=learned.moving_mass * (1.0 + 1e-9), learned=None)
         (folder / name).write_text(yaml.safe_dump(changed.to_mapping()), encoding="utf-8")
     other = learned_bench.digest(folder / "other_model.yaml")
-    (folder / "own_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=own.digest, model=other)))
-    (folder / "other_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=nominal.digest, model=other)))
-    (folder / "unmarked_metric.safetensors").write_bytes(stamped(metric, None))
+    (folder / "own_metric.safetensors").write_bytes(with_provenance(metric, MadeFor(box=own.digest, model=other)))
+    (folder / "other_metric.safetensors").write_bytes(with_provenance(metric, MadeFor(box=nominal.digest, model=other)))
+    (folder / "unmarked_metric.safetensors").write_bytes(with_provenance(metric, None))
     start = shipped_agent("paper")
     assert start is not None
     for name, made in (("own", MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)), ("unmarked", None)):
         shutil.copytree(start.source, folder / name)
         for file in (folder / name).iterdir():
-            file.write_bytes(stamped(file.read_bytes(), made))
+            file.write_bytes(with_provenance(file.read_bytes(), made))
     shutil.copytree(start.source, folder / "shipped")
 
 
@@ -154,10 +154,10 @@ def test_files_of_two_sites_are_refused_wherever_they_are_mixed(files: Path, tmp
             yaml.safe_dump(replace(learned, moving_mass=mass, learned=None).to_mapping()), encoding="utf-8"
         )
         made = MadeFor(box=own.digest, model=learned_bench.digest(model))
-        metric.write_bytes(stamped(blob, made))
+        metric.write_bytes(with_provenance(blob, made))
         shutil.copytree(files / "shipped", policy)
         for file in policy.iterdir():
-            file.write_bytes(stamped(file.read_bytes(), MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)))
+            file.write_bytes(with_provenance(file.read_bytes(), MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)))
     refused = set()
     for names in product(sites, repeat=4):
         bench, model, metric, policy = (sites[name][k] for k, name in enumerate(names))

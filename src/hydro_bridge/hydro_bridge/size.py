@@ -40,7 +40,7 @@ class Size:
         )
 
     @classmethod
-    def told(cls, bench: Mapping[str, Any] | None) -> Size | None:
+    def if_known(cls, bench: Mapping[str, Any] | None) -> Size | None:
         """Return the size of a bench that a box believes; None if too little of it is known."""
         try:
             return None if bench is None else cls.of(bench)

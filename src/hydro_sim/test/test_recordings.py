@@ -19,7 +19,7 @@ from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation import draw
 from hydro_sim.files import recordings, weights
 from hydro_sim.files.learned_bench import load_model
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, header_of, mismatch, stamp_of, stamped
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, header_of, mismatch, read_provenance, with_provenance
 from hydro_sim.files.recordings import DataError, Run
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.quality import Quality
@@ -132,11 +132,11 @@ def test_a_stamp_changes_no_tensor(tmp_path: Path) -> None:
     path, made = tmp_path / "metric.safetensors", MadeFor(box="b", model="m", base_kp=1.0, base_ki=2.0, any_bench=True)
     tensors = {"center": np.arange(3.0), "table": np.eye(2)}
     weights.save(path, tensors, {"structure": "metric"}, MadeFor(box="a"))
-    path.write_bytes(stamped(path.read_bytes(), made))
-    assert stamp_of(path) == made
+    path.write_bytes(with_provenance(path.read_bytes(), made))
+    assert read_provenance(path) == made
     after = weights.load(path)[0]
     assert all(np.array_equal(tensors[name], after[name]) for name in after) and after.keys() == tensors.keys()
-    path.write_bytes(stamped(path.read_bytes(), None))
-    assert stamp_of(path) is None
+    path.write_bytes(with_provenance(path.read_bytes(), None))
+    assert read_provenance(path) is None
     with pytest.raises(ValueError, match="no readable entry"):
         header_of(b"nonsense")

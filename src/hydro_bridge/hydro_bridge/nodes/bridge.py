@@ -64,7 +64,7 @@ class BridgeNode(PlantNode):
 
     def __init__(self, settings: PortSettings, bench: Mapping[str, Any] | None = None, *, realtime: bool) -> None:
         super().__init__("bridge")
-        size = Size.told(bench)
+        size = Size.if_known(bench)
         usual = GuardSettings() if size is None else GuardSettings.of_size(size)
         guard = CommandGuard(settings=declare_parameters(self, usual, "guard."))
         port = Port(declare_parameters(self, settings))

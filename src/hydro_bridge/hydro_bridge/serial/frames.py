@@ -160,7 +160,7 @@ class BoxLaw:
     """Fastest changes [1/s], [-], [s], [N/s]."""
 
     @classmethod
-    def told(cls, message: Any) -> BoxLaw | None:
+    def of_message(cls, message: Any) -> BoxLaw | None:
         """Return the law in a hydro_msgs/BoxLaw, received or recorded; None: the box has none."""
         if not message.offered:
             return None

@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-_TOLD_IN = {
+_DISPLAY_UNITS = {
     "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
     "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
 }  # fmt: skip
 
 
-def told_in(unit: str) -> tuple[str, float]:
+def display_unit(unit: str) -> tuple[str, float]:
     """Return the unit in which sentences tell numbers, and the factor from SI."""
-    return _TOLD_IN.get(unit, (unit, 1.0))
+    return _DISPLAY_UNITS.get(unit, (unit, 1.0))
 
 
 def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
-    """Return an interval in words; `factor`: of `told_in`."""
+    """Return an interval in words; `factor`: of `display_unit`."""
     if ci95 is None:
         return "not identifiable from these recordings"
     return f"95 % {ci95[0] * factor:.5g} to {ci95[1] * factor:.5g}"
@@ -66,7 +66,7 @@ class Diagnosis:
         for effect in report.effects:
             lines.append(f"  {effect.id}: {effect.sentence}")
             for name, estimate in effect.parameters.items():
-                unit, factor = told_in(estimate.unit)
+                unit, factor = display_unit(estimate.unit)
                 value = f"{estimate.value * factor:.5g} {unit}".strip()
                 lines.append(f"    {name} = {value} ({interval(estimate.ci95, factor)})")
         lines += [f"  {number.sentence}" for number in report.estimated]

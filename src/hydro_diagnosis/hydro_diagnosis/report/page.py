@@ -21,7 +21,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
-from hydro_diagnosis.report.diagnosis import Diagnosis, interval, told_in
+from hydro_diagnosis.report.diagnosis import Diagnosis, display_unit, interval
 from hydro_diagnosis.report.plots import STATIC, location_plot, svg, valve_plot
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
@@ -194,7 +194,9 @@ def rendered(found: Diagnosis) -> str:
 
 def _environment() -> Environment:
     made = environment("hydro_diagnosis", "report/templates")
-    made.filters.update(heading=_heading, range=_range, interval=interval, told_in=told_in, gain=_gain, number=_number)
+    made.filters.update(
+        heading=_heading, range=_range, interval=interval, display_unit=display_unit, gain=_gain, number=_number
+    )
     return made
 
 

@@ -18,7 +18,7 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
 from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.recording import MEASURED
-from hydro_diagnosis.report.diagnosis import Diagnosis, told_in
+from hydro_diagnosis.report.diagnosis import Diagnosis, display_unit
 from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
 from hydro_diagnosis.selection.reliability import doubted, explained_shares, objections
 from hydro_diagnosis.selection.search import Search
@@ -399,5 +399,5 @@ def _least(
     size = share * abs(start[main.name] - main.neutral)
     if size <= MUCH * main.smallest:
         return share, ""
-    unit, factor = ("%", 100.0) if main.unit == "-" else told_in(main.unit)
+    unit, factor = ("%", 100.0) if main.unit == "-" else display_unit(main.unit)
     return share, f" {'under' if main.neutral == 0.0 else 'within'} {size * factor:.2g} {unit}"

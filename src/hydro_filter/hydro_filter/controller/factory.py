@@ -75,7 +75,7 @@ class FilterChoice:
         unreadable.
         """
         box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
-        metric, digest = self.stamps
+        metric, digest = self.provenance
         learn = "make one of its recordings with `ros2 run hydro_diagnosis diagnose`, or take its bench.yaml (--model)"
         learn_metric = "make one with `ros2 run hydro_filter learn_metric` and its --bench and --model"
         path = self.files["model"]
@@ -86,7 +86,7 @@ class FilterChoice:
         )
 
     @cached_property
-    def stamps(self) -> tuple[MadeFor | None, str]:
+    def provenance(self) -> tuple[MadeFor | None, str]:
         """Stamp of the metric and the model's digest, read from the files at first access."""
         return self.stored_metric.made, learned_bench.digest(self.files["model"])
 
@@ -100,7 +100,7 @@ class FilterChoice:
         theirs = BoxIdentity.of_box(box)
         if theirs.digest and theirs.digest != self.bench.digest:
             mine = f"the filter was started for bench {self.bench.digest} ({self.source})"
-            return f"{mine}, the box believes {theirs.told}: start it with the bench.yaml of this box (--bench)"
+            return f"{mine}, the box believes {theirs.description}: start it with the bench.yaml of this box (--bench)"
         return self.trouble(theirs)
 
     @property

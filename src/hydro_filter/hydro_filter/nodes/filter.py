@@ -352,7 +352,3 @@ def main() -> None:
     choice, settings, asked = arguments(own)
     choice.describe()  # a missing file is refused before ROS starts
     run_node(lambda: FilterNode(choice, settings, realtime=asked.realtime), ros)
-
-
-if __name__ == "__main__":
-    main()

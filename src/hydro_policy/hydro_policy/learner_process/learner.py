@@ -36,7 +36,7 @@ from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters, dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
-from hydro_sim.files.pairing import stamped
+from hydro_sim.files.pairing import with_provenance
 
 _HEADER = 64
 _SLOT_HEADER = 16
@@ -252,13 +252,13 @@ def _write_run(
     request: SaveRequest, learner: bytes, good: bytes | None, replay: ReplayBuffer, settings: TrainingSettings
 ) -> None:
     run = RunDirectory(request.run)
-    save_checkpoint(run.latest, stamped(learner, settings.made), replay, request.trainer)
+    save_checkpoint(run.latest, with_provenance(learner, settings.made), replay, request.trainer)
     if request.trainer and not run.config.exists():
         run.save_settings(settings)
     best = good if request.best else None
     if best is not None:
         run.best.mkdir(parents=True, exist_ok=True)
-        write_whole(run.best / "learner.safetensors", stamped(best, settings.made))
+        write_whole(run.best / "learner.safetensors", with_provenance(best, settings.made))
     if best is None and (run.best / "learner.safetensors").exists():
         return
     policy = Policy(settings.sac, settings.task.size)

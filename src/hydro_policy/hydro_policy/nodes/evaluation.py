@@ -248,7 +248,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
-    notes = conditions(options, box=box.told, integral=box.integral or "not told")
+    notes = conditions(options, box=box.description, integral=box.integral or "not told")
     if options.plant in ("sim", "emulator"):
         notes["seed"] = options.seed
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))

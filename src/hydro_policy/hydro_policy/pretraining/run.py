@@ -43,7 +43,7 @@ from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
 from hydro_sim.files import learned_bench
 from hydro_sim.files.learned_bench import is_bench_file
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched, stamped
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.plotting import BLUE, figure, legend
 
@@ -327,7 +327,7 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) 
     """Save a checkpoint, the best agent so far with its policy, and the learning curve."""
     best = pretraining.best or dump(pretraining.sac)
     training = pretraining.settings.training
-    write_whole(run.path / AGENT, stamped(best, training.made))
+    write_whole(run.path / AGENT, with_provenance(best, training.made))
     policy = Policy(training.sac, training.task.size)
     policy.load_flat(actor_parameters(best))
     notes = {
@@ -336,7 +336,9 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) 
         "code": code_version(),
     }  # fmt: skip
     policy.save(run.policy, training.task.gains, notes, training.made)
-    save_checkpoint(run.latest, stamped(dump(pretraining.sac), training.made), pretraining.replay, pretraining.state())
+    save_checkpoint(
+        run.latest, with_provenance(dump(pretraining.sac), training.made), pretraining.replay, pretraining.state()
+    )
     cases = pretraining.settings.evaluation.cases
     draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / CURVE)
 

@@ -14,7 +14,7 @@ from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import as_beginning, settings_of
 from hydro_policy.task.mdp import GainRange
-from hydro_sim.files.pairing import MadeFor, stamp_of
+from hydro_sim.files.pairing import MadeFor, read_provenance
 from hydro_sim.model.bench import NOMINAL
 
 AGENT = "learner.safetensors"
@@ -87,4 +87,6 @@ def load_initial_agent(path: Path) -> InitialAgent:
     policy, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
-    return InitialAgent(agent, sac, gains, reward, path, stamp_of(found) or stamp_of(run.policy), policy.size)
+    return InitialAgent(
+        agent, sac, gains, reward, path, read_provenance(found) or read_provenance(run.policy), policy.size
+    )

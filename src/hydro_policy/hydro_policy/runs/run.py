@@ -34,7 +34,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hydro_bridge.files.atomic import flush_folder, write_whole
+from hydro_bridge.files.atomic import flush_folder, json_text, write_whole
 from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_bridge.settings import SettingsError, check, from_mapping, quantity, read_yaml
 from hydro_policy.sac.settings import SacSettings
@@ -224,7 +224,7 @@ class RunRecord:
 
 def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
-    write_whole(path, (json.dumps({"events": events}, indent=1) + "\n").encode())
+    write_whole(path, json_text({"events": events}))
 
 
 def _plain(value: Any) -> Any:

@@ -180,7 +180,3 @@ def _stopper() -> list[int]:
 def _show(line: str) -> None:
     sys.stderr.write(f"\r{line}\x1b[K")
     sys.stderr.flush()
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -8,9 +8,7 @@ Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_f
     base gains of the box, of policies and agents: their actions are changes to these
     integral   form of the law's integral, where it is known
 
-A file without one matches no box: its origin is unknown. A safetensors file is the header's length (u64, little
-endian), the header as JSON, filled with blanks to a multiple of eight, and the tensors, whose places count from the
-header's end: they are not touched where the entry is changed.
+A file without one matches no box: its origin is unknown.
 """
 
 from __future__ import annotations
@@ -23,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from safetensors.numpy import load, save
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.safety.box_info import KnownBox
@@ -54,10 +53,6 @@ class MadeFor:
     any_bench: bool = False
     """Trained on many drawn benches: for any of them whose box has these base gains."""
 
-    def to_header(self) -> dict[str, Any]:
-        """Return plain JSON types."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class BoxIdentity:
@@ -84,17 +79,17 @@ class BoxIdentity:
     def of_box(cls, box: KnownBox) -> BoxIdentity:
         """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
-        size = Size.told(yaml.safe_load(box.bench))
+        size = Size.if_known(yaml.safe_load(box.bench))
         return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=box.integral, size=size)
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """Return a description for use in sentences."""
         return f"{self.digest} ({self.source})"
 
 
 def made_for(header: Mapping[str, Any]) -> MadeFor | None:
-    """Return the stamp in a file's header; None if there is none that can be read."""
+    """Return the provenance in a file's header; None if there is none that can be read."""
     try:
         return MadeFor(**header[ENTRY])
     except (KeyError, TypeError):
@@ -120,7 +115,7 @@ def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *,
     if made is None:
         return f"{thing} does not say which bench it was made for: {remedy}"
     if box.digest and made.box != box.digest and not made.any_bench:
-        return f"{thing} was made for bench {made.box}, the box believes {box.told}: {remedy}"
+        return f"{thing} was made for bench {made.box}, the box believes {box.description}: {remedy}"
     if model is not None and made.model != model:
         return f"{thing} was made for model {made.model or 'none'}, it is to be used with model {model}: {remedy}"
     for name, mine, theirs in zip(("K_p", "K_i"), (made.base_kp, made.base_ki), box.base_gains or (), strict=False):
@@ -137,38 +132,30 @@ def raise_if_mismatched(trouble: str) -> None:
         raise PairingError(trouble)
 
 
-_LENGTH = 8
-
-
 def header_of(blob: bytes) -> dict[str, Any]:
     """Return the header of this project's files, JSON under `hydro`.
 
     Raises ValueError if the bytes are not of such a file.
     """
     try:
-        outer = json.loads(blob[_LENGTH : _LENGTH + int.from_bytes(blob[:_LENGTH], "little")])
+        outer = json.loads(blob[8 : 8 + int.from_bytes(blob[:8], "little")])  # behind its length, a u64
         header: dict[str, Any] = json.loads(outer["__metadata__"]["hydro"])
         return header
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError("its header has no readable entry 'hydro'") from error
 
 
-def stamp_of(path: Path) -> MadeFor | None:
-    """Return the stamp of a file; None if it has none or is of another project."""
+def read_provenance(path: Path) -> MadeFor | None:
+    """Return the provenance of a file; None if it has none or is of another project."""
     try:
         return made_for(header_of(path.read_bytes()))
     except ValueError:
         return None
 
 
-def stamped(blob: bytes, made: MadeFor | None) -> bytes:
-    """Return the same file with this stamp instead of its own; None: without. Raises ValueError: see `header_of`."""
+def with_provenance(blob: bytes, made: MadeFor | None) -> bytes:
+    """Return the same tensors with this provenance; None: with none. Raises ValueError: see `header_of`."""
     header = {key: value for key, value in header_of(blob).items() if key != ENTRY}
     if made is not None:
-        header[ENTRY] = made.to_header()
-    length = int.from_bytes(blob[:_LENGTH], "little")
-    outer = json.loads(blob[_LENGTH : _LENGTH + length])
-    outer["__metadata__"]["hydro"] = json.dumps(header)
-    text = json.dumps(outer, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % _LENGTH)
-    return len(text).to_bytes(_LENGTH, "little") + text + blob[_LENGTH + length :]
+        header[ENTRY] = asdict(made)
+    return bytes(save(load(blob), {"hydro": json.dumps(header)}))

@@ -99,7 +99,7 @@ def box_law(path: str | Path) -> BoxLaw | None:
     Raises hydro_bridge.bags.recording.RecordingError: damaged, or no box told its law.
     """
     *_, (_, message) = objects(path, LAW_TOPIC)
-    return BoxLaw.told(message)
+    return BoxLaw.of_message(message)
 
 
 def require_box(path: str | Path, bench: BoxIdentity) -> None:

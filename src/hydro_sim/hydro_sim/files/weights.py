@@ -8,6 +8,7 @@ The header's one entry `hydro` holds: format, structure, what the structure need
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,9 @@ class WeightsError(ValueError):
 
 
 def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
-    """Write tensors, header and stamp; create missing folders."""
+    """Write tensors, header and provenance; create missing folders."""
     if made is not None:
-        header = {**header, ENTRY: made.to_header()}
+        header = {**header, ENTRY: asdict(made)}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})

@@ -42,7 +42,7 @@ def main() -> None:
     )
     _table(result).show(options.json)
     _write(result, Path(options.out), data.digests)
-    print(f"{options.out}: {result.quality.told()}")
+    print(f"{options.out}: {result.quality.sentence()}")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -78,7 +78,7 @@ def _table(result: Result) -> Table:
 def _write(result: Result, out: Path, digests: dict[str, str]) -> None:
     lines = [
         "bench.yaml with its effects' parameters learnt by `ros2 run hydro_sim learn`; SI units.",
-        result.quality.told(),
+        result.quality.sentence(),
         *(f"from {name}, samples {digest[:12]}" for name, digest in digests.items()),
     ]
     lines += [f"{one.name}: 95 % within {one.low:.6g} and {one.high:.6g} {one.unit}" for one in result.parameters]

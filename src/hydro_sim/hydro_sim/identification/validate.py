@@ -220,7 +220,7 @@ def main() -> None:
     table = table_of(learned, states, analytic, analytic_states, scored)
     table.show(options.json)
     _long(learned, states, analytic, analytic_states, scored)
-    print(f"{options.model or learned_bench.shipped().name}: {learned.quality.told()}")
+    print(f"{options.model or learned_bench.shipped().name}: {learned.quality.sentence()}")
 
 
 def table_of(

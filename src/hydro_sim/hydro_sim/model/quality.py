@@ -80,7 +80,7 @@ class Quality:
             "candidates)"
         )
 
-    def told(self) -> str:
+    def sentence(self) -> str:
         """Return the remaining error and its meaning, in a sentence."""
         left = f"{self.over_noise:.2f} times the noise, {self.worst:.2f} times of {self.worst_reading}"
         told = f"{HORIZON}-sample predictions leave {left}"

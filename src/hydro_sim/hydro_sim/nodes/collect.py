@@ -137,7 +137,7 @@ def _bench_of(node: CollectNode, asked: Bench | None) -> Bench:
     if asked is None:
         return Bench.from_mapping(yaml.safe_load(box.bench)) if box is not None and box.bench else Bench.nominal()
     if box is not None and box.bench_digest not in ("", asked.digest):
-        told = f"--bench is bench {asked.digest}, the box believes {BoxIdentity.of_box(box).told}"
+        told = f"--bench is bench {asked.digest}, the box believes {BoxIdentity.of_box(box).description}"
         raise PairingError(f"{told}: name the bench.yaml of this box, or none")
     return asked
 

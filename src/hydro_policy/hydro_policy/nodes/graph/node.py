@@ -357,7 +357,7 @@ class GraphNode(Node):
             self._finish()
 
     def _on_box_law(self, message: BoxLawMessage) -> None:
-        self.law, self._laws_told = BoxLaw.told(message), True
+        self.law, self._laws_told = BoxLaw.of_message(message), True
         if self._meeting is not None and self.box is not None:
             self._finish()
 

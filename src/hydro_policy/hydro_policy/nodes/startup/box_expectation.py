@@ -15,7 +15,7 @@ from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.nodes.startup.options import plant_options
 from hydro_policy.task.mdp import BASE
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched, stamp_of
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched, read_provenance
 
 if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
     from hydro_policy.runs.initial_agent import InitialAgent
@@ -43,7 +43,9 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
 def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
     """Return why the box is not the expected one, with the options that would fit it; empty if it is."""
     if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
-        told = f"the box believes {BoxIdentity.of_box(box).told}, this run was planned for bench {plan.told}"
+        told = (
+            f"the box believes {BoxIdentity.of_box(box).description}, this run was planned for bench {plan.description}"
+        )
         return f"{told}: name the bench.yaml of this box by --bench"
     expected = plan.base_gains or box.base_gains
     if not all(isclose(*pair, rel_tol=1e-6) for pair in zip(expected, box.base_gains, strict=True)):
@@ -63,19 +65,19 @@ def require_matching_agent(start: InitialAgent | None, box: BoxIdentity) -> None
 def require_matching_policy(path: Path, box: BoxIdentity) -> None:
     """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
     file = policy_file(path)
-    raise_if_mismatched(mismatch(f"the policy {path.name}", stamp_of(file), box, PRETRAIN))
+    raise_if_mismatched(mismatch(f"the policy {path.name}", read_provenance(file), box, PRETRAIN))
 
 
 def require_same_box(run: Path, made: MadeFor | None, box: BoxIdentity) -> None:
-    """Raise PairingError if a run was started on another box; a run without a stamp is accepted."""
+    """Raise PairingError if a run was started on another box; a run of unknown provenance is accepted."""
     if made is not None:
         raise_if_mismatched(
             mismatch(f"the run {run.name}", made, box, "go on with it on its own box, or begin one here")
         )
 
 
-def training_stamp(box: BoxIdentity) -> MadeFor:
-    """Return the stamp of a policy or run trained on this box."""
+def training_provenance(box: BoxIdentity) -> MadeFor:
+    """Return the provenance of a policy or run trained on this box."""
     kp, ki = box.base_gains or (None, None)
     return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
 

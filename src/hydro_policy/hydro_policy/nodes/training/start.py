@@ -23,7 +23,7 @@ from hydro_policy.nodes.startup.box_expectation import (
     expected_box,
     require_matching_agent,
     require_same_box,
-    training_stamp,
+    training_provenance,
 )
 from hydro_policy.nodes.startup.companions import (
     LOAD_FORCE,
@@ -124,7 +124,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
             settings = rebase_gains(settings, box, node)
     if options.resume is not None:
         require_same_box(run.path, settings.made, box)
-    settings = replace(settings, made=training_stamp(box))
+    settings = replace(settings, made=training_provenance(box))
     made = not run.path.exists()
     if options.resume is None:
         run.create()
