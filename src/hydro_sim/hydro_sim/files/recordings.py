@@ -107,8 +107,8 @@ def require_box(path: str | Path, bench: BoxIdentity) -> None:
     with suppress(RecordingError):  # it tells none
         *_, (_, box) = objects(path, BOX_TOPIC)
         if box.bench_digest not in ("", bench.digest):
-            told = f"the box of the recording {Path(path).name} believes bench {box.bench_digest}, not {bench.told}"
-            raise PairingError(f"{told}: name the bench.yaml of its box by --bench")
+            told = f"the box of the recording {Path(path).name} believes bench {box.bench_digest}"
+            raise PairingError(f"{told}, not {bench.description}: name the bench.yaml of its box by --bench")
 
 
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
