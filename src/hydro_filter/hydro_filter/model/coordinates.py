@@ -57,7 +57,7 @@ INPUT = Q_BOX_VELOCITY
 """Column of tangents that is the current's: the box's memory of the velocity moves nothing, and needs none."""
 
 LOOP_RATE = 130.0
-"""rad/s: sqrt(k_s / m) of the nominal bench; force rates and speeds are scaled with it."""
+"""rad/s, unit of force rates and speeds on every bench: the tables of metric files are in it."""
 
 
 def loop_scale(bench: Bench) -> FloatArray:
