@@ -12,7 +12,7 @@ from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.compensation.residual import INPUTS, RESIDUAL_MAX, Network, Past, Period, Residual
+from hydro_policy.compensation.residual import INPUTS, PAUSE, RESIDUAL_MAX, Network, Past, Period, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
@@ -145,4 +145,7 @@ def test_nothing_that_is_no_number_gets_out(monkeypatch: pytest.MonkeyPatch) -> 
         value = residual.step(*samples, np.array([[1.0, 0.02, 5e-4, 0.0]]), counted)
         assert np.isfinite(value).all() and np.isfinite(residual.inputs).all() and not value.any()
         assert residual.inputs.shape == (1, INPUTS)
-    assert residual.age[0] == 99, "a sample that is no number begins it again"
+    assert residual.age[0] == 200, "a sample that is no number makes it pause"
+    for _ in range(PAUSE + 1):
+        assert not residual.step(*np.zeros((3, 1, SAMPLES_PER_STEP)), np.zeros((1, 4)), ~counted).any()
+    assert residual.age[0] == 0, "it begins again after a long one"

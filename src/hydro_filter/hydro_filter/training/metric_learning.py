@@ -136,12 +136,18 @@ def _samples(windows: Windows, feedback: FloatArray, gain: FloatArray) -> Sample
 def certificate_table(
     metrics: dict[str, ScheduledMetric], ask: Callable[[ScheduledMetric], tuple[Samples, Samples]], rates: DecayRates
 ) -> Table:
-    """A row for each metric and kind of gains; `ask`: held-out samples of a metric, certified and foreign."""
+    """A row for each metric and kind of gains; `ask`: held-out samples of a metric, certified and foreign.
+
+    Raises ValueError: no held-out run has gains of one of the two.
+    """
     table = Table(COLUMNS, title=f"Contraction at lambda = {rates.rate:g} and {rates.foreign_rate:g} 1/s, held out")
     for name, metric in metrics.items():
         for kind, samples, rate in zip(
             ("certified", "foreign"), ask(metric), (rates.rate, rates.foreign_rate), strict=True
         ):
+            if not len(samples.gain):
+                low, high = metric.gains[0], metric.gains[-1]
+                raise ValueError(f"no {kind} gains were held out: its range, K_p {low:.0f} to {high:.0f} 1/s, is too narrow")
             grown, condition = growth(metric, samples, rate)
             q50, q99, q999, largest = (float(value) for value in np.quantile(grown, QUANTILES))
             table.add(

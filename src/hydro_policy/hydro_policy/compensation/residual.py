@@ -18,7 +18,10 @@ sooner the less the law's coefficients have changed since then (repetitive contr
 
 Its authority, the share of p that is applied, follows the correlation of S(e) with p: where p is too large, or late
 for this bench, e has its opposite sign, and the authority shrinks until nothing of p is left in e; where p would help
-it grows again.
+it grows again. Where w itself becomes large, the law is still being found, and less of p is applied: on soft springs
+with slow cells the two kept each other from settling.
+
+Samples that do not count, while the valve is at its limit, say, pause it for as long; what it knows of the bench stays.
 
 The needed correction is what it should have been, y = S(e + p), known 40 ms later; S smooths with a Gaussian of 8 ms,
 p acts 8 ms behind the command. The law's estimator sees f_c and f as they are, w and its effect in them.
@@ -162,9 +165,13 @@ WEIGHTING = np.array([0.5, 0.7, 1.0] * len(BACK) + [1.5, 0.7, 1.0, 0.0])
 
 BEGIN, RAMP = 65, 50
 """Policy steps after which it acts, and over which it is let in."""
+PAUSE, AGAIN = 100, 15
+"""Policy steps without samples that count after which it starts again, and over which it is let in after fewer."""
+ASKED, LATELY = 9.0, 0.03
+"""N at `NOMINAL_SCALE`, RMS of w with which half of the prediction is applied; per policy step, of its mean square."""
 PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0
 """N at `NOMINAL_SCALE`, of p and of w."""
-GAIN = 0.6
+GAIN = 0.8
 """Share of the prediction that is applied."""
 AVERAGED, FOLLOWS = 0.01, 0.03
 """Per policy step: of the products that the authority follows, and its rate."""
@@ -229,7 +236,10 @@ class Residual:
         self.needed: FloatArray = np.zeros(n)
         """Correction [N at `NOMINAL_SCALE`] needed `DELAY` steps ago, shape (n,)."""
         self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)
-        """Policy steps since the last gap, shape (n,)."""
+        """Policy steps since it started, shape (n,)."""
+        self._counting: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # last policy steps that counted
+        self._pause: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # that did not
+        self._asked: FloatArray = np.zeros(n)  # mean square of w of late with full authority
         self.authority: FloatArray = np.ones(n)
         """Share of p that is applied, by whether it helps, shape (n,)."""
         self._product, self._power = np.zeros(n), np.zeros(n)
@@ -258,20 +268,22 @@ class Residual:
 
         `reference`, `rate`, `measured`: f_r [N], f_r' [N/s] and f [N], shape (n, 10). `coefficients`: a_0 to a_3 of the
         law without a residual, shape (n, 4). `counted`: benches whose samples count (`Compensator.counted`), shape
-        (n,); others start again.
+        (n,); others pause, and start again after `PAUSE` steps.
         """
-        fine = counted & np.isfinite(reference).all(1) & np.isfinite(rate).all(1) & np.isfinite(measured).all(1)
-        fine &= np.isfinite(coefficients).all(1)
+        finite = (np.isfinite(signal).all(axis=1) for signal in (reference, rate, measured, coefficients))
+        fine: npt.NDArray[np.bool_] = np.all(tuple(finite), axis=0)
         a, rates = (
             np.where(fine[:, np.newaxis], coefficients, 0.0),
             np.where(fine[:, np.newaxis], rate, 0.0) / self._scale,
         )
+        fine &= counted
         error = np.where(fine[:, np.newaxis], reference - measured, 0.0) / self._scale
         self._rate = np.concatenate((self._rate[:, SAMPLES_PER_STEP:], rates), axis=1)
         self._error = np.concatenate((self._error[:, SAMPLES_PER_STEP:], error), axis=1)
-        self.age = np.where(fine, self.age + 1, 0)
+        self._counting, self._pause = np.where(fine, self._counting + 1, 0), np.where(fine, 0, self._pause + 1)
+        self.age = np.where(fine | (self.age > 0) & (self._pause <= PAUSE), self.age + 1, 0)
         self._learn()
-        now = np.where(fine, reference[:, -1], 0.0) / self._scale
+        now = np.where(np.isfinite(reference[:, -1]), reference[:, -1], 0.0) / self._scale
         self._period.step(now, self.age)
         z = self._situation(now)
         self._remember(now, a)
@@ -289,7 +301,7 @@ class Residual:
         acted, wished = (
             one[:, low] * (1.0 - between) + one[:, high] * between for one in (self._predicted, self._wished)
         )
-        known = self.age > KEPT
+        known = self._counting > KEPT
         error = self._error[:, first : first + len(KERNEL)]
         self.needed = np.where(known, (error + acted) @ KERNEL, 0.0)
         left, predicted, share = error @ KERNEL, wished @ KERNEL, AVERAGED * known
@@ -360,9 +372,13 @@ class Residual:
         if self._network is not None:
             repeated, trust = self._repeated(a / np.array((1.0, 1.0, 1.0, self._scale)))
             predicted = (1.0 - trust) * GAIN * self._network(self.inputs) + trust * REPEAT_GAIN * repeated
-        let_in = np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0)[:, np.newaxis]
+        let_in = np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0) * np.clip(self._counting / AGAIN, 0.0, 1.0)
+        let_in = let_in[:, np.newaxis]
         sound = np.isfinite(predicted).all(axis=1, keepdims=True)
         wished = np.where(sound, np.clip(let_in * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
+        full = a[:, 0] * wished[:, 0] + a[:, 1] * (wished[:, 1] - wished[:, 0]) / 0.01
+        self._asked += LATELY * (full**2 - self._asked)
+        wished /= 1.0 + (self._asked[:, np.newaxis] / ASKED**2) ** 2
         p = self.authority[:, np.newaxis] * wished
         w = a[:, 0] * p[:, 0] + a[:, 1] * (p[:, 1] - p[:, 0]) / 0.01
         self.value = np.clip(w, -RESIDUAL_MAX, RESIDUAL_MAX) * self._scale
