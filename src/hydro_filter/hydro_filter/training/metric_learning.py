@@ -147,7 +147,9 @@ def certificate_table(
         ):
             if not len(samples.gain):
                 low, high = metric.gains[0], metric.gains[-1]
-                raise ValueError(f"no {kind} gains were held out: its range, K_p {low:.0f} to {high:.0f} 1/s, is too narrow")
+                raise ValueError(
+                    f"no {kind} gains were held out: its range, K_p {low:.0f} to {high:.0f} 1/s, is too narrow"
+                )
             grown, condition = growth(metric, samples, rate)
             q50, q99, q999, largest = (float(value) for value in np.quantile(grown, QUANTILES))
             table.add(
