@@ -100,7 +100,7 @@ def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:
         with pytest.raises(LearnerError, match="the learner cannot begin: not a whole agent"):
             learner.restart_if_dead()
     finally:
-        with pytest.raises(ValueError, match="not a whole agent"):  # there is nothing to write
+        with pytest.raises(ValueError, match="not a whole file of weights"):  # there is nothing to write
             learner.stop({})
 
 

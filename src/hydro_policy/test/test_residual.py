@@ -123,6 +123,21 @@ class Wrong(Network):
         return self.factor * super().__call__(inputs)
 
 
+def test_samples_that_do_not_count_take_it_away_at_once_and_it_comes_back_slowly() -> None:
+    residual, counted = Residual(1, Network.load()), np.ones(1, bool)
+
+    def step(number: int, counted: np.ndarray) -> float:
+        phase = 2.0 * np.pi * 1e-3 * (SAMPLES_PER_STEP * number + np.arange(SAMPLES_PER_STEP))[np.newaxis]
+        reference, rate = 200.0 * np.sin(phase), 400.0 * np.pi * np.cos(phase)
+        measured = reference - 3.0 * np.sign(rate)
+        return float(residual.step(reference, rate, measured, np.array([[1.0, 0.02, 5e-4, 0.0]]), counted)[0])
+
+    before = [abs(step(number, counted)) for number in range(200)]
+    assert max(before[150:]) > 1.0
+    assert step(200, ~counted) == 0.0
+    assert abs(step(201, counted)) < 0.1 * max(before[150:]) < max(abs(step(n, counted)) for n in range(202, 300))
+
+
 @pytest.mark.slow
 def test_authority_of_a_network_that_harms_shrinks_to_little() -> None:
     shipped = Network.load()

@@ -225,6 +225,14 @@ def test_a_bench_that_base_gains_do_not_hold_is_not_armed_for_ever() -> None:
     assert [score.stopped for score in session.scores][-1] == UNHELD and session.finished and trips <= 4
 
 
+def test_a_controller_that_trips_is_not_held_against_base_gains() -> None:
+    settings = EvaluationSettings(frequencies=(1.0, 1.5, 2.0, 2.5), settle=0.5, measure=0.5)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=BoxConfig(load_force_limit=100.0))
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
+    graph.run(session, 60.0)
+    assert [score.stopped for score in session.scores] == ["tripped (force_limit)"] * 4
+
+
 def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one_is_warned_of() -> None:
     graph, session = evaluation((90.0, 15.0))
     take = session.on_sample

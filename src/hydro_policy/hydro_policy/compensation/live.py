@@ -25,7 +25,8 @@ from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 RECENT = 50
 """Samples for which the last message about the law holds; there is none while the paper's law acts."""
 
-_KEPT = 3  # policy steps under way
+_KEPT = RECENT // SAMPLES_PER_STEP + 2
+"""Policy steps under way: messages about the law that still count find their samples, on a busy machine too."""
 
 
 @dataclass

@@ -237,8 +237,10 @@ class PlantSupervisor:
             wanted = self.readiness.complete or self._arming.under_way(now)
             self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
             self._armed_at = now
-        if self.armed and flags & Flag.TRIPPED and flags & FAULTS:
-            self.trips = self.trips + 1 if now - self._armed_at < CALM else 0
+        if self.armed and flags & Flag.ARMED and now - self._armed_at >= CALM:
+            self.trips = 0
+        if self.armed and flags & Flag.TRIPPED and flags & FAULTS and not self.override.active:
+            self.trips += 1
         self._seen, self._flags = now, flags
         if self._calm_until is not None:
             self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf

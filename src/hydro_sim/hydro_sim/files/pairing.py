@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from hydro_bridge.errors import UserError
@@ -154,8 +155,15 @@ def read_provenance(path: Path) -> MadeFor | None:
 
 
 def with_provenance(blob: bytes, made: MadeFor | None) -> bytes:
-    """Return the same tensors with this provenance; None: with none. Raises ValueError: see `header_of`."""
+    """Return the same tensors with this provenance; None: with none.
+
+    Raises ValueError: see `header_of`, or the file is not whole.
+    """
     header = {key: value for key, value in header_of(blob).items() if key != ENTRY}
     if made is not None:
         header[ENTRY] = asdict(made)
-    return bytes(save(load(blob), {"hydro": json.dumps(header)}))
+    try:
+        tensors = load(blob)
+    except SafetensorError as error:
+        raise ValueError(f"not a whole file of weights: {error}") from error
+    return bytes(save(tensors, {"hydro": json.dumps(header)}))
