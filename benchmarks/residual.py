@@ -2,7 +2,7 @@
 """The learned residual on the compensated law: trained on drawn benches, scored on others.
 
     python -m benchmarks.residual --truths 40 --seed 4242 --json residual.json      scores the shipped one: 10 s a truth
-    python -m benchmarks.residual --train residual.safetensors --minutes 15         trains another
+    python -m benchmarks.residual --train residual.safetensors --seed 1              trains another: 15 minutes
 
 Each truth tracks each of nine references, none of them among those of the training, once under the compensated law
 alone and once with the residual; with --fixed also under the paper's law at its best gains in hindsight (another 15 s).
@@ -155,7 +155,7 @@ def drawn_signals(count: int, generator: np.random.Generator) -> list[ReferenceS
     return found
 
 
-def fitted(runs: Sequence[Run], seconds: float, seed: int) -> Network:
+def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
     """Fit a network to the needed corrections of runs, each run's share over its own mean square."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)
@@ -173,9 +173,8 @@ def fitted(runs: Sequence[Run], seconds: float, seed: int) -> Network:
         model, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998)
     )
     optimiser = torch.optim.AdamW(model.parameters(), RATE, weight_decay=0.02)
-    began = time.monotonic()
-    while (gone := (time.monotonic() - began) / seconds) < 1.0:
-        optimiser.param_groups[0]["lr"] = RATE * max(1.0 - gone, 0.01)
+    for step in range(steps):
+        optimiser.param_groups[0]["lr"] = RATE * max(1.0 - step / steps, 0.01)
         chosen = torch.randint(len(inputs), (BATCH,))
         noisy = inputs[chosen] + 0.05 * torch.randn(BATCH, INPUTS)
         loss = torch.mean(weight[chosen] * (model(noisy) - targets[chosen]) ** 2)
@@ -190,7 +189,7 @@ def fitted(runs: Sequence[Run], seconds: float, seed: int) -> Network:
     return Network(mean.astype(float), spread.astype(float), layers)
 
 
-def train(path: Path, minutes: float, seed: int, rounds: int = 5) -> None:
+def train(path: Path, steps: int, seed: int, rounds: int = 5) -> None:
     """Train in rounds, each on the benches of all rounds so far; write the weights."""
     generator = np.random.default_rng(seed)
     runs: list[Run] = []
@@ -201,7 +200,7 @@ def train(path: Path, minutes: float, seed: int, rounds: int = 5) -> None:
         configs = [truth_from_mapping(content) for content in contents]
         signals = drawn_signals(len(configs), generator)
         runs.append(run(configs, signals, Residual(len(configs), network), seed + number, (4, 5, 6)))
-        network = fitted(runs, 60.0 * minutes / rounds, seed)
+        network = fitted(runs, steps, seed)
         save(path, network, seed)
 
 
@@ -306,14 +305,15 @@ def main(arguments: list[str] | None = None) -> int:
         "--train", type=Path, metavar="FILE", help="train in place of scoring, and write these weights"
     )
     options.add_argument(
-        "--minutes", type=float, metavar="M", help="of fitting, default 15; of scoring, then no more begins"
+        "--steps", type=int, default=30000, metavar="N", help="of fitting in each of five rounds, default %(default)s"
     )
+    options.add_argument("--minutes", type=float, metavar="M", help="of scoring, then no more begins")
     options.add_argument("--fixed", action="store_true", help="the best fixed gains on each truth in hindsight as well")
     options.add_argument("--settle", type=float, default=2.0, metavar="S", help="not scored, default %(default)s s")
     jobs.add_arguments(options)
     asked = options.parse_args(arguments)
     if asked.train:
-        train(asked.train, asked.minutes or 15.0, asked.seed)
+        train(asked.train, asked.steps, asked.seed)
     else:
         compare(asked)
     return 0
