@@ -15,8 +15,8 @@ HERE = Path(__file__).parent
 _PACKAGES = {path.parent.name for path in HERE.glob("[!_]*/__main__.py")}
 NAMES = sorted({path.stem for path in HERE.glob("[!_]*.py")} | _PACKAGES)
 STUDIES = frozenset((
-    "bench_file_filter", "beyond_the_table", "compensated_law", "controllers", "gain_schedules", "model_mismatch",
-    "null_simulations", "paper", "prove", "real_recordings", "residual", "sac_peers", "training_seeds", "trends",
+    "beyond_the_table", "controllers", "gain_schedules", "model_mismatch", "null_simulations", "paper", "prove",
+    "real_recordings", "residual", "sac_peers", "training_seeds", "trends",
 ))  # fmt: skip
 """Run only if named: they take long, or need what another command makes first."""
 

@@ -16,8 +16,6 @@ from numba.extending import overload
 from hydro_bridge.signals import SAMPLES_PER_STEP
 from hydro_policy.envs import vector_env
 from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.envs.vector_filter import FleetFilter
-from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig, profile
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -72,9 +70,7 @@ def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
 vector_env.KINDS[TruthPlant] = (_rows, _copy)
 
 
-def truth_fleet(
-    count: int, config: TruthConfig | None = None, box: BoxConfig | None = None, filters: FleetFilter | None = None
-) -> VectorBench:
+def truth_fleet(count: int, config: TruthConfig | None = None) -> VectorBench:
     """So many emulated benches; the boxes believe in the nominal bench."""
     truth_config = config or profile("default")
-    return VectorBench([Bench.nominal()] * count, [TruthPlant(truth_config) for _ in range(count)], box, filters)
+    return VectorBench([Bench.nominal()] * count, [TruthPlant(truth_config) for _ in range(count)])

@@ -45,7 +45,6 @@ from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSigna
 from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
-from hydro_policy.envs.vector_filter import FleetFilter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
@@ -53,7 +52,6 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box import reference
-from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, truth_from_mapping
 from hydro_sim.plotting import figure, legend
 
@@ -122,16 +120,14 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 
 def measure(
-    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None, *,
-    seed: int = 0, box: BoxConfig | None = None, filters: FleetFilter | None = None, dead_time: int = 0,
+    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None,
     residual: Residual | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Run every case on this truth, its valve late by some samples; one row of figures for each (see `outcome`)."""
-    fleet = truth_fleet(len(cases), config, box, filters)
-    fleet.links["dead_time"] = dead_time
+    """Run every case on this truth; one row of figures for each (see `outcome`)."""
+    fleet = truth_fleet(len(cases), config)
     sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
-    for step in vector_runs.run(fleet, cases, choose, SETTINGS, seed, compensator, residual):
+    for step in vector_runs.run(fleet, cases, choose, SETTINGS, 0, compensator, residual):
         wanted, current = step.samples["reference_force"], step.samples["valve_current"]
         rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
         before = current[:, -1].copy()
@@ -168,18 +164,11 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
 
 
 def compensated(
-    config: TruthConfig,
-    cases: Sequence[Case],
-    law: BoxLaw | None = None,
-    cell: LoadCell | None = None,
-    dead_time: int = 0,
-    residual: Residual | None = None,
+    config: TruthConfig, cases: Sequence[Case], cell: LoadCell | None = None, residual: Residual | None = None
 ) -> list[dict[str, Any]]:
-    """A compensated law, adaptive, from neutral coefficients; rows as of `measure`."""
-    law = law or BoxLaw()
-    estimator, box = Compensator(len(cases), law=law, cell=cell), BoxConfig(compensated=law)
-    choose = held((law.base_kp, law.base_ki), law)
-    return measure(config, cases, choose, estimator, box=box, dead_time=dead_time, residual=residual)
+    """The compensated law, adaptive, from neutral coefficients; rows as of `measure`."""
+    estimator = Compensator(len(cases), law=BoxLaw(), cell=cell)
+    return measure(config, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), estimator, residual)
 
 
 def load_cell(config: TruthConfig) -> LoadCell | None:
@@ -191,9 +180,9 @@ def load_cell(config: TruthConfig) -> LoadCell | None:
     return None if bandwidth is None else LoadCell(bandwidth=bandwidth, damping=config.bench.load_cell_damping)
 
 
-def held(gains: tuple[float, float], law: BoxLaw | None = None) -> Chooser:
-    """Fixed gains (K_p, K_i) of the paper's law, or of `law`."""
-    return vector_runs.fixed(np.array(gains), *(() if law is None else ((law.base_kp, law.base_ki),)))
+def held(gains: tuple[float, float]) -> Chooser:
+    """Fixed gains (K_p, K_i) of the paper's law."""
+    return vector_runs.fixed(np.array(gains))
 
 
 def best_gains(config: TruthConfig) -> tuple[float, float]:
@@ -246,26 +235,19 @@ def interquartile_mean(values: FloatArray) -> float:
     return float(ordered[cut : len(ordered) - cut].mean())
 
 
-def table(
-    rows: Sequence[dict[str, Any]], cases: Sequence[Case], keys: Sequence[str] = ("controller",),
-    shares: Sequence[str] = (),
-) -> Table:  # fmt: skip
-    """Interquartile mean (worst) RMSE [N] over the truths by reference, a row for each value of `keys`.
-
-    `shares`: entries [%] of which the mean is told as well.
-    """
-    units = dict.fromkeys(keys, "") | dict.fromkeys((case.name for case in cases), "N") | {"mean": "N", "u' RMS": "A/s"}
-    made = Table({**units, "trips": "", **dict.fromkeys(shares, "%")}, title="Force RMSE: interquartile mean (worst)")
-    for group in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
-        own = [row for row in rows if tuple(row[key] for key in keys) == group]
+def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
+    """Interquartile mean (worst) RMSE [N] over the truths by reference, a row for each controller."""
+    units = {"controller": "", **dict.fromkeys((case.name for case in cases), "N"), "mean": "N", "u' RMS": "A/s"}
+    made = Table({**units, "trips": ""}, title="Force RMSE: interquartile mean (worst)")
+    for name in dict.fromkeys(row["controller"] for row in rows):
+        own = [row for row in rows if row["controller"] == name]
         values = [np.array([row["rmse"] for row in own if row["reference"] == case.name]) for case in cases]
         means = [interquartile_mean(value) for value in values]
         cells = {c.name: f"{m:.2f} ({np.nanmax(v):.1f})" for c, m, v in zip(cases, means, values, strict=True)}
         rate = interquartile_mean(np.array([row["current_rate_rms"] for row in own]))
         told = {"mean": f"{np.mean(means):.2f}", "u' RMS": f"{rate:.3f}"}
         told["trips"] = f"{sum(row['tripped'] for row in own)} of {len(own)}"
-        told |= {key: f"{np.mean([row[key] for row in own]):.2g}" for key in shares}
-        made.add(**dict(zip(keys, group, strict=True)), **cells, **told)
+        made.add(controller=name, **cells, **told)
     return made
 
 
