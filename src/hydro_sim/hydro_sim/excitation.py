@@ -56,20 +56,6 @@ class Segment:
             phase=self.phase,
         )
 
-    @classmethod
-    def of(cls, signal: ReferenceSignal, seconds: float, kp: float = 90.0, ki: float = 15.0) -> Segment:
-        """A segment that tracks `signal` for `seconds` with gains `kp` [1/s] and `ki` [1/s^2]."""
-        return cls(
-            seconds=seconds,
-            waveform=name_of(signal.waveform),
-            amplitude=signal.amplitude,
-            offset=signal.offset,
-            frequency=signal.frequency,
-            phase=signal.phase,
-            kp=kp,
-            ki=ki,
-        )
-
 
 def load_schedule(path: str | Path) -> list[Segment]:
     """Load segments from a YAML file with a list under `segments`.

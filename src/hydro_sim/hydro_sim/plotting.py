@@ -106,11 +106,10 @@ def figure(
         write_whole(Path(path), content.getvalue())
 
 
-def draw(axes: Axes, states: StateArray, field: str, *, error_of: str | None = None, **style: Any) -> None:
-    """Draw a field over time in its display unit; with `error_of`, that field minus this one."""
+def draw(axes: Axes, states: StateArray, field: str, **style: Any) -> None:
+    """Draw a field over time in its display unit."""
     name, unit, factor = UNITS[field]
-    values = states[field] if error_of is None else states[error_of] - states[field]
-    axes.plot(states["time"], factor * values, label=style.pop("label", name), **style)
+    axes.plot(states["time"], factor * states[field], label=style.pop("label", name), **style)
     axes.set_ylabel(f"[{unit}]")
 
 

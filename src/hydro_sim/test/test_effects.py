@@ -100,7 +100,7 @@ def rmse(states: StateArray) -> float:
 def test_tracking_error_is_that_of_the_truth(
     name: str, parameters: dict[str, Any], options: dict[str, Any], bench: Bench
 ) -> None:
-    segment = Segment.of(SINE, 4.0, kp=60.0, ki=10.0)
+    segment = Segment(seconds=4.0, waveform="sine", amplitude=250.0, kp=60.0, ki=10.0)
     truth = truth_from_mapping({"profile": "nominal", "effects": {name: {**parameters, **options}}})
     expected = rmse(record_offline(truth, [segment], seed=3).states)
     schedule = Schedule(reference=SINE, gains=(60.0, 10.0), seconds=4.0)

@@ -54,7 +54,9 @@ def test_estimates_look_only_back(shipped, held_out):
 def test_closed_loop_errs_as_the_emulator():
     bench, plant = Bench.nominal(), make_plant()
     mine = simulate(plant, bench, Schedule(reference=SINE, gains=(60.0, 15.0), seconds=4.0), seed=1)
-    truth = record_offline(profile("default"), [Segment.of(SINE, 4.0, 60.0, 15.0)], seed=2).states
+    truth = record_offline(
+        profile("default"), [Segment(seconds=4.0, waveform="sine", amplitude=300.0, kp=60.0)], seed=2
+    ).states
     rmse = [np.sqrt(np.mean((run["reference_force"] - run["load_force"])[2000:] ** 2)) for run in (mine, truth)]
     assert rmse[0] == pytest.approx(rmse[1], rel=0.05)
 

@@ -97,14 +97,14 @@ class BagWriter:
         known.count += 1
         self._span = (min(self._span[0], time_ns), max(self._span[1], time_ns))
 
-    def write_states(self, states: StateArray, topic: str = "/hydro/state") -> None:
+    def write_states(self, states: StateArray) -> None:
         """Add `STATE_DTYPE` records as BenchState messages, logged at their own times."""
-        if topic not in self._topics:
-            self.add_topic(topic, STATE_TYPE, TopicQos(reliability="best_effort", depth=50))
+        if STATE_TOPIC not in self._topics:
+            self.add_topic(STATE_TOPIC, STATE_TYPE, TopicQos(reliability="best_effort", depth=50))
         rows = encode_states(states)
         size, stream = rows.shape[1], rows.tobytes()
         for row, time_ns in enumerate(np.rint(states["time"] * 1e9).astype(np.int64).tolist()):
-            self.write(topic, stream[row * size : (row + 1) * size], time_ns)
+            self.write(STATE_TOPIC, stream[row * size : (row + 1) * size], time_ns)
 
     def flush(self) -> None:
         """Flush everything written so far to the operating system, so that it survives a `kill -9` of this process."""

@@ -130,13 +130,10 @@ class Slots:
 
 
 class Thinner:
-    """Thins one stream of samples.
+    """Thins one stream of samples; `columns`: number of values in a sample."""
 
-    `columns`: number of values in a sample. `kept`: slots in the ring.
-    """
-
-    def __init__(self, columns: int, kept: int = KEPT) -> None:
-        self._ring = np.full((kept, columns, 2), np.nan, np.float32)
+    def __init__(self, columns: int) -> None:
+        self._ring = np.full((KEPT, columns, 2), np.nan, np.float32)
         self._begin = self._taken = self._open = 0
 
     def add(self, times: FloatArray, values: FloatArray) -> None:

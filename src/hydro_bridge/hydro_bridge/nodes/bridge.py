@@ -106,14 +106,14 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
-    """End the program if the path is not a serial port, or if another program keeps the port for `patience` [s].
+def refuse_unusable_port(settings: PortSettings) -> None:
+    """End the program if the path is not a serial port, or if another program keeps the port for 2 s.
 
     A second bridge would answer /hydro/arm as well. A missing port may still appear: the link waits for it.
     """
     if (kind := no_port(settings.path)) is not None:
         raise UserError(f"{settings.path} is {kind}, not a serial port")
-    port, end = Port(settings), time.monotonic() + patience
+    port, end = Port(settings), time.monotonic() + 2.0
     while True:
         try:
             port.open()

@@ -36,10 +36,8 @@ class Status:
 class DiagnosticsPublisher:
     """Publishes the status that `collect` returns, once a second of the steady clock, by default in the node's name."""
 
-    def __init__(
-        self, node: Node, collect: Callable[[], Status], *, hardware_id: str = "hydro", name: str = ""
-    ) -> None:
-        self._node, self._collect, self._hardware_id = node, collect, hardware_id
+    def __init__(self, node: Node, collect: Callable[[], Status], *, name: str = "") -> None:
+        self._node, self._collect = node, collect
         self._name = name or node.get_name()
         self._publisher = create_publisher(node, DIAGNOSTICS)
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -54,7 +52,7 @@ class DiagnosticsPublisher:
                 level=bytes([status.level]),
                 name=self._name,
                 message=status.message,
-                hardware_id=self._hardware_id,
+                hardware_id="hydro",
                 values=[KeyValue(key=key, value=_shown(value)) for key, value in status.values.items()],
             )
         ]

@@ -209,11 +209,11 @@ def key_error(error: RuntimeError) -> SettingsError:
 VERSION = "0.2.0"
 
 
-def policy_xml(rights: Mapping[str, Mapping[str, Rights]] = RIGHTS) -> bytes:
+def policy_xml() -> bytes:
     """Return the policy as XML; anything not named in it is denied."""
     policy = ElementTree.Element("policy", version=VERSION)
     enclaves = ElementTree.SubElement(policy, "enclaves")
-    for executable, nodes in rights.items():
+    for executable, nodes in RIGHTS.items():
         enclave = ElementTree.SubElement(enclaves, "enclave", path=enclave_of(executable))
         profiles = ElementTree.SubElement(enclave, "profiles")
         for name, allowed in nodes.items():

@@ -146,9 +146,9 @@ def request_realtime(*, realtime: bool, nice: int | None = None) -> str:
 _SLICE = 0.2
 
 
-def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], list[str]]:
-    """Split a command line into a node's own arguments and those after `--ros-args` (up to `--`, if there is one)."""
-    rest = list(sys.argv[1:] if arguments is None else arguments)
+def ros_arguments() -> tuple[list[str], list[str]]:
+    """Split the command line into a node's own arguments and those after `--ros-args` (up to `--`, if there is one)."""
+    rest = sys.argv[1:]
     if "--ros-args" not in rest:
         return rest, []
     begin = rest.index("--ros-args")

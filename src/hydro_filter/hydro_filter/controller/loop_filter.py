@@ -231,6 +231,6 @@ def loop_parts(
     )
 
 
-def default_filter(bench: Bench | None = None, settings: LoopFilterSettings | None = None) -> LoopFilter:
+def default_filter(bench: Bench | None = None) -> LoopFilter:
     """Return the shipped metric on the shipped learned bench, for a box configured for `bench` (default: nominal)."""
-    return loop_filter(ScheduledMetric.load(), learned_bench.load_model(), bench or Bench.nominal(), settings)
+    return loop_filter(ScheduledMetric.load(), learned_bench.load_model(), bench or Bench.nominal())

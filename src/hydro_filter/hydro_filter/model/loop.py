@@ -86,13 +86,13 @@ ONE_LAG = {
 """Labels of effects of which a bench has one at most."""
 
 
-def loop_of(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> Loop:
+def loop_of(truth: Bench, believed: Bench) -> Loop:
     """Return the loop of the bench file `truth` under a box configured for `believed`.
 
     Raises ValueError: the certificate's coordinates cannot represent this bench; the message is one sentence.
     """
     refuse(truth)
-    floor, scale = float((box or BoxConfig()).constants(believed)["gain_floor"][0]), loop_scale(believed)
+    floor, scale = float(BoxConfig().constants(believed)["gain_floor"][0]), loop_scale(believed)
     model, added = parts(truth, scale, believed.size)
     return Loop(model, believed.constants(), floor, believed.valve_current_max, np.append(scale, added))
 

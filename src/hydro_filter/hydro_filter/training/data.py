@@ -251,11 +251,10 @@ def concatenated(windows: list[Windows]) -> Windows:
     return Windows(**{e.name: np.concatenate([getattr(w, e.name) for w in windows]) for e in fields(Windows)})
 
 
-def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0, high_share: float = 0.8) -> tuple[float, float]:
+def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0) -> tuple[float, float]:
     """Range of K_p [1/s] in which the loop is stable without the filter.
 
-    From `low_reserve` above the highest small gain that is not stable to `high_share` of the lowest large one that is
-    not.
+    From `low_reserve` above the highest small gain that is not stable to 0.8 of the lowest large one that is not.
 
     Raises
     ------
@@ -268,7 +267,7 @@ def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0, high_shar
         raise ValueError("no rollout is stable: the bench file is not of this bench")
     middle = float(np.median(stable))
     low = max(float(others[others < middle].max(initial=0.0)), 0.0) + low_reserve
-    high = high_share * min(float(others[others > middle].min(initial=np.inf)), float(stable.max()) / high_share)
+    high = min(0.8 * float(others[others > middle].min(initial=np.inf)), float(stable.max()))
     if not high > low:
         raise ValueError(f"no range of gains is stable with a reserve: {low:.0f} to {high:.0f} 1/s")
     return low, high

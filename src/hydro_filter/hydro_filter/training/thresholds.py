@@ -46,14 +46,12 @@ def displacements(
     return out[100:]
 
 
-def noise_sizes(
-    metric: ScheduledMetric, loop: Loop, noisy: AnalyticPlant, clean: AnalyticPlant, seed: int = 0
-) -> tuple[float, float]:
+def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: AnalyticPlant, clean: AnalyticPlant) -> tuple[float, float]:
     """`QUANTILE` of v'Mv of the noise: the largest over the certified range, and that of the metric for other gains."""
     sizes = []
     for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
         law = float(min(gain, metric.gains[-1]))
-        v, still = (displacements(loop, each, law, seed, metric.velocity_compensation) for each in (noisy, clean))
+        v, still = (displacements(loop, each, law, 0, metric.velocity_compensation) for each in (noisy, clean))
         v = v - still
         matrix = metric.matrix(float(gain))
         sizes.append(float(np.quantile(np.einsum("ki,ij,kj->k", v, matrix, v), QUANTILE)))
@@ -84,7 +82,7 @@ ASKED_FOR = 18.0
 """s: the integral takes some K_p / K_i = 6 s to settle."""
 
 
-def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: DataSettings, seed: int = 0) -> float:
+def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: DataSettings) -> float:
     """Largest integral action of stable loops under the law of `data` after the first second [N/s], plus a quarter."""
     largest = 0.0
     law, asking = data.compensated, list(ASKING)
@@ -96,7 +94,7 @@ def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: Dat
             waveform=waveform, amplitude=amplitude * force, offset=offset * force, frequency=frequency
         )
         plan = Schedule(reference=reference, gains=gains, seconds=ASKED_FOR, law=data.law)
-        states = simulate(plant, bench, plan, config=box, seed=seed)
+        states = simulate(plant, bench, plan, config=box)
         terms = integral_terms(loop, states[1000:], data.velocity_compensation)
         largest = max(largest, float(np.abs(terms).max()))
     return 1.25 * largest

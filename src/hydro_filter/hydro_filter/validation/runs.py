@@ -131,12 +131,12 @@ class Gammas(NamedTuple):
     """gamma_5: mean M_c [1/s] under it."""
 
 
-def gammas(results: list[Result], current_max: float, tolerance: float = 1e-6) -> Gammas:
-    """The five numbers over all samples that were evaluated; M_c within `tolerance` [1/s] of zero holds."""
+def gammas(results: list[Result], current_max: float) -> Gammas:
+    """The five numbers over all samples that were evaluated; M_c within 1e-6/s of zero holds."""
     skipped = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH)
     table = np.array([result[:3] for result in results if result.status not in skipped] or [(nan, nan, nan)])
     correction, before, after = np.abs(table[:, 0]) / current_max, table[:, 1], table[:, 2]
-    shares = (before > tolerance).mean(), (after > tolerance).mean()
+    shares = (before > 1e-6).mean(), (after > 1e-6).mean()
     return Gammas(
         float(correction.mean()), float(shares[0]), float(before.mean()), float(shares[1]), float(after.mean())
     )

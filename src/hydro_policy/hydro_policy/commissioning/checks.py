@@ -165,8 +165,8 @@ def _follows(states: StateArray, frequency: float) -> float:
     return max(float(np.corrcoef(force[delay:], reference[: len(force) - delay])[0, 1]) for delay in delays)
 
 
-def _smooth(values: FloatArray, samples: int = 50) -> FloatArray:
-    return np.convolve(values, np.full(samples, 1.0 / samples), "valid")
+def _smooth(values: FloatArray) -> FloatArray:
+    return np.convolve(values, np.full(50, 0.02), "valid")
 
 
 def _pressure_force(states: StateArray, bench: Bench) -> FloatArray:

@@ -18,18 +18,18 @@ from hydro_bridge.ros.companion import Companion
 class RepeatFilter:
     """Passes the first few occurrences of a sentence, numbers aside, and counts the rest.
 
-    `most`: maximum number of repeats of a sentence within `period`. `period`: s.
+    `most`: maximum number of repeats of a sentence within 10 s.
     """
 
-    def __init__(self, most: int, period: float = 10.0) -> None:
-        self._most, self._period = most, period
+    def __init__(self, most: int) -> None:
+        self._most = most
         self._said: dict[str, tuple[float, int]] = {}  # start of the period, and count
 
-    def passed(self, sentence: str, now: float | None = None) -> str:
+    def passed(self, sentence: str) -> str:
         """Return the sentence with the number of similar ones omitted before; empty if it is omitted itself."""
-        now, kind = time.monotonic() if now is None else now, re.sub(r"[\d.]+", "", sentence)
+        now, kind = time.monotonic(), re.sub(r"[\d.]+", "", sentence)
         since, count = self._said.get(kind, (-math.inf, 0))
-        if now - since > self._period:
+        if now - since > 10.0:
             self._said[kind] = (now, 1)
             left_out = count - self._most
             return f"{sentence} ({left_out} more since the last one)" if left_out > 0 else sentence

@@ -8,7 +8,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -195,18 +195,16 @@ WAIT = 20.0
 NONE = "no plant runs: no node publishes /hydro/state"
 
 
-def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
-    """Return `external` if a plant runs, or `sim` if a person wants the simulation.
+def choose_plant(node: Node) -> str:
+    """Return `external` if a plant runs, or `sim` if a person at a terminal wants the simulation.
 
-    `node`: looks for the publisher of /hydro/state. `ask`: takes the question and returns the answer; by default
-    `input` on a terminal, and nothing without one. Raises UserError: no plant runs, and the simulation is not wanted.
+    `node`: looks for the publisher of /hydro/state. Raises UserError: no plant runs, and the simulation is not wanted.
     """
-    if ask is None and sys.stdin is not None and sys.stdin.isatty():
-        ask = input
-    begin, patience, told = time.monotonic(), LOOK if ask else WAIT, False
+    terminal = sys.stdin is not None and sys.stdin.isatty()
+    begin, patience, told = time.monotonic(), LOOK if terminal else WAIT, False
     while not node.count_publishers(STATE):
         if time.monotonic() > begin + patience:
-            return _simulation(ask)
+            return _simulation(terminal)
         if not told and time.monotonic() > begin + TELL:
             print(f"looking for a plant on /hydro/state, for {patience:g} s", flush=True)
             told = True
@@ -214,10 +212,10 @@ def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
     return "external"
 
 
-def _simulation(ask: Callable[[str], str] | None) -> str:
-    if ask is not None:
+def _simulation(terminal: bool) -> str:
+    if terminal:
         try:
-            answer = ask(f"{NONE}. Start the simulation, as --plant sim does? [Y/n] ")
+            answer = input(f"{NONE}. Start the simulation, as --plant sim does? [Y/n] ")
         except EOFError:
             answer = "no"
         if answer.strip().lower() in ("", "y", "yes"):
