@@ -40,12 +40,13 @@ def _note(probe: Probe, array: DiagnosticArray) -> None:
 
 @contextmanager
 def unfiltered(port: Path) -> Iterator[None]:
-    """An emulated bench that lets the gains of `wide` pass without a filter."""
+    """An emulated bench that lets the gains of `wide` pass, whatever its filter says, which decides nothing."""
     limits = ("require_filter:=false", "delta_kp_max:=285.0", "delta_ki_max:=95.0", "relies_on:=the monitor")
     words = [word for limit in limits for word in ("-p", f"guard.{limit}")]
     with (
         Companion("hydro_sim", "emulator", ["--link", str(port)]),
         Companion("hydro_bridge", "bridge", ["--port", str(port), "--ros-args", *words]),
+        Companion("hydro_filter", "filter", ["--bypass"]),
     ):
         yield
 
