@@ -29,7 +29,7 @@ from tests.firmware_filter import (
     written,
 )
 
-SANITIZE = ("-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+SANITIZE = ("-O0", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 
 
 @pytest.fixture(scope="module")
@@ -123,15 +123,13 @@ def test_what_no_bench_shows_gets_no_decision(row: FloatArray, programs: dict[st
             assert replay(programs[precision], precision, beyond)[:, 3].tolist() == [4.0, 4.0], column
 
 
-@pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.study)])
+@pytest.mark.parametrize("precision", WORDS)
 def test_hostile_samples_raise_no_exception_and_no_word_of_a_sanitizer(generated: Path, precision: str) -> None:
-    program = compiled(generated, precision, *SANITIZE)
-    for seed in (1, 2):
-        found = replay(program, precision, hostile(10_000, seed, precision))
-        assert np.isfinite(found).all() and set(found[:, 3]) == {0.0, 1.0, 2.0, 3.0, 4.0}
-        assert np.all(found[np.isin(found[:, 3], (0.0, 3.0, 4.0)), 0] == 0.0), "no correction where there is none"
+    found = replay(compiled(generated, precision, *SANITIZE), precision, hostile(20_000, 1, precision))
+    assert np.isfinite(found).all() and set(found[:, 3]) == {0.0, 1.0, 2.0, 3.0, 4.0}
+    assert np.all(found[np.isin(found[:, 3], (0.0, 3.0, 4.0)), 0] == 0.0), "no correction where there is none"
 
 
 def test_it_compiles_for_a_bare_machine(generated: Path) -> None:
     for precision in WORDS:
-        compiled(generated, precision, "-O2", "-ffreestanding")
+        compiled(generated, precision, "-O0", "-ffreestanding")
