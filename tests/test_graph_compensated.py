@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compensated law over the serial line: what it gains, and what is left when estimator or learner are killed."""
+"""The compensated law over the serial line: what is left when its estimator is killed."""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 from collections.abc import Iterator
@@ -42,34 +41,21 @@ def plant(probe: Probe, tmp_path: Path) -> Iterator[ExitStack]:
         yield stack
 
 
-def evaluate(folder: Path, name: str, *words: str) -> Companion:
-    place = ("--runs", str(folder), "--name", name, "--no-dashboard")
-    measured = ("--fixed", "90", "15", "--frequencies", "2", "--ros-args", "-p", "measure:=1.0")
-    return Companion("hydro_policy", "evaluate", ["--law", "compensated", "--rearm", "auto", *place, *words, *measured])
-
-
 def coefficients(states: list[LawState]) -> np.ndarray:
     return np.array([(state.a_0, state.a_1, state.a_2, state.a_3) for state in states])
 
 
-def test_it_tracks_far_better_than_fixed_gains_and_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
+def test_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
     plant: ExitStack, probe: Probe, tmp_path: Path
 ) -> None:
     heard: list[LawState] = []
     create_subscription(probe.node, LAW_STATE, heard.append)
-    found = tmp_path / "found.json"
-    first = plant.enter_context(evaluate(tmp_path, "first", "--json", str(found)))
-    probe.wait(lambda: first.process.poll() is not None, 150.0)
-    assert first.process.returncode == 0
-    rmse = {run["controller"]: run["rmse"] for run in json.loads(found.read_text())["runs"]}
-    print(rmse)
-    assert rmse["compensated"] < 0.2 * rmse["fixed (90, 15)"]
-
-    heard.clear()
-    second = plant.enter_context(evaluate(tmp_path, "second"))
+    place = ("--runs", str(tmp_path), "--name", "run", "--no-dashboard")
+    words = ("--law", "compensated", "--rearm", "auto", *place, "--frequencies", "2")
+    estimating = plant.enter_context(Companion("hydro_policy", "evaluate", list(words)))
     probe.wait(lambda: heard and heard[-1].a_1 > 0.01, 150.0)
     probe.spin(0.5)
-    os.kill(second.process.pid, signal.SIGKILL)
+    os.kill(estimating.process.pid, signal.SIGKILL)
     begun = len(heard)
     probe.spin(2.5)
     assert probe.flags() & Flag.ARMED and not probe.flags() & Flag.TRIPPED
