@@ -15,8 +15,8 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import GAINS, STATE
+from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.signals import Flag
-from hydro_policy.supervision.plant_supervisor import HOW_TO_ARM, TOO_EARLY
 from tests.graph_probe import Probe, trainer
 
 pytestmark = pytest.mark.graph

@@ -21,12 +21,12 @@ pytest.importorskip("rclpy")
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
+from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.signals import Flag
 from hydro_bridge.size import Size
 from hydro_sim.excitation import Playback, Segment
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.nodes.collect import WORKING_RANGE, working_range
-from hydro_sim.nodes.collecting import HOW_TO_ARM, TOO_EARLY
 from tests.graph_probe import Probe
 
 
@@ -158,7 +158,7 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
     subprocess.run(arm, timeout=60, check=True)
     output = io.StringIO()
     collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output)
-    listener.wait(lambda: HOW_TO_ARM[False] in collect.last_line)
+    listener.wait(lambda: HOW_TO_ARM in collect.last_line)
     assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=30, check=True)
     listener.wait(lambda: not collect.running)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
-from hydro_bridge.signals import FloatArray, LawCommand, ReferenceSignal
+from hydro_bridge.safety.arming import ArmingOutputs
+from hydro_bridge.signals import FloatArray, LawCommand
 
 if TYPE_CHECKING:
     from hydro_policy.sac.algorithm import Losses
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 
 
-class Outputs(Protocol):
+class Outputs(ArmingOutputs, Protocol):
     """Outputs of a session to the graph. No call blocks."""
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
@@ -37,15 +38,6 @@ class Outputs(Protocol):
         weights
             Digest of the weights that acted.
         """
-
-    def reference(self, signal: ReferenceSignal) -> None:
-        """Publish the force to track."""
-
-    def arm(self, arm: bool) -> None:
-        """Request the plant to arm or disarm."""
-
-    def say(self, sentence: str, warning: bool = False) -> None:
-        """Report a sentence to the user."""
 
 
 class ActingLearner(Protocol):

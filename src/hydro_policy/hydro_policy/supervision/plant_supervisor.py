@@ -21,6 +21,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from hydro_bridge.files.site import ANEW
+from hydro_bridge.safety.arming import TOO_EARLY, Arming
 from hydro_bridge.safety.limits import NARROW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import FAULTS, CorrectionStatus, Flag, ReferenceSignal
@@ -58,71 +59,6 @@ def learner(learning: ActingLearner) -> Requirement:
     return Requirement(name="the learner", ready=lambda: learning.ready, hint=COMPILES, within=300.0, missing=missing)
 
 
-SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
-RETRY = 1.0  # s
-
-HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
-
-
-class Arming:
-    """Arms the plant, and disarms it when it must not stay armed.
-
-    `outputs`: outputs of the requests. `rearm`: whether arming without a person is allowed.
-    """
-
-    def __init__(self, outputs: Outputs, rearm: bool) -> None:
-        self._outputs, self.alone = outputs, rearm
-        self._arm_after = math.inf  # time to arm after a disarm, s
-        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
-        self._prompted = ""  # condition in which a person was asked to arm
-
-    def arm(self, now: float) -> None:
-        """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
-        self._outputs.arm(False)
-        self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
-
-    def under_way(self, now: float) -> bool:
-        """Whether this object requested arming, which may explain an armed plant."""
-        return now - self._asked <= RETRY
-
-    def seek(self, ready: bool, now: float) -> None:
-        """Call on each tick while the plant is not armed; `ready`: it may be."""
-        self._lowered = -math.inf
-        if not ready:
-            if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
-                self._arm_after = math.inf
-        elif now >= self._arm_after:
-            self._arm_after = math.inf
-            self._outputs.arm(True)
-        elif self.alone and now - self._asked > RETRY:
-            self.arm(now)
-
-    def rest(self) -> None:
-        """Request nothing; call on each tick while the plant is armed or absent."""
-        self._arm_after, self._asked, self._prompted = math.inf, -math.inf, ""
-
-    def lower(self, now: float, why: str) -> None:
-        """Disarm with reference 0 N and report why; call on each tick as long as it stays armed."""
-        if now - self._lowered <= RETRY:
-            return
-        if self._lowered == -math.inf:
-            self._outputs.say(why, warning=True)
-        self._lowered = now
-        self._outputs.reference(ReferenceSignal())
-        self._outputs.arm(False)
-
-    def prompt(self, condition: str, ready: bool, now: float) -> str:
-        """Return what a person must do now, once for each condition of a plant that is not armed; else nothing."""
-        if self.alone or not ready or condition == self._prompted or self.under_way(now):
-            return ""
-        self._prompted = condition
-        return HOW_TO_ARM
-
-    def prompt_anew(self) -> None:
-        """Ask the person again, since the last answer had no effect."""
-        self._prompted = ""
-
-
 FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)
 """Changes of K_p, K_i held while the filter reports MISMATCH: the upper end of the range that the guard then passes,
 the paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
@@ -139,7 +75,6 @@ IDLE = 2.0
 
 LOST_AFTER = 0.1  # s without a sample
 
-TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
 UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law starts again"
 MISMATCH = (
     "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "

@@ -30,6 +30,7 @@ from hydro_bridge.ros.diagnostics import publisher_conflicts
 from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import spin
 from hydro_bridge.ros.topics import COMMANDS, STATE, create_subscription
+from hydro_bridge.safety.arming import TOO_EARLY, Arming
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
@@ -39,81 +40,6 @@ from hydro_sim.box.box import EMULATED_BOX
 from hydro_sim.excitation import Playback, Segment
 
 NOT_YET = "not armed, still waiting for {}: you are asked once all is ready"
-TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
-_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
-HOW_TO_ARM = {False: f"the plant is disarmed: {_ARM}", True: f"the plant has tripped: {_ARM} --off, and then without"}
-"""Instructions by whether the plant has tripped."""
-_SETTLE = 0.1  # s, between two requests
-_RETRY = 1.0  # s, after a refusal
-_ANSWER_WITHIN = 3.0  # s; a plant that has gone does not answer any more
-
-
-class Arming:
-    """Arming of a plant on behalf of a commander. A plant that has tripped is disarmed first."""
-
-    def __init__(self, commander: Commander) -> None:
-        self._commander = commander
-        self._rearm, self._granted = False, False
-        self._answer: Future | None = None
-        self._ask_after, self._told, self._refusal = 0.0, "", ""
-        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def begin(self, *, rearm: bool) -> None:
-        """Begin: Enter on the terminal arms from now on; with `rearm`, arming is automatic."""
-        self._rearm = rearm
-        if not rearm:
-            self._keys = typed_lines()
-
-    def rest(self) -> None:
-        """Stop seeking: a person's consent was for one time only."""
-        self._granted, self._told = False, ""
-
-    def seek(self, *, tripped: bool, now: float) -> None:
-        """Seek an armed plant: call several times a second while it is not armed; `now` by the monotonic clock [s]."""
-        awaited = self._answer is not None and not self._answer.done() and now < self._ask_after + _ANSWER_WITHIN
-        if awaited or not (self._rearm or self._may_arm(tripped)) or now < self._ask_after:
-            return
-        self._request(arm=not tripped, now=now)
-
-    def wait(self, awaited: str, *, armed: bool, now: float) -> None:
-        """Call instead while something is still `awaited`: requests to arm are refused, early arming is undone."""
-        while not self._keys.empty():
-            self._keys.get()
-            _warn(NOT_YET.format(awaited))
-        if not armed:
-            self._told = ""
-        elif now >= self._ask_after:
-            if self._told != TOO_EARLY:
-                _warn(TOO_EARLY)
-            self._told = TOO_EARLY
-            self._request(arm=False, now=now)
-
-    def _request(self, *, arm: bool, now: float) -> None:
-        self._ask_after = now + _SETTLE
-        self._answer = self._commander.arm(arm)
-        if self._answer is not None:
-            self._answer.add_done_callback(partial(self._on_answer, arm))
-
-    def _may_arm(self, tripped: bool) -> bool:
-        """Return whether a person has said so since the plant was armed last; says how."""
-        while not self._keys.empty():
-            self._keys.get()
-            self._granted = True
-        if not self._granted and HOW_TO_ARM[tripped] != self._told:
-            self._told = HOW_TO_ARM[tripped]
-            _warn(self._told)
-        return self._granted
-
-    def _on_answer(self, arm: bool, answer: Future) -> None:
-        refusal = "" if answer.result() is None or answer.result().success else answer.result().message
-        if refusal:
-            self._ask_after = time.monotonic() + _RETRY
-            if refusal != self._refusal:
-                what = "was not armed" if arm else "did not confirm that it is disarmed"
-                _warn(f"the plant {what}: {refusal}")
-        self._refusal = refusal
-
-
 TRIPS_IN_A_ROW = 3
 _PERIOD = 0.01  # s, of gains
 _REST = 1.0  # s recorded before arming: the still bench
@@ -146,7 +72,9 @@ class CollectNode(Node):
         self._changes = (0.0, 0.0)  # to K_p [1/s] and K_i [1/s^2] of the box
         self._bar: Any = None
         self._commander = Commander(self, self._on_authority, endings.ask)
-        self._arming = Arming(self._commander)
+        self._arming = Arming(self, rearm=False)
+        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._refusals = {True: "", False: ""}  # the last one to arm, and to disarm
         create_subscription(self, STATE, self._on_state)
         subscribe_to_box(self, self._on_box)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -166,7 +94,9 @@ class CollectNode(Node):
         self._recorder, self._driving = recorder, True
         self._readiness = Readiness([RecorderWatch(self, bag, recorder).requirement], _warn)
         self._bar = progress(total=round(self.playback.seconds), label="collecting", unit="s")
-        self._arming.begin(rearm=bool(self._rearm))
+        self._arming.alone = bool(self._rearm)
+        if not self._rearm:
+            self._keys = typed_lines()
         return spin(self, self._finished)
 
     def leave(self) -> None:
@@ -228,7 +158,12 @@ class CollectNode(Node):
         """Wait until the recorder has a second of the bench at rest; if somebody arms it meanwhile, it is disarmed."""
         ready = self._ready(now) and not armed
         self._still_since = min(self._still_since, now) if ready else inf
-        self._arming.wait(self._readiness.awaited or "a second of the still bench", armed=armed, now=now)
+        if self._entered():
+            _warn(NOT_YET.format(self._readiness.awaited or "a second of the still bench"))
+        if armed:
+            self._arming.lower(now, TOO_EARLY)
+        else:
+            self._arming.seek(False, now)
         self._begun = now - self._still_since >= _REST
 
     def _ready(self, now: float) -> bool:
@@ -266,7 +201,39 @@ class CollectNode(Node):
         elif trouble := publisher_conflicts(self, *COMMANDS):
             self._end(f"{trouble}; the plant is left disarmed")
         else:
-            self._arming.seek(tripped=bool(self.playback.flags & Flag.TRIPPED), now=now)
+            if self._entered():
+                self._arming.arm(now)
+            self._arming.seek(True, now)
+            condition = "tripped" if self.playback.flags & Flag.TRIPPED else "disarmed"
+            if hint := self._arming.prompt(condition, True, now):
+                _warn(f"the plant is {condition}: {hint}" + " (after `arm --off`)" * (condition == "tripped"))
+
+    def _entered(self) -> bool:
+        """Return whether a person has pressed Enter since the last call."""
+        entered = not self._keys.empty()
+        while not self._keys.empty():
+            self._keys.get()
+        return entered
+
+    def reference(self, signal: Signal) -> None:
+        """See `ArmingOutputs`."""
+        self._commander.reference(signal)
+
+    def arm(self, arm: bool) -> None:
+        """See `ArmingOutputs`; a refusal is reported once."""
+        if (answer := self._commander.arm(arm)) is not None:
+            answer.add_done_callback(partial(self._on_answer, arm))
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        """See `ArmingOutputs`."""
+        _warn(sentence)
+
+    def _on_answer(self, arm: bool, answer: Future) -> None:
+        refusal = "" if answer.result() is None or answer.result().success else answer.result().message
+        if refusal and refusal != self._refusals[arm]:
+            what = "was not armed" if arm else "did not confirm that it is disarmed"
+            _warn(f"the plant {what}: {refusal}")
+        self._refusals[arm] = refusal
 
     def _on_authority(self, lost: str) -> None:
         if lost:
