@@ -26,7 +26,6 @@ CHANNELS = {
     "i_valve": ("valve_current", "mA", 1e-3),
 }
 """Name in the file: field, unit in the file, SI over unit."""
-MAP = "hydraulic_force=F_hyd,load_force=F_load,pressure_a=pA,pressure_b=pB,piston_position=x,valve_current=i_valve"
 Write = Callable[[Path, StateArray], Path]
 
 
@@ -204,11 +203,11 @@ TOPICS = (
 )
 FORMATS: dict[str, tuple[Write, str]] = {
     "ControlDesk CSV": (control_desk_csv, ""),
-    "CSV, UTF-16": (plain_csv, f"time=Zeit,{MAP}"),
+    "CSV, UTF-16": (plain_csv, ""),
     "CSV in blocks": (blocks_csv, ""),
-    "MDF 4": (mdf, MAP),
+    "MDF 4": (mdf, ""),
     "MAT 7.3": (matlab_73, ""),
-    "ControlDesk MAT": (matlab_capture, MAP),
+    "ControlDesk MAT": (matlab_capture, ""),
     "HDF5": (hdf5, ""),
     "TDMS": (tdms, ""),
     "ROS 2 topics": (topics, TOPICS),

@@ -305,10 +305,10 @@ def _forces(found: Columns) -> int:
 
 
 def _own_name(name: str) -> str:
-    """The last part of a path: `Model Root/Sensors/pA/Out1` is pA, `/cylinder/pressure_a.data` is pressure_a."""
+    r"""The last part of a path that tells: `Model Root/pA/Out1` is pA, INCA's `pA\ADC:1` too, `/pressure_a.data`."""
     parts = [part for part in re.split(r"[/\\.]", without_unit(name)) if part]
     telling = [
-        part for part in parts if not re.fullmatch(r"(out|in|value|data|samples|fluid_pressure)?\d*", part, re.I)
+        part for part in parts if not re.fullmatch(r"(out|in|value|data|samples|fluid_pressure)?\d*|.*:\d+", part, re.I)
     ]
     return (telling or parts or [name])[-1]
 

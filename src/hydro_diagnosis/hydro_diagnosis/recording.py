@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 
-SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
+TEXTS = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
+SUFFIXES = (*TEXTS, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
 SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 
 

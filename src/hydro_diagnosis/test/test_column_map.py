@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -213,18 +213,81 @@ def numbered(states: StateArray) -> bytes:
     return "\n".join([*head, *rows(columns(states, units, fields), "\t")]).encode()
 
 
-EXPORTS = {f.__name__: f for f in (control_desk, german, letters, numbered)}
+def twin_cat(states: StateArray) -> bytes:
+    """TwinCAT Scope's export tool in Germany: pairs of key and value, and of milliseconds and value, per channel."""
+    units = ["ms", "mm", "bar", "bar", "N", "mA", "N"]
+    names = ["fPos", "fDruckA", "fDruckB", "fKraft", "fVentilstrom", "fKraftSoll"]
+    keyed = {
+        "Name": names, "SymbolComment": [""] * 6, "Data-Type": ["REAL64"] * 6, "SampleTime[ms]": ["1"] * 6,
+        "VariableSize": ["8"] * 6, "SymbolBased": ["True"] * 6, "IndexGroup": ["16448"] * 6,
+        "IndexOffset": ["328147"] * 6, "SymbolName": [f"MAIN.{name}" for name in names],
+        "NetID": ["192.168.1.1.1.1"] * 6, "Port": ["851"] * 6, "Offset": ["0"] * 6, "ScaleFactor": ["1"] * 6,
+        "BitMask": ["0xffffffffffffffff"] * 6, "Unit": units[1:], "Unit ScaleFactor": ["1"] * 6,
+    }  # fmt: skip
+    head = ["Name\tYT Scope Project", "File\tD:\\Messung\\p3.svdx", "Starttime of export\t133238090039920000\tMontag",
+            "Endtime of export\t133238090079920000\tMontag", ""]  # fmt: skip
+    head += ["\t".join(f"{key}\t{value}" for value in values) for key, values in keyed.items()]
+    time, *rest = columns(states, units)
+    return "\r\n".join(
+        [*head, "", *rows([one for values in rest for one in (time, values)], "\t", ","), "EOF"]
+    ).encode()
 
 
-@pytest.mark.parametrize("name", EXPORTS)
+def lab_view(states: StateArray) -> bytes:
+    """LabVIEW's measurement file without a column of times: its step stands in the header."""
+    units = ["s", "mm", "bar", "bar", "N", "mA", "N"]
+    names = ["Position", "Pressure A", "Pressure B", "Load cell", "Valve current", "Force reference"]
+    count = len(names)
+    keyed = {
+        "Channels": ["6"], "Samples": [str(len(states))] * count, "Date": ["2019/07/22"] * count,
+        "Time": ["17:18:18,938945770263671875"] * count, "Y_Unit_Label": units[1:], "X_Dimension": ["Time"] * count,
+        "X0": ["0,0000000000000000E+0"] * count, "Delta_X": ["0,001000"] * count, "***End_of_Header***": [""],
+    }  # fmt: skip
+    head = ["LabVIEW Measurement", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab", "Decimal_Separator\t,",
+            "Multi_Headings\tNo", "X_Columns\tNo", "Time_Pref\tRelative", "Operator\tEveline", "Date\t2019/07/22",
+            "Time\t17:18:18,938945770263671875", "***End_of_Header***", ""]  # fmt: skip
+    head += ["\t".join([key, *values]) for key, values in keyed.items()]
+    return "\r\n".join(
+        [*head, "\t".join(["X_Value", *names, "Comment"]), *rows(columns(states, units)[1:], "\t", ",", first=[""])]
+    ).encode()
+
+
+def inca(states: StateArray) -> bytes:
+    """ETAS INCA's text: a row of types between names and quoted units; a tab ends each row."""
+    units = ["s", "mm", "bar", "bar", "N", "A", "N"]
+    names = ["time", "s_Kolben\\CAN:1", "p_A\\ADC:1", "p_B\\ADC:1", "F_Mess\\ADC:1", "I_Ventil\\ADC:1", "F_Soll\\CAN:1"]
+    keyed = [names, ["f8"] * 7, [f'"{unit}"' for unit in units]]
+    head = ["ETASAsciiItemFile\trecord\tCrLf\tTab", f"sampleCount\t{len(states):<15}", *map("\t".join, keyed)]
+    return "\r\n".join(f"{row}\t" for row in [*head, *rows(columns(states, units), "\t")]).encode("cp1252")
+
+
+def mts(states: StateArray) -> bytes:
+    """MTS: a header, names and units before each block of a test."""
+    units = ["s", "mm", "bar", "bar", "kN", "mA", "kN"]
+    names = ["Running Time", "Axial Displacement", "Pressure A", "Pressure B", "Axial Force", "Servovalve Current",
+             "Axial Force Command"]  # fmt: skip
+    lines = rows(columns(states, units), "\t")
+    result = ["MTS793|MPT|ENU|1|2|.|/|:|1|0|0|A"]
+    for k in range(0, len(lines), 1500):
+        result += ["", f"Data Acquisition\t\t\t\t\t\tTime:\t{k * 1e-3}\tSec\t3/29/2016 1:54:32 PM", "\t".join(names),
+                   "\t".join(units), *lines[k : k + 1500]]  # fmt: skip
+    return "\r\n".join(result).encode()
+
+
+EXPORTS = {control_desk: "csv", german: "csv", letters: "csv", numbered: "csv", twin_cat: "csv", lab_view: "lvm",
+           inca: "ascii", mts: "dat"}  # fmt: skip
+"""Writers of texts, and the ending of their files."""
+
+
+@pytest.mark.parametrize("write", EXPORTS, ids=lambda write: write.__name__)
 def test_the_map_that_inspect_proposes_reads_an_export_as_the_bench_was(
-    name: str, tmp_path: Path, nominal: StateArray
+    write: Callable[[StateArray], bytes], tmp_path: Path, nominal: StateArray
 ) -> None:
     states = nominal[:4000]
-    path = tmp_path / f"{name}.csv"
-    path.write_bytes(EXPORTS[name](states))
+    path = tmp_path / f"run.{EXPORTS[write]}"
+    path.write_bytes(write(states))
     found = read_table(path, proposed(columns_of(path), Bench.nominal()))
-    expected = set(FIELDS) if name != "numbered" else {*FIELDS[:-1], "hydraulic_force"}
+    expected = set(FIELDS) if write is not numbered else {*FIELDS[:-1], "hydraulic_force"}
     assert set(found.columns) == expected
     np.testing.assert_allclose(np.diff(found.time), 1e-3, atol=1e-9)
     for field in expected:

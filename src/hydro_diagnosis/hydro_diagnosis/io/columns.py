@@ -65,7 +65,7 @@ def without_unit(name: str) -> str:
 
 
 _TIME = re.compile(
-    r"^(.*[./\\ _-])?(time|t|\w*zeit|timestamp|timestamps|x-?axis|xaxis|elapsed)(\.\d+)?$", re.IGNORECASE
+    r"^(.*[./\\ _-])?(time|t|\w*zeit|timestamp|timestamps|x-?axis|x_value|elapsed)(\.\d+)?$", re.IGNORECASE
 )
 
 

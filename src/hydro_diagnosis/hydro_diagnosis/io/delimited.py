@@ -5,10 +5,11 @@ dSPACE ControlDesk, TwinCAT Scope, LabVIEW and others put a header of key and va
 in rows of their own, one column of times per raster or one block below the other; spreadsheets of half of Europe write
 decimal commas.
 
-Three shapes of header are read: a row of names, with a row of units below it or units in brackets behind the names;
-rows that begin with a key, as ControlDesk writes them (`trace_names;...`, `path;...`, `unit;...`, then `trace_values;`
-before the first row of numbers and an empty cell before the others); lines of anything else above either. Without
-names, columns are numbered.
+Four shapes of header are read: a row of names, with a row of units by it or units in brackets behind the names; rows
+that begin with a key, as ControlDesk writes them (`trace_names;...`, `path;...`, `unit;...`, then `trace_values;`
+before the first row of numbers and an empty cell before the others); rows that repeat their key before the channels of
+each clock, as TwinCAT Scope writes them (`Name;fPos;Name;fForce`, then ms and values); lines of anything else above
+either. Without names, columns are numbered. LabVIEW's step `Delta_X` makes the times where no column is one.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from hydro_diagnosis.io.columns import Columns, in_name, known, named_like_time,
 
 NAME_KEYS = (
     "name", "names", "trace_name", "trace_names", "displayidentifier", "signal", "signals", "channel", "label", "path",
-    "variable", "bezeichnung",
+    "variable", "bezeichnung", "symbolname",
 )  # fmt: skip
 """First cells of rows that hold names, the best first: those in which names differ come before."""
-UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten")
+UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_label")
 """First cells of rows that hold units."""
 FIRST_NUMBERS = "trace_values"
 """ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)."""
@@ -53,6 +54,8 @@ class Header:
     """Names of the columns, each unique."""
     units: tuple[str, ...]
     """Units as `columns.QUANTITY` spells them; empty where none is stated."""
+    step: float
+    """s from row to row, where the header states it; else 0."""
 
 
 def header_of(lines: list[str], separator: str, decimal: str) -> Header:
@@ -68,10 +71,21 @@ def header_of(lines: list[str], separator: str, decimal: str) -> Header:
     lead = 1 if rows[first] and rows[first][0] and not _is_number(rows[first][0], decimal) and _led(rows, first) else 0
     body = rows[first][lead:]
     width = len(body) - (1 if len(body) > 2 and body[-1] == "" and _ends_empty(rows[first:]) else 0)
-    above = rows[:first]
-    names, units = _keyed(above, width) if lead else _plain(above, width)
+    above = [row for row in rows[:first] if any(row)]
+    grouped = _by_clock(above)
+    names, units = _keyed(grouped or above, width) if lead or grouped else _plain(above, width)
     stated = tuple(known(unit) or in_name(name) for name, unit in zip(names, units, strict=True))
-    return Header(first, lead, _distinct(names), stated)
+    steps = [row[1] for row in above if row[0].lower() == "delta_x" and len(row) > 1 and _is_number(row[1], decimal)]
+    step = float(steps[0].replace(decimal, ".")) if steps else 0.0
+    return Header(first, lead, _distinct(names), stated, step)
+
+
+def _by_clock(above: list[list[str]]) -> list[list[str]]:
+    """Rows that repeat their key above each clock, with the key in front and nothing or ms in its place; else none."""
+    if not any(row[0].lower() in NAME_KEYS and row[0] in row[1:] for row in above):
+        return []
+    clock = dict.fromkeys(UNIT_KEYS, "ms")
+    return [[row[0], *(clock.get(row[0].lower(), "") if cell == row[0] else cell for cell in row)] for row in above]
 
 
 def numeric_cells(line: str, separator: str, decimal: str) -> int:
@@ -96,7 +110,7 @@ def _numbers_begin(rows: list[list[str]], at: int, decimal: str) -> bool:
 
 def _led(rows: list[list[str]], at: int) -> bool:
     """Return whether the rows below begin with an empty cell, the first of them at least."""
-    return at + 1 >= len(rows) or not rows[at + 1] or rows[at + 1][0] == ""
+    return at + 1 >= len(rows) or rows[at + 1][:1] == [""]
 
 
 def _mostly_numbers(row: list[str], decimal: str) -> bool:
@@ -111,7 +125,7 @@ def _ends_empty(rows: list[list[str]]) -> bool:
 
 
 def _keyed(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
-    rows = {row[0].lower().strip("[]:"): row[1 : width + 1] for row in above if row and row[0]}
+    rows = {row[0].lower().strip("[]:"): row[1 : width + 1] for row in above if row[0]}
     there = [rows[key] for key in NAME_KEYS if any(rows.get(key, ()))]
     names = max(there, key=lambda names: len(set(names)), default=[])
     units = next((rows[key] for key in UNIT_KEYS if any(rows.get(key, ()))), [])
@@ -120,10 +134,10 @@ def _keyed(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
 
 
 def _plain(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
-    """The last row as wide as the numbers that is not one of units, and below it the row of units if there is one."""
-    wide = [row for row in above if any(row) and width <= len(row) <= width + 1]
-    units = wide.pop() if wide and len(wide) > 1 and _are_units(wide[-1]) else []
-    names = wide[-1] if wide else []
+    """Of the rows as wide as the numbers the last in which most cells differ, and the last of units if there is one."""
+    wide = [row for row in reversed(above) if width <= len(row) <= width + 1]
+    units = next(filter(_are_units, wide), []) if len(wide) > 1 else []
+    names = max((row for row in wide if row is not units), key=lambda row: len(set(row)), default=[])
     return _filled_cells(names[:width], width), [*units[:width], *[""] * (width - len(units))]
 
 
@@ -297,7 +311,7 @@ def _holds_headers(rows: pd.DataFrame) -> bool:
 
 
 def _take(header: Header, frame: pd.DataFrame, found: Columns) -> None:
-    """Add a block's columns; a column of times is the clock of those to its right."""
+    """Add a block's columns; a column of times is the clock of those to its right, and kept once."""
     series, clocks = found.series, found.clocks
     columns = [frame[k].to_numpy(dtype=np.float64) for k in range(len(header.names))]
     times = [
@@ -305,8 +319,14 @@ def _take(header: Header, frame: pd.DataFrame, found: Columns) -> None:
         for k, name in enumerate(header.names)
         if named_like_time(name) and runs_forward(columns[k][_filled(columns[k])])
     ]
-    clock, steps = "", np.empty(0)
+    clock = ""
+    steps: FloatArray = np.empty(0)
+    if header.step and not times:
+        steps = np.arange(len(frame), dtype=np.float64) * header.step
+        clock = found.add("time", steps, "s")
     for k, name in enumerate(header.names):
+        if k in times and clock and np.array_equal(columns[k], steps, equal_nan=True):
+            continue  # the clock of the columns to the left again
         there = _filled(columns[k])
         if not np.isfinite(columns[k]).any():
             found.other.append(name)

@@ -27,7 +27,7 @@ from hydro_diagnosis.io.delimited import delimited_columns
 from hydro_diagnosis.io.matlab import hdf5_columns, is_hdf5, matlab_columns
 from hydro_diagnosis.io.measurement_files import mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
-from hydro_diagnosis.recording import MEASURED, SUFFIXES, InputError, UnusableRecordingError, unreadable
+from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, UnusableRecordingError, unreadable
 
 SLOWER = 1.2
 """Multiple of the chosen clock's sampling time up to which a sensor counts as equally fast."""
@@ -213,10 +213,15 @@ def _mat(path: Path) -> Columns:
     return hdf5_columns(path) if is_hdf5(path) else matlab_columns(path)
 
 
+def _dat(path: Path) -> Columns:
+    """Read a .dat file: INCA's are MDF, those of test machines are text."""
+    with path.open("rb") as file:
+        return (mdf_columns if file.read(3) == b"MDF" else delimited_columns)(path)
+
+
 _READERS: dict[str, Callable[[Path], Columns]] = {
-    ".csv": delimited_columns,
-    ".txt": delimited_columns,
-    ".tsv": delimited_columns,
+    **dict.fromkeys(TEXTS, delimited_columns),
+    ".dat": _dat,
     ".parquet": _parquet,
     ".pq": _parquet,
     ".mat": _mat,
