@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Iterable
 from math import exp
 from pathlib import Path
+from typing import Any
 
 from hydro_bridge.cli.console import command, writable
 from hydro_bridge.files.atomic import write_whole
@@ -22,7 +23,7 @@ from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import SUBSTEPS, closing_current, without_disturbances
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import NONE, Loop
-from hydro_sim.box.header import BENCH_FIELDS, header_file, reals, wrapped
+from hydro_sim.box.header import BENCH_FIELDS, header_file, initializer, wrapped
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -44,11 +45,13 @@ def header(parts: LoopParts, truth: Bench, origin: str) -> str:
     rows, table = len(metric.gains), metric.table
     step = metric.gains[1] - metric.gains[0] if rows > 1 else 1.0
     kept, foreign_kept = (exp(-2.0 * rate * SAMPLE_PERIOD) for rate in (parts.rate, parts.foreign_rate))
-    numbers = {
+    reals = {
         "gain_low": metric.gains[0], "gain_high": metric.gains[-1], "gain_step": step, "floor": metric.floor,
         "kept": kept, "foreign_kept": foreign_kept, "noise_size": parts.noise_size,
         "foreign_noise_size": parts.foreign_noise_size, "integral_allowance": parts.integral_allowance,
     }  # fmt: skip
+    numbers = {name: float(number) for name, number in reals.items()}
+    members = {"loop": _loop(parts.loop, truth), "table": "HYDRO_LOOP_TABLE", "rows": rows, **numbers}
     lines = [
         '#include "hydro/loop_filter.h"\n',
         embedded_source(BenchModel(truth, substeps=SUBSTEPS).symbols(), SUBSTEPS, "hydro_whole", jacobian=False),
@@ -58,14 +61,9 @@ def header(parts: LoopParts, truth: Bench, origin: str) -> str:
         ),
         *_arrays(parts.loop),
         f"static const hydro_real HYDRO_LOOP_TABLE[{rows + 1}][HYDRO_FACTOR] = {{",
-        *("    {\n" + wrapped((_real(number) for number in row), indent=" " * 8) + "\n    }," for row in table),
+        *("    {\n" + wrapped(map(initializer, row), indent=" " * 8) + "\n    }," for row in table),
         "};\n",
-        "static const hydro_loop_filter HYDRO_LOOP_FILTER = {",
-        *_loop(parts.loop, truth),
-        "    .table = HYDRO_LOOP_TABLE,",
-        f"    .rows = {rows},",
-        *(f"    .{name} = {_real(number)}," for name, number in numbers.items()),
-        "};",
+        f"static const hydro_loop_filter HYDRO_LOOP_FILTER = {initializer(members)};",
     ]  # fmt: skip
     return header_file("HYDRO_LOOP_FILTER_CONFIG_H", origin, "\n".join(lines))
 
@@ -99,14 +97,14 @@ def _arrays(loop: Loop) -> list[str]:
 
 
 def _array(name: str, numbers: Iterable[float]) -> str:
-    words = [_real(number) for number in numbers]
+    words = [initializer(float(number)) for number in numbers]
     return f"static const hydro_real {name}[{len(words)}] = {{\n{wrapped(words)}\n}};\n"
 
 
-def _loop(loop: Loop, truth: Bench) -> list[str]:
-    """Lines of `hydro_loop`."""
+def _loop(loop: Loop, truth: Bench) -> dict[str, Any]:
+    """Members of `hydro_loop`."""
     bench, model, numbers = loop.bench[0], loop.model, truth.constants()[0]
-    reals_by_name = {
+    reals = {
         "first": model.positions[0], "step": model.positions[1] - model.positions[0], "before": model.before,
         "after": model.after, "lag": model.lag, "inertia": model.inertia, "area": model.area, "ratio": model.ratio,
         "mass": model.mass, "dead_a": numbers["dead_volume_a"], "dead_b": numbers["dead_volume_b"],
@@ -118,31 +116,16 @@ def _loop(loop: Loop, truth: Bench) -> list[str]:
     linear = (
         len(model.from_whole), model.loop_spool, model.loop_spool_rate, model.loop_cell, model.loop_cell_rate,
     )  # fmt: skip
-    return [
-        "    .loop = {",
-        f"        .whole = {{hydro_whole_rates, HYDRO_WHOLE_K, {', '.join(map(str, whole))}}},",
-        f"        .linear = {{hydro_linear_rates, HYDRO_WHOLE_LINEAR_K, {', '.join(map(str, linear))}}},",
-        "        .sample = hydro_whole_sample,",
-        "        .sample_k = HYDRO_WHOLE_SAMPLE_K,",
-        "        .jacobian = hydro_linear_jacobian,",
-        "        .from_whole = HYDRO_FROM_WHOLE,",
-        "        .rest = HYDRO_WHOLE_REST,",
-        "        .forces = HYDRO_WHOLE_FORCES,",
-        f"        .points = {len(model.forces)},",
-        f"        .holds = {'true' if model.holds else 'false'},",
-        *(f"        .{name} = {_real(number)}," for name, number in reals_by_name.items()),
-        f"        .gain = {reals(model.gain)},",
-        f"        .bias = {reals(model.bias)},",
-        f"        .scale = {reals(loop.scale)},",
-        "        .bench = {",
-        *(f"            .{field} = {_real(bench[field])}," for field in BENCH_FIELDS),
-        "        },",
-        "    },",
-    ]
-
-
-def _real(number: float) -> str:
-    return f"HYDRO_R({float(number)!r})"
+    return {
+        "whole": ["hydro_whole_rates", "HYDRO_WHOLE_K", *whole],
+        "linear": ["hydro_linear_rates", "HYDRO_WHOLE_LINEAR_K", *linear],
+        "sample": "hydro_whole_sample", "sample_k": "HYDRO_WHOLE_SAMPLE_K", "jacobian": "hydro_linear_jacobian",
+        "from_whole": "HYDRO_FROM_WHOLE", "rest": "HYDRO_WHOLE_REST", "forces": "HYDRO_WHOLE_FORCES",
+        "points": len(model.forces), "holds": bool(model.holds),
+        **{name: float(number) for name, number in reals.items()},
+        "gain": model.gain, "bias": model.bias, "scale": loop.scale,
+        "bench": {field: float(bench[field]) for field in BENCH_FIELDS},
+    }  # fmt: skip
 
 
 def parser() -> argparse.ArgumentParser:

@@ -16,7 +16,7 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
-from hydro_sim.box.header import header_file, reals, wrapped
+from hydro_sim.box.header import header_file, initializer, wrapped
 
 
 def parser() -> argparse.ArgumentParser:
@@ -42,18 +42,15 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
     ]
     low, high = (gains.changes(np.full(ACTIONS, end)) for end in (-1.0, 1.0))
     center, scale = normalization(policy.size)
-    members = [
-        "    .weight = {HYDRO_POLICY_WEIGHT_1, HYDRO_POLICY_WEIGHT_2, HYDRO_POLICY_WEIGHT_3},",
-        "    .bias = {HYDRO_POLICY_BIAS_1, HYDRO_POLICY_BIAS_2, HYDRO_POLICY_BIAS_3},",
-        f"    .center = {reals(center)},",
-        f"    .scale = {reals(scale)},",
-        f"    .low = {reals(low)},",
-        f"    .high = {reals(high)},",
-    ]
+    members = {
+        "weight": [f"HYDRO_POLICY_WEIGHT_{k}" for k in (1, 2, 3)],
+        "bias": [f"HYDRO_POLICY_BIAS_{k}" for k in (1, 2, 3)],
+        "center": center, "scale": scale, "low": low, "high": high,
+    }  # fmt: skip
     body = [
         f'#define HYDRO_POLICY_UNITS {policy.sizes[1]}\n#include "hydro/policy.h"\n',
         *(f"{array}\n" for array in arrays),
-        "static const hydro_policy HYDRO_POLICY = {\n" + "\n".join(members) + "\n};",
+        f"static const hydro_policy HYDRO_POLICY = {initializer(members)};",
     ]
     return header_file("HYDRO_POLICY_WEIGHTS_H", origin, "\n".join(body))
 

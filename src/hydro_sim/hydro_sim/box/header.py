@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from textwrap import fill
 from typing import Any, get_args
@@ -27,9 +27,25 @@ NAME = "hydro firmware"
 """Name of the box in C on the line."""
 
 
-def reals(numbers: Iterable[float]) -> str:
-    """Initializer of an array of `hydro_real`, in decimals that reproduce the doubles exactly."""
-    return "{" + ", ".join(f"HYDRO_R({float(number)!r})" for number in numbers) + "}"
+def initializer(value: Any, indent: str = "") -> str:
+    """Return a C initializer: a structure of a mapping, an array of other iterables, `hydro_real` of floats.
+
+    Decimals reproduce the doubles exactly; text is taken as it is.
+    """
+    if isinstance(value, Mapping):
+        members = "".join(
+            f"{indent}    .{name} = {initializer(one, indent + '    ')},\n" for name, one in value.items()
+        )
+        return f"{{\n{members}{indent}}}"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, float | np.floating):
+        return f"HYDRO_R({float(value)!r})"
+    if isinstance(value, int | np.integer):
+        return str(value)
+    return f"{{{', '.join(initializer(one, indent) for one in value)}}}"
 
 
 def wrapped(words: Iterable[str], indent: str = "    ") -> str:
@@ -89,9 +105,9 @@ def values(bench: Bench, config: BoxConfig, sensors: Sensors, name: str) -> dict
     believed, settings = bench.constants()[0], config.constants(bench)[0]
     result: dict[str, Any] = {field: float(believed[field]) for field in BENCH_FIELDS}
     result["laws"] = [_law(settings[name]) for name in ("paper", "compensated")]
-    result |= {field: float(settings[field]) for field in REAL_FIELDS if field != "force_range"}
-    result |= {"low": [float(x) for x in settings["low"]], "high": [float(x) for x in settings["high"]]}
-    result["force_range"] = result["high"][int(settings["feedback_channel"])]
+    force_range = settings["high"][settings["feedback_channel"]]
+    result |= {field: float(force_range if field == "force_range" else settings[field]) for field in REAL_FIELDS}
+    result |= {"low": settings["low"].tolist(), "high": settings["high"].tolist()}
     result |= {"force_rate_age": sensors.force_rate_age, "velocity_age": sensors.velocity_age}
     result |= {"hold_timeout": config.hold_timeout, "trip_timeout": config.trip_timeout}
     result |= {"feedback": int(settings["feedback_channel"]), "integral_form": INTEGRAL_FORMS.index(config.integral)}
@@ -124,32 +140,15 @@ def filled(kind: type[ctypes.Structure], numbers: dict[str, Any]) -> ctypes.Stru
     return record
 
 
-def _list(numbers: list[float]) -> str:
-    return f"{{{', '.join(f'HYDRO_R({x!r})' for x in numbers)}}}"
-
-
 def header(numbers: dict[str, Any]) -> str:
     """The configuration as a C header that defines `HYDRO_BOX_CONFIG`; decimals that give the same double back."""
-    lines = [
-        "    .bench = {",
-        *(f"        .{field} = HYDRO_R({numbers[field]!r})," for field in BENCH_FIELDS),
-        "    },",
-        "    .laws = {",
-    ]
-    for law in numbers["laws"]:
-        lines += ["        {", *(f"            .{field} = HYDRO_R({law[field]!r})," for field in LAW_FIELDS)]
-        lines += [*(f"            .{field} = {_list(law[field])}," for field in SHAPING_FIELDS), "        },"]
-    lines += ["    },", *(f"    .{field} = HYDRO_R({numbers[field]!r})," for field in REAL_FIELDS)]
-    lines += [f"    .{field} = {_list(numbers[field])}," for field in ("low", "high")]
-    lines += [f"    .{field} = HYDRO_R({numbers[field]!r})," for field in ("force_rate_age", "velocity_age")]
-    lines += [f"    .{field} = {numbers[field]!r}," for field in ("hold_timeout", "trip_timeout")]
-    lines += [f"    .{field} = {numbers[field]}u," for field in ("feedback", "integral_form")]
-    for field in ("name", "digest"):
-        lines.append(f"    .{field} = {{{', '.join(str(byte) for byte in numbers[field])}}},")
+    exact = {field: repr(numbers[field]) for field in ("hold_timeout", "trip_timeout")}  # double whatever hydro_real is
+    rest = {field: number for field, number in numbers.items() if field not in BENCH_FIELDS}
+    members = {"bench": {field: numbers[field] for field in BENCH_FIELDS}, **rest, **exact}
     name, digest = (numbers[field].rstrip(b"\0").decode() for field in ("name", "digest"))
-    body = ['#include "hydro/config.h"\n', "static const hydro_config HYDRO_BOX_CONFIG = {", *lines, "};"]
+    body = f'#include "hydro/config.h"\n\nstatic const hydro_config HYDRO_BOX_CONFIG = {initializer(members)};'
     origin = f"Written by `ros2 run hydro_sim export_c` for the bench {digest}, box {name}."
-    return header_file("HYDRO_BOX_CONFIG_H", origin, "\n".join(body))
+    return header_file("HYDRO_BOX_CONFIG_H", origin, body)
 
 
 def parser() -> argparse.ArgumentParser:
