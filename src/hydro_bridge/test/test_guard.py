@@ -94,12 +94,16 @@ def test_a_correction_of_a_sample_that_is_too_old_does_not_act_however_lately_it
 
 
 def test_stale_gains_give_base_gains_and_keep_the_correction():
-    guard = fresh()
+    guard = CommandGuard()
+    guard.set_arm(True)
+    guard.set_gains(30.0, 4.0, 0.0)
     guard.set_correction(0.01, CorrectionStatus.PASS, 300, 0.3)
     command = guard.command(0.3)
     assert (command.delta_kp, command.delta_ki, command.delta_u) == (0.0, 0.0, 0.01)
     assert guard.counts.stale_gains == 1
-    assert list(guard.take_events()) == ["gains are stale: base gains"]
+    assert list(guard.take_events()) == ["no gains for 200 ms: base gains are in force"]
+    guard = fresh()
+    assert guard.command(0.3).delta_kp == 0.0 and not guard.take_events(), "nobody is to act on it while disarmed"
 
 
 @pytest.mark.parametrize("status", [CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.BYPASSED])

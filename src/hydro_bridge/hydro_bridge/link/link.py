@@ -123,7 +123,7 @@ class LinkTimes:
 _NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
-_GRACE = 2.0  # s from the start for which a port that is not there yet is no complaint: an emulator is starting
+_GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no complaint; an emulator loads longer
 
 
 class LinkState(Enum):
@@ -209,14 +209,15 @@ class Link:
 
     def run(self) -> None:
         """Keep the line open until `stop`; body of the serial thread."""
-        backoff, begin = self.port.settings.backoff_first, time.monotonic()
+        backoff, path = self.port.settings.backoff_first, self.port.settings.path
+        until = time.monotonic() + (_GRACE if path.startswith("/dev/") else _EMULATOR)
         while not self._stopping.is_set():
             try:
                 self.port.open()
                 self.state = LinkState.OPEN
                 self._converse()
             except PortLostError as error:
-                if self._connected_before or time.monotonic() > begin + _GRACE:
+                if self._connected_before or time.monotonic() > until:
                     self._complain(str(error))
             if self.state is LinkState.CONNECTED:
                 backoff = self.port.settings.backoff_first

@@ -197,7 +197,7 @@ class CommandGuard:
             return
         if changes:
             self._gains, self._gains_at = (0.0, 0.0), -inf  # they were added to another law's base gains
-            self._events[UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again"] = True
+            self._events[UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again"] = False
         self._law, self._law_at = self._within_limits(wanted), now
 
     def offer(self, law: BoxLaw | None) -> None:
@@ -332,8 +332,9 @@ class CommandGuard:
         self.counts.stale_gains += not gained
         if answered or (self._arm and self._correction_at > -inf):  # before its first one the filter is not running yet
             self._tell("stale correction", not answered, self._stale_sentence(), "corrections are fresh again")
-        if self._gains_at > -inf:
-            self._tell("stale gains", not gained, "gains are stale: base gains", "gains are fresh again")
+        if self._arm and self._gained:
+            missed = f"no gains for {1e3 * self.settings.gains_age_max:g} ms: base gains are in force"
+            self._tell("stale gains", not gained, missed, "gains are fresh again")
         self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
         passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
         delta_kp, delta_ki = within_narrow(passed) if self._mismatched else passed
@@ -378,7 +379,7 @@ class CommandGuard:
         )
 
     def take_events(self) -> dict[str, bool]:
-        """Return the log sentences since the last call, by order of occurrence; True: a trouble, False: its end."""
+        """Return the log sentences since the last call, in order; True: a trouble, False: its end, or news."""
         events, self._events = self._events, {}
         return events
 

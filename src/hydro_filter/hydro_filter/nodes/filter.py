@@ -84,8 +84,8 @@ FOREIGN = 1.0
 ANOTHER_LAW = 50
 """Samples for which a message of another law than the paper's holds: one of them may be lost."""
 
-WORTH_A_LINE = 0.01
-"""Share of late, stale or failed corrections from which a warning is logged; /diagnostics has each of them."""
+WORTH_A_WARNING = 0.01
+"""Share of late, stale or failed corrections above which the node warns; /diagnostics counts each of them."""
 
 BUSY = "stale ones came too late to be applied: the machine is busy; close other programs"
 
@@ -235,10 +235,7 @@ class FilterNode(Node):
     def _on_law_state(self, message: Any) -> None:
         if self._law is None:
             why = self._bypasses(message)
-            if why:
-                self.get_logger().warning(f"the box runs the compensated law: BYPASSED, {why}")
-            else:
-                self.get_logger().info("the box runs the compensated law")
+            self.get_logger().info("the box runs the compensated law" + (f": BYPASSED, {why}" if why else ""))
         self._law = message
         if self._waiting is not None and self._waiting.sequence == message.sequence:
             waiting, self._waiting = self._waiting, None
@@ -314,12 +311,11 @@ class FilterNode(Node):
         level = Level.OK
         if not news:
             level, told = Level.STALE, "no states"
-        elif trouble := sum(news[status] for status in TROUBLE):
+        elif sum(news[status] for status in TROUBLE) > WORTH_A_WARNING * news.total():
             level = Level.WARN
-            if trouble > WORTH_A_LINE * news.total():
-                late = news[CorrectionStatus.STALE] and not self.settings.bypass
-                busy = f"; {BUSY}{self._advice}" if late else ""
-                self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
+            late = news[CorrectionStatus.STALE] and not self.settings.bypass
+            busy = f"; {BUSY}{self._advice}" if late else ""
+            self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)

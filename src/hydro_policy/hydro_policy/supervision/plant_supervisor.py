@@ -28,10 +28,10 @@ from hydro_bridge.signals import FAULTS, CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.supervision.interfaces import ActingLearner, Outputs
 from hydro_policy.supervision.override import GainOverride
 
-COMPILES = "it loads for some seconds; where `make setup` was not run after a change it compiles, up to a minute"
-HOW_TO_GET_A_FILTER = f"start it with `ros2 run hydro_filter filter`, if none runs; {COMPILES}"
+COMPILES = "loading takes some seconds, and a minute more after a change without `make setup`"
+HOW_TO_GET_A_FILTER = f"{COMPILES}; if none runs, start one with `ros2 run hydro_filter filter`"
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
-NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
+NO_FILTER = "the filter does not answer: base gains are in force where the plant's guard requires it, the default"
 
 
 def plant(ready: Callable[[], bool]) -> Requirement:

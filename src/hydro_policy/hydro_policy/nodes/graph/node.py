@@ -164,7 +164,7 @@ class GraphNode(Node):
         super().__init__(name)
         self.announcer, journal = Announcer(), Journal(self)
         self.announcer.journal = journal.tell
-        self._realtime = realtime
+        self._realtime, self._scheduling = realtime, ""
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
         """Requirements of this node's sessions before arming, besides those of every session."""
@@ -255,7 +255,9 @@ class GraphNode(Node):
         self._refuse()
         self._session, self._each_tick, self._done = session, each_tick, Future()
         scheduling = request_realtime(realtime=self._realtime, nice=NICE)
-        self.say(f"gains are sent under {scheduling}")
+        if scheduling != self._scheduling:
+            self.say(f"gains are sent under {scheduling}")
+            self._scheduling = scheduling
         try:
             broken = spin(self, self._done)
             self._refuse()

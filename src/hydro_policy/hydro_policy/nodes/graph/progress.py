@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which ev
     from hydro_policy.sessions.training import TrainingSession
 
 _REDRAW = 4  # ticks of 50 ms
+_BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
+"""Without a rate: waiting and examinations take their time too."""
 
 
 class TrainingProgress:
@@ -32,7 +34,7 @@ class TrainingProgress:
         self._node, self._session, self._learner = node, session, learner
         self.phase: Callable[[], Phase] = lambda: session.phase
         steps = session.settings.task.steps_per_episode
-        self._bar: tqdm[None] = progress(total=session.settings.episodes * steps, label="waiting", unit="step")
+        self._bar: tqdm[None] = progress(total=session.settings.episodes * steps, label="waiting", bar_format=_BAR)
         self._ticks, self._told = 0, session.progress.episode
         self._examined = len(session.progress.exams)
         self._message = TrainingStatus()
@@ -79,21 +81,24 @@ class TrainingProgress:
         steps = session.settings.task.steps_per_episode
         under_way = session.current.steps if session.phase is Phase.TRAINING else 0
         bar.n = min(session.progress.episode * steps + under_way, bar.total or 0)
-        state = "" if session.phase is Phase.TRAINING else f" ({session.watch.summary})"
-        bar.set_description_str(f"{session.phase.name.lower()}{state}", refresh=False)
+        now = session.watch.summary
+        doing, state = session.phase.name.lower(), "" if now == "armed" else f" ({now})"
+        if (exam := session.exam) is not None and not exam.finished:
+            doing = f"examining, {len(exam.scores) + 1} of {len(exam.plan)}"
+        bar.set_description_str(now if session.phase is Phase.WAITING else f"{doing}{state}", refresh=False)
         bar.set_postfix_str(self._figures(), refresh=False)
         bar.refresh()
 
     def _figures(self) -> str:
+        held = f"OVERRIDDEN {self._session.override.description}" if self._session.override.active else ""
+        if self._session.phase is not Phase.TRAINING:
+            return held
         now, done = self._session.current, self._session.progress
         rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
         learner = f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"
-        held = f"OVERRIDDEN {self._session.override.description}, " if self._session.override.active else ""
-        error = f"RMSE {rmse:.1f} N, " if math.isfinite(rmse) else ""  # none before the first samples
-        return (
-            f"{held}return {now.episode_return:.0f}, {error}alpha {self._learner.entropy_coefficient:.4f}, "
-            f"{learner}, latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"
-        )
+        error = f"RMSE {rmse:.1f} N" if math.isfinite(rmse) else ""  # none before the first samples
+        latency = f"latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"
+        return ", ".join(filter(None, (held, f"return {now.episode_return:.0f}", error, learner, latency)))
 
     def _status(self) -> Status:
         session, node, learner = self._session, self._node, self._learner
@@ -132,7 +137,8 @@ class EvaluationProgress:
 
     def __init__(self, session: EvaluationSession) -> None:
         self._session = session
-        self._bar: tqdm[None] = progress(total=round(session.seconds), label="evaluating", unit="s")
+        form = _BAR.replace("{elapsed}", "{elapsed}<{remaining}")
+        self._bar: tqdm[None] = progress(total=round(session.seconds), label="evaluating", bar_format=form)
 
     def tick(self) -> None:
         """Redraw."""
