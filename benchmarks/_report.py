@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -29,14 +27,3 @@ def percentiles(seconds: npt.ArrayLike) -> dict[str, float]:
     durations = 1e6 * np.asarray(seconds, np.float64)
     values = {f"p{percent:g}": float(np.percentile(durations, percent)) for percent in PERCENTILES}
     return values | {"max": float(durations.max())}
-
-
-def line(name: str, values: Mapping[str, float], unit: str) -> str:
-    """One row for people."""
-    return f"{name:<44}" + "".join(f"{key:>8} {value:<9.4g}" for key, value in values.items()) + unit
-
-
-def finish(result: Mapping[str, object], file: Path | None) -> None:
-    """Write the result if that was asked for."""
-    if file:
-        file.write_text(json.dumps(result, indent=2) + "\n")

@@ -200,7 +200,7 @@ def main() -> None:
     options.add_argument(
         "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
     )
-    options.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
+    options.add_argument("--metric", default="learned", help="of the filter: learned (default) or a file")
     options.add_argument("--model", type=Path, metavar="FILE", help="bench file of that metric")
     options.add_argument("--law", default="paper", choices=("paper", "compensated"), help="default %(default)s")
     asked = options.parse_args()

@@ -13,7 +13,6 @@ changes    a bench that changes while it runs, the filter starting with the ship
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -94,20 +93,8 @@ class Unwatched:
         return self.filter.correct(sample, age)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What a run came to, from the change on; see `COLUMNS`."""
-
-    told: float
-    rmse: float
-    worst: float
-    peak: float
-    jump: float
-    tripped: bool
-
-
 def play(
-    plant: Plant, controller: Controller, reference: ReferenceSignal, corrector: Corrector | None, seconds: float
+    plant: Plant, controller: Controller, reference: ReferenceSignal, corrector: Corrector | None
 ) -> tuple[StateArray, FloatArray]:
     """Samples, shape (n,), and each one's `CorrectionStatus`, shape (n,), until the box trips.
 
@@ -119,7 +106,7 @@ def play(
         corrector.reset()
     graph.reference(reference)
     records, statuses = [], []
-    for k in range(round(seconds / SAMPLE_PERIOD)):
+    for k in range(round(SECONDS / SAMPLE_PERIOD)):
         graph.arm(k > 0)
         records.append(graph.sample().copy())
         statuses.append(int(graph.answer.status))
@@ -131,23 +118,23 @@ def play(
     return np.array(records), np.array(statuses, float)
 
 
-def outcome(states: StateArray, statuses: FloatArray, change: int, settled: int = 0) -> Outcome:
-    """Figures of a run whose bench changed at sample `change`; RMSE from `settled` samples later on."""
+def outcome(states: StateArray, statuses: FloatArray) -> dict[str, Any]:
+    """Figures of a run by `COLUMNS`."""
     at = np.flatnonzero(statuses == CorrectionStatus.MISMATCH)
-    if len(at) and at[0] < change:
+    if len(at) and at[0] < CHANGE:
         raise AssertionError("told before the change")
-    error = (states["reference_force"] - states["load_force"])[change:]
+    error = (states["reference_force"] - states["load_force"])[CHANGE:]
     if not len(error):
         error = np.array([np.nan])
     square = np.convolve(error**2, np.full(min(1000, len(error)), 1.0 / min(1000, len(error))), "valid")
-    return Outcome(
-        told=1e3 * float(at[0] - change) * SAMPLE_PERIOD if len(at) else np.nan,
-        rmse=float(np.sqrt(np.mean(error[settled:] ** 2))) if len(error) > settled else np.nan,
-        worst=float(np.sqrt(square.max())),
-        peak=float(np.abs(error).max()),
-        jump=1e3 * float(np.abs(np.diff(states["valve_current"][change:])).max(initial=0.0)),
-        tripped=bool(int(states["flags"][-1]) & Flag.TRIPPED),
-    )
+    return {
+        "told": 1e3 * float(at[0] - CHANGE) * SAMPLE_PERIOD if len(at) else np.nan,
+        "rmse": float(np.sqrt(np.mean(error[SETTLED:] ** 2))) if len(error) > SETTLED else np.nan,
+        "worst": float(np.sqrt(square.max())),
+        "peak": float(np.abs(error).max()),
+        "jump": 1e3 * float(np.abs(np.diff(states["valve_current"][CHANGE:])).max(initial=0.0)),
+        "tripped": bool(int(states["flags"][-1]) & Flag.TRIPPED),
+    }
 
 
 def changes(names: list[str], reference: ReferenceSignal) -> Table:
@@ -161,8 +148,8 @@ def changes(names: list[str], reference: ReferenceSignal) -> Table:
     for name in progress(names, label="changes", unit="bench"):
         plant = ChangingPlant([modified_truth({}), modified_truth(CHANGES[name])], [CHANGE])
         for asking, told, corrector in runs:
-            found = outcome(*play(plant, asking, reference, corrector, SECONDS), CHANGE, SETTLED)
-            table.add(bench=name, gains=asking.name, filter=told, **vars(found))
+            found = outcome(*play(plant, asking, reference, corrector))
+            table.add(bench=name, gains=asking.name, filter=told, **found)
     return table
 
 

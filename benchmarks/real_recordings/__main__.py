@@ -10,8 +10,8 @@ Files lie in DATA/RIG/NAME. EMPS has to be put there by hand (nonlinearbenchmark
 
 from __future__ import annotations
 
-import argparse
 import hashlib
+import json
 import tempfile
 import time
 import urllib.error
@@ -224,7 +224,6 @@ def ready(name: str, folder: Path, *, fetch: bool) -> bool:
 def main() -> None:
     """Diagnose the rigs whose recordings are there and print the table."""
     options = _report.parser("real_recordings", __doc__)
-    options.formatter_class = argparse.RawDescriptionHelpFormatter
     options.add_argument("rigs", nargs="*", metavar="RIG", help=f"default all: {', '.join(RIGS)}")
     options.add_argument("--data", type=Path, default=Path("runs/real_recordings"), metavar="FOLDER",
                          help="recordings (default: runs/real_recordings)")  # fmt: skip
@@ -241,7 +240,8 @@ def main() -> None:
         score = carried_out(name, chosen.data / name, leave_out=chosen.leave_out)
         scores.append(asdict(score))
         add(table, score)
-        _report.finish({"scores": scores}, chosen.json)
+        if chosen.json:
+            chosen.json.write_text(json.dumps({"scores": scores}, indent=2) + "\n")
     print(table.text())
     for one in scores:
         for text in (*one["contradict"], *one["moved"], *([one["note"]] if one["note"] else [])):
