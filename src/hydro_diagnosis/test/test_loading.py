@@ -45,6 +45,9 @@ def test_too_little_motion_is_refused_and_the_remedy_is_named(worn: list[Path], 
     short = [tripped(recording, tmp_path, 1.2) for recording in worn[:2]]
     with pytest.raises(InputError, match=r"piston moves for 2\.\d s.*lower gains.*give the box.*valve_nominal_flow"):
         load_dataset(short, [worn[2]], BENCH)
+    pd.read_csv(worn[0])[:2700].to_csv(tmp_path / "begun.csv", index=False)
+    with pytest.raises(InputError, match=r"too little to be diagnosed; record 20 s of motion or more$"):
+        load_dataset([tmp_path / "begun.csv"], [worn[2]], BENCH)
 
 
 def test_just_enough_motion_is_taken(worn: list[Path], tmp_path: Path) -> None:

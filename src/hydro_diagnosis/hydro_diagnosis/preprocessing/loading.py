@@ -89,19 +89,20 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
 
     `notes`: on what was discarded.
     """
-    moving = 0.0
+    moving = lasted = 0.0
     for segment in segments:
         if "piston_position" not in segment.channels:
             return
         length = max(round(STILL_FOR / segment.step), 1)
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
+        lasted += len(segment) * segment.step
         moving += STILL_FOR * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
     if moving < ENOUGH:
         why = "; ".join([*notes, *_saturation(segments, bench)]).replace(f"; {REMEDY}", "")
         raise UnusableRecordingError(
             f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
             + (f" ({why})" if why else "")
-            + f"; {REMEDY}"
+            + (f"; {REMEDY}" if why or moving < 0.5 * lasted else "; record 20 s of motion or more")
         )
 
 
