@@ -124,7 +124,7 @@ def title(law: Law | Table) -> str:
     return f"{law.equation} {law.form}"
 
 
-@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.study)])
+@pytest.mark.parametrize("every", [14, pytest.param(1, marks=pytest.mark.study)])
 def test_simulation_and_diagnosis_mean_the_same_term(every: int, each: Callable[..., None]) -> None:
     each(TERMS[::every], same_in_simulation_and_diagnosis, title)
 
