@@ -77,11 +77,12 @@ def test_under_a_mismatch_nothing_is_corrected_no_certificate_is_claimed_and_the
     assert ((after["flags"] & Flag.FILTER_STALE) != 0).all()
 
 
-def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilter) -> None:
-    long = [(becoming(at=()), case, 30.0) for case in ("wide-slow", "unstable-slow", "base")]
+@pytest.mark.parametrize("seconds", [8.0, pytest.param(30.0, marks=pytest.mark.study)])
+def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilter, seconds: float) -> None:
+    long = [(becoming(at=()), case, seconds) for case in ("wide-slow", "unstable-slow", "base")]
     short = [(becoming(at=()), "wide", 6.0), (make_plant(), "wide-slow", 6.0)]
-    for seed, (plant, case, seconds) in enumerate(long + short):
-        done = played(contraction_filter, plant, seconds, CASES[case].draw(seed, seconds), seed)
+    for seed, (plant, case, lasts) in enumerate(long + short):
+        done = played(contraction_filter, plant, lasts, CASES[case].draw(seed, lasts), seed)
         assert not len(mismatches(done)) and done.bounded, case
 
 
