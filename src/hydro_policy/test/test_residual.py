@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -48,6 +49,12 @@ def run(residual: Residual | None, seconds: float = 7.0) -> tuple[FloatArray, Fl
     return np.concatenate(errors, axis=1), np.stack(values, axis=1)
 
 
+@cache
+def law_alone() -> FloatArray:
+    """The error without a residual."""
+    return run(None)[0]
+
+
 def test_period_of_what_repeats_is_found_and_none_of_what_does_not() -> None:
     time = np.arange(0.0, 9.0, 0.01)
     pulses = np.where(time % 1.7 < 0.4, 50.0, 0.0)
@@ -77,7 +84,7 @@ def rmse(error: FloatArray) -> FloatArray:
 
 @pytest.mark.slow
 def test_error_falls_on_benches_and_references_that_were_not_trained_on() -> None:
-    alone, _ = run(None)
+    alone = law_alone()
     both, added = run(Residual(6, Network.load()))
     ratio = rmse(both) / rmse(alone)
     assert np.median(ratio) < 0.85 and ratio.max() < 1.1
@@ -142,7 +149,7 @@ def test_samples_that_do_not_count_take_it_away_at_once_and_it_comes_back_slowly
 def test_authority_of_a_network_that_harms_shrinks_to_little() -> None:
     shipped = Network.load()
     wrong = Residual(6, Wrong(shipped.mean, shipped.spread, shipped.layers))
-    alone, _ = run(None)
+    alone = law_alone()
     both, _ = run(wrong)
     assert (wrong.authority[1::2] < 0.1).all(), "multisines; for sines, what was needed a period ago takes its place"
     assert (rmse(both) < 1.2 * rmse(alone)).all()
