@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
@@ -37,7 +38,10 @@ def apart() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recording")
-    assert run("hydro_sim emulator --offline --seconds 8 --out {out}/bag", folder) == set()
+    leak = {"leakage_internal": {"coefficient": 3e-13}, "friction_viscous": {"coefficient": 60.0}}
+    (folder / "truth.yaml").write_text(yaml.safe_dump({"profile": "nominal", "effects": leak}))
+    words = "hydro_sim emulator --offline --seconds 8 --truth {out}/truth.yaml --out {out}/bag"
+    assert run(words, folder) == set()
     return folder / "bag"
 
 

@@ -10,11 +10,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ENTRY = re.compile(r'"(\w+) = hydro_bridge\.process\.start:main_of\.([\w.]+)"')
-COMMANDS = [
-    module
-    for setup in sorted(ROOT.glob("src/hydro_*/setup.py"))
-    for _, module in ENTRY.findall(setup.read_text(encoding="utf-8"))
-]
+COMMANDS = [module for _, module in ENTRY.findall((ROOT / "src/hydro_policy/setup.py").read_text(encoding="utf-8"))]
+"""The other packages import no torch."""
 WITHOUT_NUMBA = ("hydro_policy.nodes.evaluate", "hydro_policy.nodes.trainer")
 PROBE = """
 import importlib, os, sys

@@ -77,5 +77,5 @@ def test_simulated_filter_holds_the_loop_and_the_compensated_law_is_best(monkeyp
 def test_policy_trains_in_a_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
     code = code_of("train")
     assert "EPISODES = 24" in code
-    names = ran(code.replace("EPISODES = 24", "EPISODES = 8"), monkeypatch)
+    names = ran(code.replace("EPISODES = 24", "EPISODES = 4"), monkeypatch)
     assert np.isfinite(names["history"].score).all() and names["history"].updates.iloc[-1] > 0

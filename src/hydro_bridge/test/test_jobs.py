@@ -117,7 +117,7 @@ def test_cluster_gives_what_this_process_gives_though_a_worker_is_killed(cluster
     assert sorted(done) == ["0", "1", "2", "3", "4", "5"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_scheduler_is_killed_and_the_same_jobs_are_completed_without_it(cluster: str, tmp_path: Path) -> None:
     from distributed import Client
 
