@@ -109,7 +109,8 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
     figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
     files = ("--json", str(figures), "--plot", str(plot), "--runs", str(tmp_path / "runs"), "--name", "a")
-    done = run("evaluate", *words, "--frequencies", "2", *files)
+    short = ("--ros-args", "-p", "settle:=1.0", "-p", "measure:=2.0")
+    done = run("evaluate", *words, "--frequencies", "2", *files, *short)
     assert done.returncode == 0, done.stderr
     told = (
         f"policy {policy}: weights {load_policy(policy)[0].digest()}, SHA-256 {sha256(policy.read_bytes()).hexdigest()}"
