@@ -85,6 +85,22 @@ def test_a_box_that_trips_whenever_it_is_armed_is_not_armed_again() -> None:
         run(watch, tripped, 2.0 + TRIALS, 3.0 + TRIALS)
 
 
+def test_a_plant_that_a_person_disarmed_is_asked_for_now_and_then_until_a_person_arms_it() -> None:
+    heard = Heard()
+    watch = armed_watch(heard, rearm=True)
+    run(watch, 0, 1.1, 1.3)
+    assert heard.armings == [False, True]
+    watch.leave_to_person(1.3)
+    run(watch, 0, 1.3, 31.0)
+    assert heard.armings == [False, True]
+    run(watch, 0, 31.0, 32.0)
+    assert heard.armings == [False, True, False, True]
+    watch.leave_to_person(32.0)
+    run(watch, ARMED, 32.0, 32.1)
+    run(watch, 0, 32.1, 32.3)
+    assert heard.armings == [False, True] * 3
+
+
 def test_arming_waits_for_the_filter() -> None:
     heard = Heard()
     watch = PlantSupervisor(heard, rearm=True)

@@ -10,6 +10,7 @@ from hydro_bridge.signals import ReferenceSignal
 
 SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
 RETRY = 1.0  # s
+REMINDER = 30.0  # s between requests to arm a plant that a person disarmed
 
 HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
@@ -44,6 +45,11 @@ class Arming:
         """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
         self._outputs.arm(False)
         self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
+
+    def leave_to_person(self, now: float) -> None:
+        """Ask again in `REMINDER` only, since a person disarmed the plant; call when a request was refused for that."""
+        if self.alone:
+            self._arm_after, self._asked = math.inf, now + REMINDER - RETRY
 
     def under_way(self, now: float) -> bool:
         """Whether this object requested arming, which may explain an armed plant."""

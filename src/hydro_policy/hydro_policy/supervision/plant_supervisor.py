@@ -248,6 +248,10 @@ class PlantSupervisor:
             self._arming.seek(self.readiness.complete, now)
         self._tell(now)
 
+    def leave_to_person(self, now: float) -> None:
+        """Request arming now and then only: a person disarmed the plant."""
+        self._arming.leave_to_person(now)
+
     def arm_now(self, now: float) -> None:
         """Arm at a person's request if all is ready; otherwise report what is missing."""
         if self.armed and not self.unready(now):

@@ -147,7 +147,6 @@ class PolicySteps:
 TICK = 0.05  # s
 NICE = -15
 """Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
-REMINDER = 30.0  # s, that a person disarmed the plant
 
 
 class GraphNode(Node):
@@ -188,7 +187,6 @@ class GraphNode(Node):
         self._session: Session | None = None
         self._failure: Exception | None = None  # in a callback; raised there, rclpy would print it as well
         self._each_tick: Callable[[], None] = lambda: None
-        self._waits_for_person = -math.inf  # last reminder that a person disarmed the plant, s
         self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
         self._done = Future()
         self._gains_out = 0.0
@@ -446,10 +444,10 @@ class GraphNode(Node):
             self._unarmed_since = math.inf
             return
         now = time.monotonic()
-        if response.message == BY_HAND:  # for as long as the person wants; told now and then
-            if now - self._waits_for_person > REMINDER:
-                self.warn(response.message)
-                self._waits_for_person = now
+        if response.message == BY_HAND:  # for as long as the person wants
+            self.warn(response.message)
+            if self._session is not None:
+                self._session.watch.leave_to_person(now)
             return
         self._unarmed_since = min(self._unarmed_since, now)
         self.warn(f"the plant was not armed: {response.message}")
