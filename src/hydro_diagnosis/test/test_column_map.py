@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import cast
 
@@ -274,8 +275,18 @@ def mts(states: StateArray) -> bytes:
     return "\r\n".join(result).encode()
 
 
+def times_of_day(states: StateArray) -> bytes:
+    """A PLC's log: dates and times, past midnight."""
+    start, units = datetime(2026, 12, 31, 23, 59, 58), ["s", "mm", "bar", "bar", "N", "mA", "N"]
+    names = ["Weg [mm]", "Druck A [bar]", "Druck B [bar]", "Kraft [N]", "Strom [mA]", "Sollwert [N]"]
+    moments = (start + timedelta(milliseconds=k) for k in range(len(states)))
+    lines = rows(columns(states, units)[1:], ";", ",")
+    stamped = (f"{moment:%d.%m.%Y %H:%M:%S,%f};{line}" for moment, line in zip(moments, lines, strict=True))
+    return "\n".join([";".join(["Datum/Uhrzeit", *names]), *stamped]).encode()
+
+
 EXPORTS = {control_desk: "csv", german: "csv", letters: "csv", numbered: "csv", twin_cat: "csv", lab_view: "lvm",
-           inca: "ascii", mts: "dat"}  # fmt: skip
+           inca: "ascii", mts: "dat", times_of_day: "csv"}  # fmt: skip
 """Writers of texts, and the ending of their files."""
 
 

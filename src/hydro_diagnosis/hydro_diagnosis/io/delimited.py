@@ -38,6 +38,8 @@ UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_lab
 FIRST_NUMBERS = "trace_values"
 """ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)."""
 _NUMBER = re.compile(r"[+-]?(\d+([.]\d*)?|[.]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+_CLOCK = r"(?<!\d)(\d{1,2}):(\d\d):(\d\d(?:[.]\d+)?)"
+"""Time of day in a cell, its decimal sign a point."""
 _FOLLOWING = 4
 """Rows below the first that must be numbers too."""
 
@@ -300,8 +302,17 @@ def _numbers(source: object, header: Header, separator: str, decimal: str, *, st
     texts = [column for column in frame if broken[column].all() or not numbers[column].notna().any()]
     if strict and broken.drop(columns=texts).to_numpy().any() and _holds_headers(frame[broken.any(axis=1)]):
         raise ValueError("another block")
+    for column in numbers.columns[numbers.isna().all()]:
+        numbers[column] = _times_of_day(frame[column])
     numbers.columns = pd.RangeIndex(len(header.names))
     return numbers
+
+
+def _times_of_day(cells: pd.Series) -> FloatArray:
+    """Times of day, with or without a date, in s from the first, beyond midnight too; NaN where any is none."""
+    parts = cells.astype(str).str.extract(_CLOCK).to_numpy(dtype=np.float64)
+    seconds = np.unwrap(parts @ np.array([3600.0, 60.0, 1.0]), period=86400.0)
+    return np.asarray(seconds - seconds[0])
 
 
 def _holds_headers(rows: pd.DataFrame) -> bool:
