@@ -31,7 +31,7 @@ from scipy.io import loadmat
 from benchmarks import _report
 from hydro_bridge.cli.console import Table, UserError, command, progress
 from hydro_diagnosis import Diagnosis, InputError, diagnose
-from hydro_diagnosis.findings import EffectReport
+from hydro_diagnosis.report_json import EffectReport
 
 RIGS = {path.stem: path for path in sorted((Path(__file__).parent / "rigs").glob("*.yaml"))}
 ORIGIN = "https://raw.githubusercontent.com/{repository}/{commit}/{path}"

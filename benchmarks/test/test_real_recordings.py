@@ -15,7 +15,7 @@ import yaml
 from benchmarks.real_recordings import __main__ as real
 from hydro_diagnosis import Diagnosis
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.findings import EffectReport, ParameterEstimate
+from hydro_diagnosis.report_json import EffectReport, ParameterEstimate
 
 DATA = Path(os.environ.get("HYDRO_REAL_RECORDINGS", Path(__file__).parents[3] / "shared" / "data"))
 VERDICTS = {"no_mismatch", "explained", "modelled", "partly_explained", "unknown", "refused"}

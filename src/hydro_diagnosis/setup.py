@@ -40,7 +40,7 @@ setup(
             "diagnose_many = hydro_bridge.process.start:main_of.hydro_diagnosis.diagnose_many",
             "prove = hydro_bridge.process.start:main_of.hydro_diagnosis.prove",
             "trends = hydro_bridge.process.start:main_of.hydro_diagnosis.trends",
-            "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.listing",
+            "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.inspect_command",
         ],
     },
 )

@@ -31,7 +31,7 @@ from hydro_bridge.bags.recording import (
     repair,
     stream_bag,
 )
-from hydro_bridge.bags.source import BagSource
+from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
 from hydro_bridge.bags.writer import sequence_of
 from hydro_bridge.nodes.replayer import Replay

@@ -71,7 +71,7 @@ def test_what_the_flags_tell_is_marked_at_its_sample(bag: Path, states) -> None:
 
 
 def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:
-    """What matters here of a report.json: `hydro_diagnosis.findings.Location`."""
+    """What matters here of a report.json: `hydro_diagnosis.report_json.Location`."""
     location = [{"equation": "motion", "sentence": "friction", "windows": windows}]
     (folder / "report.json").write_text(json.dumps({"location": location}))
     return folder / "report.json"

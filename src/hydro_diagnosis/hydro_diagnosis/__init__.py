@@ -12,14 +12,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hydro_diagnosis.findings import Report
     from hydro_diagnosis.io.table import InputError
     from hydro_diagnosis.pipeline import diagnose
     from hydro_diagnosis.report.diagnosis import Diagnosis
+    from hydro_diagnosis.report_json import Report
 
 __all__ = ["Diagnosis", "InputError", "Report", "diagnose"]
 
-_HOMES = {"Diagnosis": "report.diagnosis", "InputError": "recording", "Report": "findings", "diagnose": "pipeline"}
+_HOMES = {"Diagnosis": "report.diagnosis", "InputError": "recording", "Report": "report_json", "diagnose": "pipeline"}
 
 
 def __getattr__(name: str) -> Any:

@@ -11,9 +11,9 @@ from contextlib import nullcontext
 from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.growing import command as growing
 from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.stage_bar import StageBar, silent
 
 PAGE = "--page"

@@ -26,15 +26,15 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from hydro_bridge.bags.location import is_bag, is_stored, is_there, parted, stored_below
-from hydro_bridge.bags.source import BagSource
+from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import UserError, command, number, plural, writable_folder
 from hydro_bridge.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
-from hydro_diagnosis.findings import ParameterEstimate, Report
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_diagnosis.report_json import ParameterEstimate, Report
 
 _OF = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
 DIAGNOSES = pa.schema(

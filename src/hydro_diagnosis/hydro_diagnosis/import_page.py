@@ -35,10 +35,11 @@ from hydro_bridge.dashboard.status import encoded
 from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
 from hydro_diagnosis.bench_numbers import read_bench
+from hydro_diagnosis.column_proposal import as_yaml
+from hydro_diagnosis.inspect_command import COLUMNS, ROWS, improbable, listed, missing
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import columns_of
-from hydro_diagnosis.listing import COLUMNS, ROWS, as_yaml, improbable, listed, missing
 from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench

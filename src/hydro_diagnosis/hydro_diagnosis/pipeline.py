@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from hydro_bridge.process import endings
 from hydro_diagnosis.estimation.budget import Budget
-from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring

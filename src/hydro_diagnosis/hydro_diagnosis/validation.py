@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.findings import ChannelError, channel_errors
 from hydro_diagnosis.model.memory import Indices
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_diagnosis.recording import UNITS
+from hydro_diagnosis.report_json import ChannelError, channel_errors
 
 STANDS_OUT = 2.0
 """Error of a window from which it is examined [noise floors, root mean square over channels]."""

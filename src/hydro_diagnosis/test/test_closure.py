@@ -19,14 +19,14 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure import admission
 from hydro_diagnosis.closure.admission import admitted, share_closed, without_harmful_names
 from hydro_diagnosis.closure.evidence import within_form_error, without_idle_terms
-from hydro_diagnosis.closure.growth import ClosureFit, ForwardSelection, _exchanged
+from hydro_diagnosis.closure.forward_selection import ClosureFit, ForwardSelection, _exchanged
+from hydro_diagnosis.closure.model_selection import closures, merged, renamed, starting_points, together
 from hydro_diagnosis.closure.screen import Screen, laws, threshold
-from hydro_diagnosis.closure.selection import closures, merged, renamed, starting_points, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.findings import ClosureReport
+from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench

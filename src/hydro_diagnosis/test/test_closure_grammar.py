@@ -11,7 +11,7 @@ import pytest
 
 from hydro_bridge.signals import FloatArray, StateArray
 from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, equals_ruled_out, has_identified_shapes
-from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.closure.model_selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag, limited

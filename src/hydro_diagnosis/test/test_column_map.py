@@ -17,10 +17,11 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
+from hydro_diagnosis.column_proposal import proposed
+from hydro_diagnosis.inspect_command import improbable
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
-from hydro_diagnosis.listing import improbable, proposed
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
@@ -104,7 +105,7 @@ def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
     columns = {"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}
     pressures = {"pressure_a": [1e6, 2e6], "pressure_b": [2e6, 1e6], "p_S [bar]": [138, 142]}
     pd.DataFrame({**columns, **pressures}).to_csv(path)
-    command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path)]
+    command = [sys.executable, "-m", "hydro_diagnosis.inspect_command", str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = {line.split()[1]: line.split() for line in ended.stdout.splitlines() if line.startswith("run.csv")}
     assert rows["Time"][-1] == "time?" and rows["load_force"][-1] == "load_force"

@@ -11,8 +11,8 @@ import pytest
 
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.cli.console import Table
+from hydro_diagnosis.inspect_command import COLUMNS, listed
 from hydro_diagnosis.io.table import InputError, columns_of, read_table
-from hydro_diagnosis.listing import COLUMNS, listed
 from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.loading import ENOUGH, load_dataset
 from hydro_diagnosis.preprocessing.quality import checked

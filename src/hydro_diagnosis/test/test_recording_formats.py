@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray
+from hydro_diagnosis.column_proposal import proposed
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import columns_of, read_columns, read_table
-from hydro_diagnosis.listing import proposed
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_sim.model.bench import Bench
@@ -43,8 +43,8 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, nomina
 
 def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, nominal: StateArray) -> None:
     path = loggers.control_desk_csv(tmp_path, nominal[:3000])
-    command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path), "--write", str(tmp_path / "map.yaml")]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    command = [sys.executable, "-m", "hydro_diagnosis.inspect_command", str(path)]
+    shown = subprocess.run([*command, "--write", str(tmp_path / "map.yaml")], capture_output=True, text=True, check=True).stdout
     row = next(line for line in shown.splitlines() if "Model Root/pA/Out1" in line)
     assert row.split()[-1] == "pressure_a?" and " bar " in row and " 1000 " in row
     assert any(level in row for level in "▁▂▃▄▅▆▇█")

@@ -17,10 +17,11 @@ import pytest
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
+from hydro_diagnosis.column_proposal import proposed
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.inspect_command import improbable
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable, columns_of
-from hydro_diagnosis.listing import improbable, proposed
 from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
 from hydro_diagnosis.wiring import inspect_table, reversed_sign

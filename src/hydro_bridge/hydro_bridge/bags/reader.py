@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.cdr import STATE_TYPE
-from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
+from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.signals import STATE_DTYPE, StateArray
 

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.reader import STATE_TOPIC, as_states
-from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
+from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import UserError, command, number, writable
 from hydro_bridge.dashboard import series, status

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.closure.growth import ClosureFit
+from hydro_diagnosis.closure.forward_selection import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.findings import ClosureReport, ParameterEstimate
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate
 from hydro_diagnosis.validation import Known, held_out
 from hydro_sim.model.laws import Law
 

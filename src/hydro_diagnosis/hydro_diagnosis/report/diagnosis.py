@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from hydro_diagnosis.bench_numbers import PartialBench
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.findings import Report
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import LAST_THIRD
 from hydro_diagnosis.report.corrected_bench import corrected_bench
+from hydro_diagnosis.report_json import Report
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model.bench import Bench

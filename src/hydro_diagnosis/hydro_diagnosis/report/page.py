@@ -16,13 +16,13 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.findings import EffectReport, Report
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, display_unit, interval
 from hydro_diagnosis.report.plots import STATIC, location_plot, svg, valve_plot
+from hydro_diagnosis.report_json import EffectReport, Report
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
 

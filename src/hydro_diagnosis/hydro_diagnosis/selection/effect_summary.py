@@ -12,7 +12,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable, s
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
-from hydro_diagnosis.findings import EffectReport, Location, LookAlike, ParameterEstimate, Rival
+from hydro_diagnosis.report_json import EffectReport, Location, LookAlike, ParameterEstimate, Rival
 from hydro_diagnosis.selection.localisation import Place, locate
 from hydro_diagnosis.selection.outcome import CLOSE, Outcome
 from hydro_diagnosis.selection.verdict import Assessment

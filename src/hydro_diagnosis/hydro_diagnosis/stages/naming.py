@@ -14,7 +14,7 @@ from typing import Any
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import can_simulate
 from hydro_diagnosis.closure.admission import Admitted, admitted, reports, without_harmful_names
-from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.closure.model_selection import closures
 from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
 from hydro_diagnosis.estimation.free_form import free_forms, gains_by_equation

@@ -27,12 +27,12 @@ from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
-from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of
+from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_diagnosis.validation import Known

@@ -16,9 +16,9 @@ from hydro_diagnosis.estimation.fit import QUANTILE, Fit, pack, residual_varianc
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
-from hydro_diagnosis.findings import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.report.diagnosis import Diagnosis, display_unit
+from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
 from hydro_diagnosis.selection.reliability import doubted, explained_shares, objections
 from hydro_diagnosis.selection.search import Search

@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
-from hydro_bridge.bags.source import RecordingSummary, summarized
+from hydro_bridge.bags.storage import RecordingSummary, summarized
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.nodes.verbs.launch import add_group
 from hydro_bridge.ros.companion import CompanionError

@@ -31,7 +31,7 @@ from hydro_diagnosis.closure.evidence import (
     within_form_error,
     without_idle_terms,
 )
-from hydro_diagnosis.closure.growth import (
+from hydro_diagnosis.closure.forward_selection import (
     CONDENSED,
     LEAST,
     TERMS,

@@ -1,39 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run hydro_diagnosis inspect FILE...`: contents of recordings, and a proposed column map.
+"""Proposal of a column map, from the columns' names, units and numbers; a person confirms it.
 
 A column scores for words of its name that stand for a field, for a unit of the field's quantity, and for numbers of the
 bench's size. The best pairs are taken one by one. Columns whose names say nothing are told apart by their units and by
 what they are to each other: chamber A is the one whose pressure rises with the load, the hydraulic force is
 A_A p_A - A_B p_B. Where no name and no unit says anything, the bench's equations and numbers alone do. What scores too
-little stays unmapped. A person confirms the map.
+little stays unmapped.
 """
 
 from __future__ import annotations
 
-import argparse
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
-from math import inf
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from hydro_bridge.bags.location import is_bag, parted
-from hydro_bridge.bags.recording import Extent, RecordingError, read_bag
-from hydro_bridge.cli.console import Table, add_json_argument, command, writable
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
 from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward, without_unit
-from hydro_diagnosis.io.table import base_of, columns_of, read_table, table_of
-from hydro_diagnosis.recording import InputError
-from hydro_diagnosis.wiring import LOOKED_AT, MEAN, inspect_table, line, means
+from hydro_diagnosis.io.table import base_of
+from hydro_diagnosis.wiring import LOOKED_AT, MEAN, line, means
 from hydro_sim.model.bench import Bench
 
 ENOUGH = 3.0
@@ -353,231 +343,3 @@ def _time_unit(name: str, found: Columns) -> str:
         return unit if QUANTITY[unit] == "time" and UNITS[unit] != 1.0 else ""
     step = float(np.median(np.diff(found.series[name])))
     return next((unit for unit in ("", "ms", "us") if step * UNITS.get(unit, 1.0) <= _APART), "ns")
-
-
-COSTS = {
-    "pressure equations": "leaks, valve, oil and volumes",
-    "motion equation": "friction, mass and end stops",
-    "load equation": "the load's damping and play, and the load cell",
-    "force of the pressures": "the pressure sensors and the hydraulic force's scale",
-}
-"""What each equation is for."""
-ROWS = 100_000
-"""Rows of a longer bag that are listed, evenly taken; counts and ranges are those of all."""
-GLANCED = 300.0
-"""Seconds of a bag, from its begin, in which numbers are judged by the bench."""
-LEVELS = "▁▂▃▄▅▆▇█"
-WIDTH = 24
-"""Width in characters."""
-
-
-def sparkline(values: FloatArray) -> str:
-    """The middle of each of `WIDTH` parts, from the smallest number (▁) to the largest (█); gaps are blanks."""
-    parts = np.array_split(values, min(WIDTH, len(values))) if len(values) else []
-    middles = np.array([np.nanmedian(part) if np.isfinite(part).any() else np.nan for part in parts])
-    if not np.isfinite(middles).any():
-        return ""
-    low, high = float(np.nanmin(middles)), float(np.nanmax(middles))
-    span = high - low if high > low else 1.0
-    return "".join(
-        " " if not np.isfinite(one) else LEVELS[min(int((one - low) / span * len(LEVELS)), len(LEVELS) - 1)]
-        for one in middles
-    )
-
-
-COLUMNS = {
-    "recording": "",
-    "column": "name in the file",
-    "unit": "as the file states it",
-    "count": "numbers in it",
-    "rate": "per second, by its own times",
-    "low": "smallest",
-    "high": "largest",
-    "shape": "over the recording, from the smallest to the largest",
-    "used": "the field that it becomes; `?`: proposed, to be confirmed by --columns",
-}
-
-
-def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
-    """Add a row per column of a recording; returns the map, proposed if none is given."""
-    chosen = proposed(found, bench) if columns is None else columns.completed(found.series)
-    becomes = {source.column: field for field, source in chosen.sources.items()}
-    for column, values in found.series.items():
-        field = becomes.get(column, "")
-        sure = columns is not None or column == field
-        table.add(
-            recording=name,
-            column=column,
-            unit=found.units.get(column, ""),
-            **_range(found.extents.get(column) or Extent(1).with_values(values)),
-            rate=_rate(column, found, chosen),
-            shape=sparkline(values),
-            used=field if sure or not field else f"{field}?",
-        )
-    for column, number in found.constants.items():
-        _add_plain(table, name, column, 1, number, "one number: a factor or offset in --columns")
-    for column in found.other:
-        _add_plain(table, name, column, 0, np.nan, "not numbers, or another length")
-    return chosen
-
-
-def _add_plain(table: Table, name: str, column: str, count: int, number: float, used: str) -> None:
-    table.add(
-        recording=name,
-        column=column,
-        unit="",
-        count=count,
-        rate=np.nan,
-        low=number,
-        high=number,
-        shape="",
-        used=used,
-    )
-
-
-def _range(extent: Extent) -> Mapping[str, float]:
-    return {"count": extent.count, "low": extent.low, "high": extent.high}
-
-
-def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
-    """Samples per second, by a column's clock, else by the column that the map takes for the time."""
-    mapped = chosen.sources.get("time")
-    clock = found.clocks.get(name) or (mapped.column if mapped else "")
-    if not clock and named_like_time(name) and runs_forward(found.series[name]):
-        clock = name
-    if clock not in found.series or len(found.series[clock]) != len(found.series[name]):
-        return float("nan")
-    steps = np.diff(found.series[clock])
-    steps = steps[steps > 0.0]
-    unit = found.units.get(clock) or (mapped.unit if mapped else "")
-    every = found.extents.get(clock, Extent(1)).every
-    return float(every / (np.median(steps) * UNITS.get(unit, 1.0))) if len(steps) else float("nan")
-
-
-def arguments() -> argparse.ArgumentParser:
-    """The command line."""
-    options = argparse.ArgumentParser(
-        prog="inspect", description="List what recordings hold, and propose a column map."
-    )
-    options.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help="as for diagnose")
-    options.add_argument("--columns", metavar="MAP", help="as for diagnose: shows what it would make of the columns")
-    options.add_argument("--bench", type=Path, metavar="FILE", help="as for diagnose: what numbers are likely")
-    options.add_argument(
-        "--write", type=writable, metavar="FILE", help="write the proposed map of the first FILE, YAML"
-    )
-    add_json_argument(options)
-    return options
-
-
-@command(InputError, ValueError)
-def main() -> int:
-    """Entry point."""
-    chosen = arguments().parse_args(sys.argv[1:])
-    columns = ColumnMap.load(chosen.columns)
-    bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
-    table, maps, remarks = Table(COLUMNS), [], []
-    for path in chosen.recordings:
-        found = columns_of(path, ROWS)
-        maps.append(listed(path.name, found, columns, table, bench))
-        said = improbable(path, found, maps[-1], bench)
-        if columns is None:
-            said += [_advice(maps[-1], chosen.bench), *missing(maps[-1]), *_spare_pressures(found, maps[-1])]
-        said += found.notes
-        remarks += [f"{path.name}: {sentence}" for sentence in said]
-    table.show(chosen.json)
-    for remark in remarks:
-        print(remark)
-    if chosen.write and maps[0].sources.keys() <= {"time"}:
-        raise InputError(f"{chosen.write} was not written: no signal of {chosen.recordings[0].name} is known")
-    if chosen.write:
-        Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
-        print(f"{chosen.write}: the map of {chosen.recordings[0].name}")
-    return 0
-
-
-def _advice(proposal: ColumnMap, bench: Path | None) -> str:
-    if not proposal.sources:
-        return "no column looks like a field: map them by --columns time=NAME,piston_position=NAME,..."
-    if not proposal.corrections().sources:
-        return "its columns carry the fields' own names: no map is needed"
-    if set(proposal.sources) == {"time"}:
-        return (
-            "names and units say nothing of its columns, and they do not fulfil the equations of "
-            + (f"{bench}: " if bench else "the nominal bench: give the rig's numbers by --bench FILE, or ")
-            + f'map them by --columns "{proposal},piston_position=NAME[mm],pressure_a=NAME[bar],..."'
-        )
-    return f'proposed, to be checked: --columns "{proposal}"'
-
-
-def _spare_pressures(found: Columns, proposal: ColumnMap) -> list[str]:
-    """A clause for each pressure that no field takes: it may be the supply's."""
-    used = {source.column for source in proposal.sources.values()}
-    units = {name: found.units.get(name) or in_name(name) for name in found.series if name not in used}
-    return [
-        f"{name} is a pressure that no field takes; if it is the supply's, the bench file's supply_pressure is "
-        f"{UNITS[unit] * float(np.nanmedian(found.series[name])):.4g} Pa"
-        for name, unit in units.items()
-        if QUANTITY.get(unit) == "pressure" and np.isfinite(found.series[name]).any()
-    ]
-
-
-def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> list[str]:
-    """Return which fields of a map the bench cannot have, else which it models far better if they are repaired.
-
-    `found`: the columns of a file that is no bag, whole.
-    """
-    from hydro_diagnosis.stages.hypotheses import suspicions
-
-    try:
-        table = read_table(_beginning(path), columns) if is_bag(path) else table_of(path, found, columns)
-    except InputError:
-        return []
-    doubts = inspect_table(table, bench).doubts
-    impossible = [
-        f"{doubt[0].field} has numbers that this bench cannot have: perhaps "
-        + ", or ".join(one.sentence for one in doubt)
-        for doubt in doubts
-    ]
-    repairs = () if impossible else suspicions(table, bench)
-    if not repairs:
-        return impossible
-    repaired = columns
-    for repair in repairs:
-        repaired = repair.edit(repaired)
-    changed = {name: one for name, one in repaired.sources.items() if columns.sources.get(name) != one}
-    return [
-        f"perhaps {', and '.join(one.sentence for one in repairs)}: repaired, the recording fits the bench far better "
-        f"before any cause is sought (diagnose tries both): {ColumnMap(changed)}"
-    ]
-
-
-def _beginning(path: Path) -> Path:
-    """A bag's first `GLANCED` seconds; a bag without an index as a whole."""
-    whole, part = parted(path)
-    begin, end = part or (0.0, inf)
-    if end - begin <= GLANCED:
-        return path
-    first = Path(f"{whole}#t={begin},{begin + GLANCED}")
-    try:
-        read_bag(first, topics=())
-    except RecordingError:
-        return path
-    return first
-
-
-def missing(proposal: ColumnMap) -> list[str]:
-    """Return what is not checked for lack of which fields, a clause per equation."""
-    there = proposal.sources.keys()
-    lacking: dict[str, list[str]] = {}
-    for one in CONNECTIONS:
-        lacking.setdefault(one.equation, []).append(", ".join(sorted(one.channels - there)))
-    return [
-        f"{COSTS[equation]} cannot be identified without {' or '.join(ways)}"
-        for equation, ways in lacking.items()
-        if all(ways)
-    ]
-
-
-if __name__ == "__main__":
-    main()
