@@ -11,7 +11,7 @@ from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, Referen
 from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_sim.model.bench import Bench
@@ -47,7 +47,7 @@ def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]
 def apart(segment: Segment, states: FloatArray, claims: Sequence[Claim]) -> dict[str, float]:
     """RMS over range of what the diagnosis' simulation makes of the same current from the same states, by channel."""
     plant = Plant.of(SegmentModel(segment, Bench.nominal()), claims)
-    readings = plant.measurements(plant.run(states[BEGINS][:, [2, 3, 0, 1]].T.copy(), BEGINS, LENGTH), BEGINS)
+    readings = measurements(plant, plant.run(states[BEGINS][:, [2, 3, 0, 1]].T.copy(), BEGINS, LENGTH), BEGINS)
     at = BEGINS[None, :] + np.arange(LENGTH)[:, None]
     return {
         name: float(np.sqrt(np.mean((readings[name] - signal[at]) ** 2)) / np.ptp(signal))

@@ -18,8 +18,6 @@ from hydro_diagnosis.stage_bar import StageBar, silent
 
 PAGE = "--page"
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
-
-
 FOREIGN = (
     "note: no --bench was given, so these recordings are compared with the nominal bench (piston area 2 cm2, supply\n"
     "      16 MPa, spring 20 kN/m). For another rig write a bench file with its numbers first and pass --bench FILE"

@@ -80,11 +80,7 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
     Numbers that are not known of a bench are taken to be of the nominal one's size.
     """
     known = bench.to_mapping()
-    sizes = {name: known[name] for name in _SIZES if name in known}
-    return _proposed(found, replace(Bench.nominal(), **sizes))
-
-
-def _proposed(found: Columns, bench: Bench) -> ColumnMap:
+    bench = replace(Bench.nominal(), **{name: known[name] for name in _SIZES if name in known})
     sources: dict[str, Source] = {}
     if not found.clocks:
         times = [name for name, values in found.series.items() if runs_forward(values)]

@@ -34,7 +34,7 @@ from hydro_bridge.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import SUFFIXES, InputError
-from hydro_diagnosis.report_json import ParameterEstimate, Report
+from hydro_diagnosis.report_json import NumberEstimate, ParameterEstimate, Report
 
 _OF = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
 DIAGNOSES = pa.schema(
@@ -127,10 +127,7 @@ def rows(report: Report) -> dict[str, Any]:
         for effect in report.effects
         for name, number in effect.parameters.items()
     ]
-    estimated = [
-        _number("", "", one.name, ParameterEstimate(value=one.value, ci95=one.ci95, unit=one.unit))
-        for one in report.estimated
-    ]
+    estimated = [_number("", "", one.name, one) for one in report.estimated]
     diagnosis = {
         "verdict": report.verdict,
         "causes": [effect.id for effect in report.effects],
@@ -146,7 +143,7 @@ def rows(report: Report) -> dict[str, Any]:
     }
 
 
-def _number(cause: str, options: str, name: str, number: ParameterEstimate) -> dict[str, Any]:
+def _number(cause: str, options: str, name: str, number: ParameterEstimate | NumberEstimate) -> dict[str, Any]:
     low, high = number.ci95 or (None, None)
     return {
         "cause": cause, "options": options, "parameter": name, "value": number.value, "low": low, "high": high,

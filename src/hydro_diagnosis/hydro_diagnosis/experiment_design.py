@@ -75,13 +75,9 @@ def catalog(bench: Bench) -> list[ReferenceSignal]:
     """References that the box can run, over the working range: forces in proportion to the bench's largest."""
     strength = bench.piston_area * bench.supply_pressure / (NOMINAL.piston_area * NOMINAL.supply_pressure)
     return [
-        replace(one, amplitude=_rounded(strength * one.amplitude), offset=_rounded(strength * one.offset))
+        replace(one, amplitude=float(f"{strength * one.amplitude:.2g}"), offset=float(f"{strength * one.offset:.2g}"))
         for one in _nominal_catalog()
     ]
-
-
-def _rounded(force: float) -> float:
-    return float(f"{force:.2g}")
 
 
 def _nominal_catalog() -> Iterator[ReferenceSignal]:
@@ -165,7 +161,11 @@ TRIED = 3
 
 def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
     """The recording that separates the weightiest law of a fit from its rival; None without a law or a rival."""
-    fits = {k: fit(problem, _others(found, k)) for k, claim in enumerate(found.claims) if _is_law(claim)}
+    fits = {
+        k: fit(problem, tuple(one for one in found.claims if one is not claim))
+        for k, claim in enumerate(found.claims)
+        if isinstance(claim.effect, Closure) and isinstance(claim.effect.law, Law)
+    }
     if not fits:
         return None
     place = max(fits, key=lambda k: fits[k].deviance)
@@ -193,14 +193,6 @@ def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Sc
         if without.deviance - fitted.deviance >= enough and has_identified_shapes(problem, fitted, fitted.claims[-1]):
             return fitted
     return None
-
-
-def _others(found: Fit, place: int) -> tuple[Claim, ...]:
-    return tuple(claim for k, claim in enumerate(found.claims) if k != place)
-
-
-def _is_law(claim: Claim) -> bool:
-    return isinstance(claim.effect, Closure) and isinstance(claim.effect.law, Law)
 
 
 def _name(claim: Claim) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
 from math import inf
 from pathlib import Path
 
@@ -72,41 +71,22 @@ def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, b
     """Add a row per column of a recording; returns the map, proposed if none is given."""
     chosen = proposed(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
+
+    def add(column: str, used: str, extent: Extent, unit: str = "", rate: float = np.nan, shape: str = "") -> None:
+        table.add(recording=name, column=column, unit=unit, count=extent.count, rate=rate, low=extent.low,
+                  high=extent.high, shape=shape, used=used)  # fmt: skip
+
     for column, values in found.series.items():
         field = becomes.get(column, "")
         sure = columns is not None or column == field
-        table.add(
-            recording=name,
-            column=column,
-            unit=found.units.get(column, ""),
-            **_range(found.extents.get(column) or Extent(1).with_values(values)),
-            rate=_rate(column, found, chosen),
-            shape=sparkline(values),
-            used=field if sure or not field else f"{field}?",
-        )
+        extent = found.extents.get(column) or Extent(1).with_values(values)
+        used = field if sure or not field else f"{field}?"
+        add(column, used, extent, found.units.get(column, ""), _rate(column, found, chosen), sparkline(values))
     for column, number in found.constants.items():
-        _add_plain(table, name, column, 1, number, "one number: a factor or offset in --columns")
+        add(column, "one number: a factor or offset in --columns", Extent(1, 1, number, number))
     for column in found.other:
-        _add_plain(table, name, column, 0, np.nan, "not numbers, or another length")
+        add(column, "not numbers, or another length", Extent(1, 0, np.nan, np.nan))
     return chosen
-
-
-def _add_plain(table: Table, name: str, column: str, count: int, number: float, used: str) -> None:
-    table.add(
-        recording=name,
-        column=column,
-        unit="",
-        count=count,
-        rate=np.nan,
-        low=number,
-        high=number,
-        shape="",
-        used=used,
-    )
-
-
-def _range(extent: Extent) -> Mapping[str, float]:
-    return {"count": extent.count, "low": extent.low, "high": extent.high}
 
 
 def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:

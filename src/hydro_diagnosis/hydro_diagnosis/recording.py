@@ -115,11 +115,6 @@ class Recording:
     """Faults that were found and repaired, one sentence each."""
 
     @property
-    def channels(self) -> frozenset[str]:
-        """Field names that the recording holds."""
-        return frozenset(self.segments[0].channels)
-
-    @property
     def seconds(self) -> float:
         """Recorded time in s, without gaps."""
         return sum(len(segment) * segment.step for segment in self.segments)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +11,6 @@ from hydro_bridge.files.atomic import json_text, write_whole
 
 INTERRUPTED = "interrupted"
 """Value in place of a verdict where there is none."""
-
-
-@dataclass(frozen=True)
-class ChannelError:
-    """Root mean square error of one channel on held-out recordings, in its unit."""
-
-    unit: str
-    rmse_before: float
-    """Over the windows that can be predicted."""
-    rmse_after: float
-    """Likewise, over the same windows."""
-    noise_floor: float
-    rmse_before_all: float
-    """Over all windows."""
-    rmse_after_all: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,8 +160,3 @@ class DiagnosisInterrupted(KeyboardInterrupt):
     def __init__(self, report: Report, status: int) -> None:
         super().__init__("the diagnosis was interrupted before its verdict")
         self.report, self.status = report, status
-
-
-def channel_errors(errors: dict[str, ChannelError]) -> dict[str, Any]:
-    """Errors as they stand in report.json."""
-    return {name: asdict(error) for name, error in errors.items()}

@@ -41,9 +41,7 @@ class StageBar:
 
     def __call__(self, text: str) -> None:
         """Show a text; one of `STAGES` moves the bar, never back: a stage may be repeated (`stages.hypotheses`)."""
-        self._show(text, max(STAGES.index(text) if text in STAGES else 0, int(self._bar.n)))
-
-    def _show(self, text: str, done: int) -> None:
+        done = max(STAGES.index(text) if text in STAGES else 0, int(self._bar.n))
         self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(done - self._bar.n)
         if self._bar.mininterval < LINES:

@@ -10,20 +10,19 @@ itself cannot predict are listed and left out of the error that counts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
+from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, values_key
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.memory import Indices
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_diagnosis.recording import UNITS
-from hydro_diagnosis.report_json import ChannelError, channel_errors
 
 STANDS_OUT = 2.0
 """Error of a window from which it is examined [noise floors, root mean square over channels]."""
@@ -35,8 +34,6 @@ MOST = 0.25
 """Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
 DRAWS = 8
 """Starts per window."""
-
-
 HORIZON = 0.07
 """Length of a window [s]."""
 FREE_RUN = 0.5
@@ -59,7 +56,8 @@ _START_UNCERTAINTY = np.array([5e-6, 5e-3, 5e4, 5e4])
 class Comparison:
     """Errors of two claim sets over the same windows."""
 
-    channels: dict[str, ChannelError]
+    channels: dict[str, dict[str, Any]]
+    """`_channel` of each."""
     windows: int
     left_out: list[dict[str, Any]]
     """Windows that the second claim set cannot predict itself: not in `rmse_before` and `rmse_after`.
@@ -97,7 +95,7 @@ class _Windows:
         states = self.plant.run(starts, self.begins, self.length)
         lanes = np.tile(self.begins, states.shape[2] // len(self.begins))
         at = lanes[None, :] + np.arange(states.shape[0])[:, None]
-        shown = self.plant.measurements(states, self.begins)
+        shown = measurements(self.plant, states, self.begins)
         return {name: (one - self.plant.channels[name][at])[:: self.plant.model.spacing] for name, one in shown.items()}
 
     def unpredictable(self, state: FloatArray, apart: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
@@ -116,7 +114,7 @@ class _Windows:
         """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
         moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * self._state_uncertainty()[:, None]
         starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
-        shown = self.plant.measurements(self.plant.run(starts, self.begins, self.length), self.begins)
+        shown = measurements(self.plant, self.plant.run(starts, self.begins, self.length), self.begins)
         each = {name: one.reshape(self.length, DRAWS + 1, len(self.begins)) for name, one in shown.items()}
         return self._size({name: (one[:, 1:] - one[:, :1]).reshape(-1, len(self.begins)) for name, one in each.items()})
 
@@ -189,7 +187,7 @@ def compare(
             found: list[Simulated] = []
             for claims in (before, after):
                 stretch = _Windows(Plant.of(model, claims), begins, length, noise)
-                key = (number, seconds, shooting, *_written(claims))
+                key = (number, seconds, shooting, *values_key(claims))
                 if key not in known:
                     known[key] = stretch.simulated(shooting=shooting)
                 found.append(known[key])
@@ -203,10 +201,6 @@ def compare(
     names = dict.fromkeys(name for one in seen for name in one.before)
     channels = {name: _channel(name, [one for one in seen if name in one.before], noise) for name in names}
     return Comparison(channels, count, [window for one in seen for window in one.windows()])
-
-
-def _written(claims: Sequence[Claim]) -> tuple[Any, ...]:
-    return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
 @dataclass(frozen=True)
@@ -226,17 +220,18 @@ class _Seen:
         return [{"recording": segment.recording, "start": round(float(start), 6)} for start in starts]
 
 
-def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> ChannelError:
+def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> dict[str, Any]:
+    """Root mean square errors in the channel's unit, over the windows that can be predicted, and over `all`."""
     before, after = [one.before[name] for one in seen], [one.after[name] for one in seen]
     kept = [~one.left_out for one in seen]
-    return ChannelError(
-        unit=UNITS[name],
-        rmse_before=_rms([part[:, keep] for part, keep in zip(before, kept, strict=True)]),
-        rmse_after=_rms([part[:, keep] for part, keep in zip(after, kept, strict=True)]),
-        noise_floor=noise.get(name, 0.0),
-        rmse_before_all=_rms(before),
-        rmse_after_all=_rms(after),
-    )
+    return {
+        "unit": UNITS[name],
+        "rmse_before": _rms([part[:, keep] for part, keep in zip(before, kept, strict=True)]),
+        "rmse_after": _rms([part[:, keep] for part, keep in zip(after, kept, strict=True)]),
+        "noise_floor": noise.get(name, 0.0),
+        "rmse_before_all": _rms(before),
+        "rmse_after_all": _rms(after),
+    }
 
 
 def _rms(parts: list[FloatArray]) -> float:
@@ -251,18 +246,6 @@ _MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hy
 _EQUATION_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
 
 
-@dataclass(frozen=True)
-class EquationError:
-    """Weighted root mean square of one equation's residual, each residual weighted as in the fit."""
-
-    unit: str
-    rmse_before: float
-    rmse_after: float
-    noise_floor: float
-    signal: float
-    """Root mean square of the measured signal that the equation explains."""
-
-
 def held_out(
     problem: Problem,
     unseen: Problem,
@@ -275,7 +258,7 @@ def held_out(
     `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`. `known`:
     what has been simulated of them already, added to.
     """
-    equations = equation_report(unseen, claims)
+    equations = equation_errors(unseen, claims)
     if not models or not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
         why = "a forward simulation needs current, position and both pressures, and the moving mass"
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
@@ -283,17 +266,12 @@ def held_out(
     horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True, known=known)
     free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, known=known)
     return {
-        "holdout": channel_errors(horizon.channels),
+        "holdout": horizon.channels,
         "horizon_s": HORIZON,
         "unpredictable": _unpredictable(horizon),
-        "free_run": {"seconds": FREE_RUN, **channel_errors(free.channels)},
+        "free_run": {"seconds": FREE_RUN, **free.channels},
         "equations": equations,
     }
-
-
-def equation_report(unseen: Problem, claims: Sequence[Claim]) -> dict[str, Any]:
-    """`equation_errors` as they stand in report.json under `fit.equations`."""
-    return {name: asdict(error) for name, error in equation_errors(unseen, claims).items()}
 
 
 def _unpredictable(horizon: Comparison) -> dict[str, Any]:
@@ -307,8 +285,10 @@ def _unpredictable(horizon: Comparison) -> dict[str, Any]:
     return {"windows": horizon.windows, "count": len(left_out), "left_out": left_out, "why": why if left_out else ""}
 
 
-def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, EquationError]:
+def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, dict[str, Any]]:
     """Errors on the recordings of `problem`, by channel of residuals, before and after the claims are added.
+
+    As they stand in report.json under `fit.equations`; `signal`: root mean square of what the equation explains.
 
     Weighted like the fit that the verdict rests on, by the inverse square of each residual's deviation under the
     problem's doubt: where dry friction reverses, its sign is not known, and its level would stand
@@ -316,13 +296,13 @@ def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, Equa
     """
     before, after = problem.residual(()), problem.residual(claims)
     return {
-        name: EquationError(
-            unit=_EQUATION_UNITS[name],
-            rmse_before=_weighted(problem, name, before),
-            rmse_after=_weighted(problem, name, after),
-            noise_floor=problem.noise[name],
-            signal=_signal(problem, name),
-        )
+        name: {
+            "unit": _EQUATION_UNITS[name],
+            "rmse_before": _weighted(problem, name, before),
+            "rmse_after": _weighted(problem, name, after),
+            "noise_floor": problem.noise[name],
+            "signal": _signal(problem, name),
+        }
         for name in (CHANNELS[index] for index in np.unique(problem.layout.channel))
     }
 

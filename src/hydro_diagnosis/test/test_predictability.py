@@ -43,7 +43,7 @@ def against_nothing(held: SegmentModel, claims: list[Claim]) -> Comparison:
 
 
 def worst(comparison: Comparison, which: str) -> float:
-    return max(getattr(error, which) / error.noise_floor for error in comparison.channels.values())
+    return max(error[which] / error["noise_floor"] for error in comparison.channels.values())
 
 
 def test_true_model_is_at_the_noise_where_it_can_predict(held: SegmentModel) -> None:

@@ -57,7 +57,7 @@ def test_nan_run_is_cut_out_and_listed(tmp_path: Path, nominal: StateArray, fram
 
 def test_frozen_sensor_is_left_out_and_listed(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
     recording = read(frame(nominal).assign(pressure_b=5e6), tmp_path)
-    assert "pressure_b" not in recording.channels
+    assert "pressure_b" not in recording.segments[0].channels
     assert any("pressure_b is frozen throughout" in note for note in recording.quality)
 
 

@@ -44,7 +44,9 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, nomina
 def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, nominal: StateArray) -> None:
     path = loggers.control_desk_csv(tmp_path, nominal[:3000])
     command = [sys.executable, "-m", "hydro_diagnosis.inspect_command", str(path)]
-    shown = subprocess.run([*command, "--write", str(tmp_path / "map.yaml")], capture_output=True, text=True, check=True).stdout
+    shown = subprocess.run(
+        [*command, "--write", str(tmp_path / "map.yaml")], capture_output=True, text=True, check=True
+    ).stdout
     row = next(line for line in shown.splitlines() if "Model Root/pA/Out1" in line)
     assert row.split()[-1] == "pressure_a?" and " bar " in row and " 1000 " in row
     assert any(level in row for level in "▁▂▃▄▅▆▇█")

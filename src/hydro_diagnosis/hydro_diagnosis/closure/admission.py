@@ -16,11 +16,11 @@ import numpy as np
 from hydro_diagnosis.closure.forward_selection import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable
+from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, holdout_gain, noticeable
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate
+from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.validation import Known, held_out
 from hydro_sim.model.laws import Law
 
@@ -119,22 +119,12 @@ def _with_named(held: dict[str, Any], named: Mapping[str, Any]) -> dict[str, Any
 
 def reports(found: Admitted, bounds: Sequence[Interval]) -> list[ClosureReport]:
     """One entry per term; `bounds`: of the parameters of all claims, in their order."""
-    entries, k = [], 0
-    for claim in found.closed.fit.claims:
-        count = len(claim.effect.parameters)
-        if isinstance(claim.effect, Closure):
-            entries.append(_report(claim, claim.effect, bounds[k : k + count], found))
-        k += count
-    return entries
+    claims = by_claim(found.closed.fit.claims, bounds)
+    return [_report(one, one.effect, own, found) for one, own in claims if isinstance(one.effect, Closure)]
 
 
 def _report(claim: Claim, effect: Closure, bounds: Sequence[Interval], found: Admitted) -> ClosureReport:
-    terms = {
-        one.name: ParameterEstimate(
-            value=bound.value, ci95=[bound.low, bound.high] if bound.identifiable else None, unit=one.unit
-        )
-        for one, bound in zip(effect.parameters, bounds, strict=True)
-    }
+    terms = {one.name: bound.estimate(one.unit) for one, bound in zip(effect.parameters, bounds, strict=True)}
     return ClosureReport(
         equation=effect.law.equation,
         form="law" if isinstance(effect.law, Law) else "smooth",

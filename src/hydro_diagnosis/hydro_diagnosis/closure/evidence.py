@@ -28,6 +28,7 @@ from hydro_diagnosis.estimation.fit import (
     Fit,
     fit,
     noticeable,
+    orthogonal,
     residual_variances,
     score,
 )
@@ -93,7 +94,7 @@ class HeldOutBlocks:
         self._products /= self._scale[:, None] * self._scale
         weight = 1.0 / residual_variances(problem, found.residual)
         self._weighted = np.einsum("fcij,c->fij", self._products, weight)
-        self._count = problem.layout.count()
+        self._count = problem.layout.count
 
     def deviance(self, chosen: Sequence[int]) -> float:
         """-2 log likelihood of the held-out blocks with these candidates, up to a constant."""
@@ -119,8 +120,7 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0.0))
     deviations[np.diag(normal) <= UNSEEN * np.max(np.diag(normal), initial=0.0)] = np.inf  # the pseudo-inverse has 0
-    at = sum(len(one.effect.parameters) for one in found.claims[: found.claims.index(claim)])
-    for one, deviation in zip(claim.effect.parameters, deviations[at:], strict=False):
+    for one, deviation in zip(claim.effect.parameters, deviations[found.columns(claim)], strict=True):
         value, width = claim.values[one.name], one.high - one.low
         size = abs(value) if one.low > 0.0 else width
         inside = one.low + EDGE * min(size, width) < value < one.high - EDGE * min(size, width)
@@ -131,8 +131,6 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
 
 ALIKE = 0.8
 """Share of a term's squared signature, orthogonal to the other columns, from which a cause is equivalent to it."""
-
-
 GOOD_PART = 0.25
 """Share of the remainder in its equations, noise subtracted, from which a ruled-out cause bars laws from them."""
 
@@ -140,14 +138,14 @@ GOOD_PART = 0.25
 def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
     """Return the blocks in which a ruled-out cause would explain a good part of the remainder of a fit."""
     blocks: set[str] = set()
-    remaining = problem.layout.squares(found.residual) - problem.layout.count()
-    left = _beside(found.jacobian, found.residual)
+    remaining = problem.layout.squares(found.residual) - problem.layout.count
+    left = orthogonal(found.jacobian, found.residual)
     for effect in problem.ruled_out:
         own = effect.blocks & set(problem.blocks)
         channels = [CHANNELS.index(name) for block in own for name in BLOCKS[block]]
         excess = float(sum(remaining[channels]))
         for _, columns in _columns(problem, found.claims, found.residual, effect):
-            rest = _beside(np.column_stack([found.jacobian, columns]), found.residual)
+            rest = orthogonal(np.column_stack([found.jacobian, columns]), found.residual)
             if excess > 0.0 and float(left @ left - rest @ rest) > GOOD_PART * excess:
                 blocks |= own
                 break
@@ -168,14 +166,12 @@ def equivalent_causes(
     others = tuple(one for one in found.claims if one is not claim)
     before = problem.residual(others)
     shown = found.residual - before
-    at = sum(len(one.effect.parameters) for one in found.claims[: found.claims.index(claim)])
-    own = range(at, at + len(claim.effect.parameters))
-    standing = np.delete(found.jacobian, own, axis=1)
-    beside = _beside(standing, shown)
+    standing = np.delete(found.jacobian, found.columns(claim), axis=1)
+    beside = orthogonal(standing, shown)
     size = float(beside @ beside)
     for effect in causes:
         for start, columns in _columns(problem, others, before, effect):
-            left = _beside(np.column_stack([standing, columns]), shown)
+            left = orthogonal(np.column_stack([standing, columns]), shown)
             if size > 0.0 and float(left @ left) < (1.0 - alike) * size:
                 yield start
                 break
@@ -195,14 +191,6 @@ def _columns(
         moved = [{**values, one.name: one.probes[0]} for one in amplitudes] or [values]
         columns = np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
         yield Claim(effect, values), columns
-
-
-def _beside(columns: FloatArray, shown: FloatArray) -> FloatArray:
-    """Return the part of a vector that is orthogonal to columns."""
-    if columns.shape[1] == 0:
-        return shown
-    lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    return np.asarray(shown - columns @ (np.linalg.lstsq(columns / lengths, shown, rcond=1e-10)[0] / lengths))
 
 
 THRESHOLD = 30.0

@@ -20,9 +20,8 @@ from hydro_diagnosis.closure.evidence import (
     without_idle_terms,
 )
 from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.base import Claim, Effect, values_key
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.estimation.equation_residuals import values_key
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import screen as screen_names
@@ -34,18 +33,8 @@ START = 2.0 * SIGN_VELOCITY
 ITERATIONS = 12
 
 
-def with_reversal_velocity(problem: Problem, found: Fit) -> Fit:
-    """Return the fit with a reversal velocity as a parameter of each law for which that is significant.
-
-    Also where nothing else remains: at each reversal there is little of it, and yet it moves a simulated piston.
-    """
-    for place in range(len(found.claims)):
-        found = with_newest_reversal_velocity(problem, found, place)
-    return found
-
-
-def with_newest_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit:
-    """Return the fit with a reversal velocity of one claim, the newest by default."""
+def with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit:
+    """Return the fit with a reversal velocity as a parameter of one claim, the newest by default, if significant."""
     claim = found.claims[place]
     effect = claim.effect
     if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.reverses):
@@ -102,7 +91,7 @@ class ForwardSelection:
                 break
             better = from_starts(problem, current, one.starts)
             if noticeable(problem, better.residual):
-                better = with_newest_reversal_velocity(problem, better)
+                better = with_reversal_velocity(problem, better)
             tried.add(one.effect.label)
             if score(problem, current) - score(problem, better) < toll or within_form_error(problem, current, better):
                 continue
@@ -201,7 +190,9 @@ def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: S
             tried = {plain(one.effect.label) for one in found.claims}
             instead = forward.fits(problem, others, tried)[0] if law else _names_fitted(problem, others, names)
             found = _simplest(problem, [found, *instead], claim) if law else _fewest(problem, [found, *instead])
-    return with_reversal_velocity(problem, found)
+    for place in range(len(found.claims)):  # also if nothing remains: it moves a simulated piston at each reversal
+        found = with_reversal_velocity(problem, found, place)
+    return found
 
 
 def _fewest(problem: Problem, fits: Sequence[Fit]) -> Fit:

@@ -40,7 +40,7 @@ from hydro_diagnosis.closure.forward_selection import (
     count_terms,
     from_starts,
     select_laws,
-    with_newest_reversal_velocity,
+    with_reversal_velocity,
 )
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Prospect, Screen, laws, tables
@@ -85,7 +85,7 @@ class Candidates:
             products = [[squares, beside], [beside.swapaxes(-1, -2), own]]
             after.append(HeldOutBlocks.of_products(problem, base, products).deviance((0,)))
         before = HeldOutBlocks.of_products(problem, base, [[squares]]).deviance(())
-        there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
+        there_is = before - float(np.sum(problem.layout.count))  # a residual that is noise alone leaves one each
         return before - np.array(after), there_is
 
 
@@ -271,7 +271,7 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
                 return
             made = from_starts(problem, base, prospect.starts)
             if noticeable(problem, made.residual):
-                made = with_newest_reversal_velocity(problem, made)
+                made = with_reversal_velocity(problem, made)
             new = made.claims[-1]
             if noticeable(problem, made.residual) or score(problem, made) > score(problem, found):
                 continue

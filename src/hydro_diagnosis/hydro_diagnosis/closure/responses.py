@@ -9,7 +9,7 @@ computed as it stands.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -35,7 +35,6 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY, SLOPE_STEP
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 _CHANNELS = ("pressure_a", "pressure_b")
 
@@ -112,11 +111,11 @@ class Responses:
         effect = terms[0].effect
         assert isinstance(effect, Closure)
         if isinstance(effect, MotionClosure):
-            return self._moved(self._each(terms, self._resisting))
+            return self._moved(np.stack([self._resisting(one) for one in terms]))
         if isinstance(effect, LoadClosure):
-            return self._loaded(self._each(terms, self._loading))
+            return self._loaded(np.stack([self._loading(one) for one in terms]))
         if isinstance(effect, ValveClosure):
-            shift = self._each(terms, self._commanding) * self.bench.valve_gain
+            shift = np.stack([self._commanding(one) for one in terms]) * self.bench.valve_gain
             return self._filled(shift * self.roots[0], -shift * self.roots[1])
         if isinstance(effect, FlowClosure | EdgeClosure | AcrossClosure):
             still = np.zeros_like(self.model.time), np.zeros_like(self.model.time)
@@ -133,9 +132,6 @@ class Responses:
         """Ways of a gauge's error."""
         return GaugeWays(self.model, self.claims)
 
-    def _each(self, terms: Sequence[Claim], of: Callable[[Claim], FloatArray]) -> FloatArray:
-        return np.stack([of(one) for one in terms])
-
     def _resisting(self, claim: Claim) -> FloatArray:
         nothing = np.zeros_like(self.model.x)
         return claim.effect.resistance(nothing, nothing, self.model.kinematics, self.memory, claim.values)
@@ -150,9 +146,6 @@ class Responses:
             spool = np.repeat(spool, chambers.SUBSTEPS, axis=1)
         moved = claim.effect.command(spool, self.model.step / spool.shape[-1], claim.values) - spool
         return kernels.substep_mean(moved)
-
-    def _kept(self, signals: FloatArray) -> FloatArray:
-        return signals[:, self.model.rows]
 
     def _smooth(self, signals: FloatArray) -> FloatArray:
         return np.stack([self.model.kept_smooth(one) for one in signals])
@@ -187,8 +180,8 @@ class Responses:
         if channel == "load_force":
             force = self.model.spring_force(self.bench, [], self.model.recorded)
             return self._present({"load": -self._smooth(read(force))})
-        raw = read(channels[channel])
-        return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
+        means = np.stack([self.model.means(one) for one in read(channels[channel])])
+        return self._present({"motion": -read(self.force, True)[:, self.model.rows], "hydraulic": -means})
 
     def _displaced(self, terms: Sequence[Claim]) -> Shown:
         """Return the responses to an error of the position, but not by friction near standstill and the oil."""
@@ -208,13 +201,7 @@ class Responses:
 
     def _in_cell(self, force: FloatArray) -> FloatArray:
         """Forces [N] behind the load cell's amplifier."""
-        bandwidth = self.bench.load_cell_bandwidth
-        if bandwidth is None:
-            return force
-        return np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
-
-    def _means(self, signals: FloatArray) -> FloatArray:
-        return np.stack([self.model.means(one) for one in signals])
+        return np.stack([self.model.behind_cell(one, self.bench) for one in force])
 
 
 def shown(

@@ -165,7 +165,7 @@ class FoldedResponses:
     """
 
     def __init__(self, layout: Layout, terms: int) -> None:
-        self.every = max(int(layout.count().max()) // ROWS, 1)
+        self.every = max(int(layout.count.max()) // ROWS, 1)
         fold = layout.folds()
         kept = [np.flatnonzero(layout.channel == k)[:: self.every] for k in range(len(CHANNELS))]
         self._order = [np.argsort(fold[rows], kind="stable") for rows in kept]

@@ -8,7 +8,7 @@ through `Memory`, which either filters a whole record or advances one step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any, ClassVar, Protocol
@@ -23,8 +23,6 @@ Values = Mapping[str, float]
 
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """The blocks of residuals that an effect can touch; only those are recomputed when its parameters change."""
-
-
 TANK_MAX = 0.99
 """Largest pressure of the tank over that of the supply."""
 
@@ -288,6 +286,11 @@ class Claim:
     def to_mapping(self) -> dict[str, Any]:
         """Return the entry of corrected.yaml."""
         return {"id": self.effect.id, **self.effect.options, "parameters": dict(self.values)}
+
+
+def values_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
+    """Key of claims with their values, for caches."""
+    return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
 def changes(claim: Claim, hook: str) -> bool:

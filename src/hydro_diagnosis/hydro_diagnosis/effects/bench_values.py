@@ -106,8 +106,6 @@ EFFECTS: tuple[Effect, ...] = (
     DeadVolumeB({"chamber": "b"}),
     TankPressure(),
 )
-
-
 _LEVEL = 5e6
 """Typical pressure [Pa] of the chambers: over the bulk modulus, the additional oil that a wider hose holds."""
 

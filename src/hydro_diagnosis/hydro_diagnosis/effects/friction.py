@@ -18,8 +18,6 @@ STROKE = 0.08
 """Stroke [m] of a cushion that is not yet adapted to a bench."""
 SLIP_VELOCITY = 3e-4
 """Velocity [m/s] over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
-
-
 STRONGEST = 5e3
 """Largest force [N] of a claim, which a simulation takes."""
 HEAVIEST = 1e6

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, changes
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, changes, values_key
 from hydro_diagnosis.effects.closure import EdgeClosure, FlowClosure, LoadClosure, MotionClosure
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 ROOM = 96e6
 """Memory limit of a cache [byte]."""
@@ -107,11 +106,6 @@ def intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
     )  # fmt: skip
 
 
-def values_key(claims: Sequence[Claim]) -> Key:
-    """Return a cache key of claims with their values."""
-    return tuple((one.effect.label, *one.values.values()) for one in claims)
-
-
 def responses(claim: Claim, compute: Callable[[Claim], ResidualParts]) -> ResidualParts:
     """Return the response of the residual per unit of each amplitude; `compute`: response to a term."""
     neutral = {**claim.values, **{one.name: 0.0 for one in claim.effect.parameters if one.smallest > 0.0}}
@@ -159,9 +153,7 @@ def _of_load(model: SegmentModel, claim: Claim, beside: Sequence[Claim]) -> dict
         claim.effect.load(nothing, motion, bench, model.memory, claim.values)
         for motion in (model.kinematics, model.recorded)
     )
-    if bench.load_cell_bandwidth is not None:
-        shown = model.memory.low_pass("load_force", shown, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
-    return {"motion": -model.kept_finish(moved), "load": -model.kept_smooth(shown)}
+    return {"motion": -model.kept_finish(moved), "load": -model.kept_smooth(model.behind_cell(shown, bench))}
 
 
 _CACHE = 24
@@ -240,7 +232,7 @@ class EquationResiduals:
 
     def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
         acting = tuple(claim for claim in claims if block in claim.effect.blocks)
-        key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
+        key = (block, *values_key(acting))
         found = self._cache.pop(key, None) or [compute(model.placed(acting), acting) for model in self._models]
         if len(self._cache) > _CACHE:
             self._cache.pop(next(iter(self._cache)))

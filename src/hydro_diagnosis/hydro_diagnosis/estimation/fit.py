@@ -10,23 +10,19 @@ additive term has the same response whatever stands beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
+from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray, values_key
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.equation_residuals import (
-    Key,
-    intervening,
-    is_active,
-    shapes,
-    split_additive,
-    values_key,
-)
+from hydro_diagnosis.estimation.equation_residuals import Key, intervening, is_active, shapes, split_additive
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_sim.model.tables import Table
+
+Part = TypeVar("Part")
 
 
 def pack(claims: Sequence[Claim]) -> tuple[list[FitParameter], FloatArray]:
@@ -34,6 +30,14 @@ def pack(claims: Sequence[Claim]) -> tuple[list[FitParameter], FloatArray]:
     parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
     values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]
     return parameters, np.array(values, dtype=np.float64)
+
+
+def by_claim(claims: Sequence[Claim], values: Sequence[Part]) -> Iterator[tuple[Claim, Sequence[Part]]]:
+    """Each claim with its part of `values`, which have one entry per parameter in the order of `pack`."""
+    at = 0
+    for claim in claims:
+        yield claim, values[at : at + len(claim.effect.parameters)]
+        at += len(claim.effect.parameters)
 
 
 def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
@@ -135,6 +139,11 @@ class Fit:
         needed = {name for claim in self.claims for name in claim.effect.needs}
         return tuple(claim for claim in self.judged if claim.effect.id not in needed)
 
+    def columns(self, claim: Claim) -> slice:
+        """Columns of the Jacobian that are a claim's."""
+        at = sum(len(one.effect.parameters) for one in self.claims[: self.claims.index(claim)])
+        return slice(at, at + len(claim.effect.parameters))
+
     @property
     def free(self) -> int:
         """Number of fitted parameters."""
@@ -144,7 +153,7 @@ class Fit:
 def residual_variances(problem: Problem, residual: FloatArray) -> FloatArray:
     """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
     layout = problem.layout
-    count = np.maximum(layout.count(), 1.0)
+    count = np.maximum(layout.count, 1.0)
     return np.maximum(layout.squares(residual) / count, 1.0)
 
 
@@ -152,8 +161,8 @@ def deviance(problem: Problem, residual: FloatArray) -> float:
     """-2 log likelihood up to a constant, with a channel's variance at its most likely value of 1 or more."""
     layout = problem.layout
     squares = layout.squares(residual)
-    variance = np.maximum(squares / np.maximum(layout.count(), 1.0), 1.0)
-    return float(np.sum(layout.count() * np.log(variance) + squares / variance))
+    variance = np.maximum(squares / np.maximum(layout.count, 1.0), 1.0)
+    return float(np.sum(layout.count * np.log(variance) + squares / variance))
 
 
 def fit(
@@ -242,6 +251,14 @@ def _share(missed: FloatArray, predicted: FloatArray, weight: FloatArray) -> flo
     return float(np.sqrt(missed**2 @ weight / max(float(predicted**2 @ weight), 1e-300)))
 
 
+def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
+    """Part of a vector that is orthogonal to columns."""
+    if columns.shape[1] == 0:
+        return vector
+    lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.asarray(vector - columns @ (np.linalg.lstsq(columns / lengths, vector, rcond=1e-10)[0] / lengths))
+
+
 def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
     """The fit with another claim, the slopes of its parameters computed and those of `found` taken over."""
     claims = (*found.claims, claim)
@@ -251,10 +268,8 @@ def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: floa
 
 def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
     """The fit without a claim, by the slopes of `found`."""
-    counts = [len(one.effect.parameters) for one in found.claims]
     at = found.claims.index(claim)
-    begin = sum(counts[:at])
-    slopes = np.delete(found.jacobian, range(begin, begin + counts[at]), axis=1)
+    slopes = np.delete(found.jacobian, found.columns(claim), axis=1)
     others = (*found.claims[:at], *found.claims[at + 1 :])
     return fit(problem, others, tolerance=tolerance, slopes=slopes)
 
@@ -268,7 +283,7 @@ def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
     """Each channel's mean square over the noise's."""
     layout = problem.layout
     squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
-    count = layout.count()
+    count = layout.count
     return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
 
 
@@ -277,7 +292,7 @@ def noise_thresholds(problem: Problem) -> dict[str, float]:
 
     The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
     """
-    count = problem.layout.count()
+    count = problem.layout.count
     return {
         name: 1.0 + max(NOTICEABLE, CHANCE * float(np.sqrt(2.0 / count[k])))
         for k, name in enumerate(CHANNELS)

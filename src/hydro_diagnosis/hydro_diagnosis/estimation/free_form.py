@@ -23,14 +23,13 @@ from hydro_diagnosis.model.chambers import fading_sums
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
 from hydro_sim.model import equations as eq
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion": 1.0, "load": 1.0}
 """Scale of the basis functions, so that columns are of similar length."""
 
 
-class Responses:
-    """Response of the residual vector to an input in one equation."""
+class HiddenInput:
+    """A hidden input of one equation, and what it does to the residual vector."""
 
     def __init__(self, problem: Problem, claims: Sequence[Claim], equation: str, sensor: str) -> None:
         self.problem = problem
@@ -58,7 +57,7 @@ class Responses:
             return self.equation in blocks
         return self.sensor in self.problem.sensor_noise and any(block != "motion" for block in blocks)
 
-    def of(self, inputs: Sequence[FloatArray]) -> FloatArray:
+    def response(self, inputs: Sequence[FloatArray]) -> FloatArray:
         """Residual vector's change for an input given per segment."""
         problem = self.problem
         shown = [self._channels(k, model, inputs[k]) for k, model in enumerate(problem.models)]
@@ -96,9 +95,7 @@ class Responses:
         return shown
 
     def _load(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
-        bandwidth = self._benches[k].load_cell_bandwidth
-        seen = hidden if bandwidth is None else model.memory.low_pass("", hidden, bandwidth, LOAD_CELL_DAMPING)
-        shown = {"load": -model.kept_smooth(seen)}
+        shown = {"load": -model.kept_smooth(model.behind_cell(hidden, self._benches[k]))}
         if "motion" in self.problem.blocks:
             shown["motion"] = -model.kept_finish(hidden)
         return shown
@@ -171,15 +168,15 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     left = found.residual * weight
     base = deviance(problem, left / weight)
     forms = []
-    inputs = [Responses(problem, found.claims, equation, sensor) for equation, sensor in _INPUTS]
+    inputs = [HiddenInput(problem, found.claims, equation, sensor) for equation, sensor in _INPUTS]
     for variable in variables(problem):
         knots = _knots(problem, variable)
         hats = list(_hats(problem, variable, knots))
-        for responses in inputs:
-            if not responses.visible:
+        for hidden in inputs:
+            if not hidden.visible:
                 continue
-            equation, sensor = responses.equation, responses.sensor
-            columns = np.column_stack([responses.of(basis) for basis in hats])
+            equation, sensor = hidden.equation, hidden.sensor
+            columns = np.column_stack([hidden.response(basis) for basis in hats])
             columns = np.column_stack([columns * weight[:, None], named])
             amounts = _least_squares(columns, -left)
             reached = deviance(problem, (left + columns @ amounts) / weight)
@@ -219,11 +216,5 @@ def _hats(problem: Problem, variable: str, knots: FloatArray) -> Iterator[list[F
     """Basis functions over all segments; of time they act in one segment each."""
     groups = [[model] for model in problem.models] if variable == "time" else [problem.models]
     for group in groups:
-        for j in range(len(knots)):
-            yield [_hat(one.variable(variable), knots, j) * (one in group) for one in problem.models]
-
-
-def _hat(values: FloatArray, knots: FloatArray, index: int) -> FloatArray:
-    peak = np.zeros(len(knots))
-    peak[index] = 1.0
-    return np.interp(values, knots, peak)
+        for peak in np.eye(len(knots)):
+            yield [np.interp(one.variable(variable), knots, peak) * (one in group) for one in problem.models]

@@ -19,8 +19,9 @@ import numpy.typing as npt
 from scipy.special import stdtrit
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
-from hydro_diagnosis.estimation.fit import QUANTILE, Fit, fit, pack, residual_variances, unpack
+from hydro_diagnosis.estimation.fit import QUANTILE, Fit, by_claim, fit, pack, residual_variances, unpack
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.report_json import ParameterEstimate
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
@@ -67,16 +68,18 @@ class Interval:
     inflation: float = 1.0
     """Standard deviations that residuals as they are make of one by independent residuals."""
 
+    def estimate(self, unit: str) -> ParameterEstimate:
+        """As it stands in report.json."""
+        ci95 = [self.low, self.high] if self.identifiable else None
+        return ParameterEstimate(value=self.value, ci95=ci95, unit=unit)
+
 
 def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
     """Return the fit without claims whose intervals include neutral, and the intervals of those that remain."""
     while True:
-        bounds, standing, k = intervals(problem, found), [], 0
-        for claim in found.claims:
-            count = len(claim.effect.parameters)
-            if claim.effect.estimated or not _includes_neutral(claim, bounds[k : k + count]):
-                standing.append(claim)
-            k += count
+        bounds = intervals(problem, found)
+        standing = [claim for claim, own in by_claim(found.claims, bounds)
+                    if claim.effect.estimated or not _includes_neutral(claim, own)]  # fmt: skip
         ids = {claim.effect.id for claim in standing}
         standing = [claim for claim in standing if set(claim.effect.needs) <= ids]
         if len(standing) == len(found.claims):
@@ -86,12 +89,8 @@ def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Inter
 
 def all_exclude_neutral(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
     """Return whether no claim's interval includes its absence; `bounds` of all parameters, in the order of `pack`."""
-    at = np.cumsum([0, *(len(claim.effect.parameters) for claim in claims)])
-    return not any(
-        _includes_neutral(claim, bounds[at[k] : at[k + 1]])
-        for k, claim in enumerate(claims)
-        if not claim.effect.estimated
-    )
+    return not any(_includes_neutral(claim, own) for claim, own in by_claim(claims, bounds)
+                   if not claim.effect.estimated)  # fmt: skip
 
 
 def _includes_neutral(claim: Claim, bounds: Sequence[Interval]) -> bool:

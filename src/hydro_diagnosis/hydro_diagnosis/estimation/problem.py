@@ -61,9 +61,10 @@ class Layout:
                     time.append(at)
         return cls(np.concatenate(channel), np.concatenate(segment), np.concatenate(time))
 
+    @cached_property
     def count(self) -> FloatArray:
         """Entries per channel, shape (5,)."""
-        return self._count
+        return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
 
     def folds(self) -> np.ndarray[Any, np.dtype[np.int64]]:
         """Fold of each entry for cross-validation over blocks of `FOLD_SECONDS`, shape (n,)."""
@@ -76,10 +77,6 @@ class Layout:
             part = residual[begin:end]
             sums[index] += part @ part
         return sums
-
-    @cached_property
-    def _count(self) -> FloatArray:
-        return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
 
     @cached_property
     def _stretches(self) -> list[tuple[int, int, int]]:
@@ -121,8 +118,6 @@ def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
 
 
 _SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-
-
 FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
 """Lower bound [Pa, N] by the residuals' own discretization (diagnosis.md, "Noise floor")."""
 
@@ -371,7 +366,3 @@ class Problem:
     def parts(self, claims: Sequence[Claim]) -> ResidualParts:
         """Residuals by channel and segment in the order of `layout`, physical unit."""
         return self.equations.parts(claims)
-
-    def clear_caches(self) -> None:
-        """Drop cached responses and derivatives."""
-        self.columns.clear()

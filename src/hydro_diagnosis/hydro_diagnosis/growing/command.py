@@ -76,7 +76,7 @@ def side_by_side(found: Sequence[Sighting]) -> Table:
     for name, unit in units(law).items():
         for one in found:
             estimate = one.estimates[name]
-            low, high = (float("nan") if end is None else end for end in (estimate.low, estimate.high))
+            low, high = estimate.ci95 or (float("nan"), float("nan"))
             made.add(report=one.report, parameter=name, value=estimate.value, low=low, high=high, unit=unit)
     return made
 

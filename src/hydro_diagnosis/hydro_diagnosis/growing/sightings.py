@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.files.atomic import write_whole
+from hydro_diagnosis.report_json import ParameterEstimate
 from hydro_sim.model import grammar
 from hydro_sim.model.laws import Law
 
@@ -38,10 +39,9 @@ class Agreement:
     unit: str
     common: float
     """Weighted mean; the median where one value does not fit, or fewer than two benches identify the number."""
-    low: float | None
-    """Ends of the 95 % interval of the weighted mean; None where fewer than two benches identify the number."""
-    high: float | None
-    probability: float | None
+    ci95: tuple[float, float] | None = None
+    """Of the weighted mean; None where fewer than two benches identify the number."""
+    probability: float | None = None
     """Probability of deviations as large as these if one value holds for all; None likewise."""
 
     @property
@@ -52,11 +52,11 @@ class Agreement:
     @property
     def sentence(self) -> str:
         """The finding, for the command and for the effect's docstring."""
-        if self.probability is None or self.low is None or self.high is None:
+        if self.probability is None or self.ci95 is None:
             return f"{self.name}: too few benches identify it to compare its values."
         if not self.one_for_all:
             return f"{self.name}: each bench has its own value ({_probability(self.probability)} for one value)."
-        interval = f"{self.low:.4g} to {self.high:.4g}"
+        interval = "{:.4g} to {:.4g}".format(*self.ci95)
         return (
             f"{self.name}: one value fits all benches, {self.common:.4g} {self.unit} (95 % {interval}, "
             f"{_probability(self.probability)})."
@@ -69,10 +69,10 @@ def agreements(found: Sequence[Sighting]) -> list[Agreement]:
     return [_compared(name, unit, [one.estimates[name] for one in found]) for name, unit in named.items()]
 
 
-def _compared(name: str, unit: str, estimates: Sequence[Estimate]) -> Agreement:
-    known = [(one.value, one.low, one.high) for one in estimates if one.low is not None and one.high is not None]
+def _compared(name: str, unit: str, estimates: Sequence[ParameterEstimate]) -> Agreement:
+    known = [(one.value, *one.ci95) for one in estimates if one.ci95]
     if len(known) < 2:
-        return Agreement(name, unit, float(np.median([one.value for one in estimates])), None, None, None)
+        return Agreement(name, unit, float(np.median([one.value for one in estimates])))
     values, lows, highs = np.array(known).T
     weights = np.square(2.0 * _HALF_95 / np.maximum(highs - lows, 1e-12 * np.abs(values)))
     mean = float(weights @ values / weights.sum())
@@ -80,7 +80,7 @@ def _compared(name: str, unit: str, estimates: Sequence[Estimate]) -> Agreement:
     deviation = float(weights @ np.square(values - mean))
     probability = float(chi2.sf(deviation, len(known) - 1))
     common = mean if probability >= LEVEL else float(np.median(values))
-    return Agreement(name, unit, common, mean - reach, mean + reach, probability)
+    return Agreement(name, unit, common, (mean - reach, mean + reach), probability)
 
 
 def _probability(value: float) -> str:
@@ -92,23 +92,13 @@ FEWEST = 2
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A number of a law on one bench."""
-
-    value: float
-    low: float | None
-    """Ends of the 95 % interval; None where the recordings did not identify the number."""
-    high: float | None
-
-
-@dataclass(frozen=True)
 class Sighting:
     """A law as one diagnosis found it."""
 
     report: str
     """Path of the report, as it was given."""
     law: Law
-    estimates: Mapping[str, Estimate]
+    estimates: Mapping[str, ParameterEstimate]
     """By the law's parameters."""
 
 
@@ -191,13 +181,8 @@ def _sighting(report: str, closure: Mapping[str, Any]) -> Sighting:
         )  # which says whose sensor it is
         further = f", {law.numbers[0].name} = " if law.numbers else ""
         if same and (written == law.text or (further and written.startswith(law.text + further))):
-            return Sighting(report, law, {name: _estimate(one) for name, one in closure["terms"].items()})
+            return Sighting(report, law, {name: ParameterEstimate(**one) for name, one in closure["terms"].items()})
     raise UserError(f"{report}: the law {written!r} is none of this version's: diagnose its recordings again")
-
-
-def _estimate(term: Mapping[str, Any]) -> Estimate:
-    low, high = term["ci95"] or (None, None)
-    return Estimate(float(term["value"]), low, high)
 
 
 def _told(laws: _Laws) -> str:
@@ -232,8 +217,7 @@ def table(found: Sequence[Sighting]) -> list[str]:
     for name, unit in units(found[0].law).items():
         for one in found:
             estimate = one.estimates[name]
-            known = estimate.low is not None and estimate.high is not None
-            interval = f"95 % {estimate.low:.4g} to {estimate.high:.4g}" if known else "not identified"
+            interval = "95 % {:.4g} to {:.4g}".format(*estimate.ci95) if estimate.ci95 else "not identified"
             rows.append((_place(one.report), f"{name} = {estimate.value:.4g} {unit}", interval))
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
@@ -246,18 +230,13 @@ def _place(report: str) -> str:
 
 def _bounds(name: str, found: Sequence[Sighting]) -> tuple[float, float]:
     """Bounds of a parameter: ten times what was seen; on one side of 0 if all values and intervals are."""
-    ends = [end for one in found for end in _ends(one, name)]
+    ends = [end for one in found for end in (one.estimates[name].value, *(one.estimates[name].ci95 or ()))]
     low, high = min(ends), max(ends)
     if low < 0.0 < high:
         reach = REACH * max(-low, high)
         return _short(-reach), _short(reach)
     near = 0.0 if name == "coefficient" else 1.0 / REACH
     return _short(low * (near if low > 0.0 else REACH)), _short(high * (REACH if high > 0.0 else near))
-
-
-def _ends(one: Sighting, name: str) -> list[float]:
-    estimate = one.estimates[name]
-    return [end for end in (estimate.low, estimate.value, estimate.high) if end is not None]
 
 
 def _short(value: float) -> float:

@@ -22,6 +22,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
+from operator import add, mul, sub, truediv
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +39,6 @@ _SOURCE = re.compile(
 _STEP = re.compile(r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*")
 _UNIT = re.compile(r"\s*\[(?P<unit>[^\]]*)\]\s*")
 _DELAY = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
-
-
 _BARE = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
 """A column's name that needs no quotes, in a map in short nor in YAML."""
 
@@ -179,14 +178,7 @@ def _instead(name: str, there: Iterable[str]) -> str:
     return f"{hint}; there are {listed}" if names else "; there are none"
 
 
-_OPERATIONS = {
-    "*": lambda values, by: values * by,
-    "/": lambda values, by: values / by,
-    "+": lambda values, by: values + by,
-    "-": lambda values, by: values - by,
-}
-
-
+_OPERATIONS = {"*": mul, "/": truediv, "+": add, "-": sub}
 TARGETS = ("time", *STATE_FIELDS)
 """Targets of a column."""
 

@@ -31,8 +31,6 @@ from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, Unu
 
 SLOWER = 1.2
 """Multiple of the chosen clock's sampling time up to which a sensor counts as equally fast."""
-
-
 COINCIDENT = 1e-3
 """Share of a sampling time within which two times are the same: times of day have 0.2 us in a float."""
 
@@ -47,7 +45,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     base = base_of(sources, found)
     times = _Times(found, sources.get("time"))
     time = times.of(base)
-    fields, spans = {}, []
+    fields, clocks = {}, []
     for field, source in sources.items():
         if field == "time":
             continue
@@ -64,9 +62,9 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
             notes.append(_too_slow(field, own, times.of(own), time))
             continue
         fields[field] = moved
-        spans.append(_span(times.of(own) - source.delay))
+        clocks.append(times.of(own) - source.delay)
         notes.append(_said(field, source, own, base))
-    inside = _inside(time, spans)
+    inside = _inside(time, clocks)
     if not inside.any() or not fields:
         raise InputError("the clocks of the mapped columns have no time in common")
     return time[inside], {name: values[inside] for name, values in fields.items()}, notes
@@ -152,23 +150,17 @@ def _step(times: FloatArray) -> float:
     return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
 
 
-def _span(times: FloatArray) -> tuple[float, float]:
-    return float(np.nanmin(times)), float(np.nanmax(times))
-
-
-def _inside(time: FloatArray, spans: list[tuple[float, float]]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _inside(time: FloatArray, clocks: list[FloatArray]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Rows at which every clock ran."""
-    inside = np.ones(len(time), dtype=bool)
-    for begin, end in spans:
-        slack = 0.5 * _step(time)
-        inside &= ~(time < begin - slack) & ~(time > end + slack)
+    inside, slack = np.ones(len(time), dtype=bool), 0.5 * _step(time)
+    for times in clocks:
+        inside &= ~(time < np.nanmin(times) - slack) & ~(time > np.nanmax(times) + slack)
     return inside
 
 
 def _said(field: str, source: Source, own: str, base: str) -> str:
-    how = {True: "the mean of what was held about it"}.get(
-        field == "valve_current", "read off between its neighbouring samples" if field in MEASURED else "the last known"
-    )
+    how = "read off between its neighbouring samples" if field in MEASURED else "the last known"
+    how = "the mean of what was held about it" if field == "valve_current" else how
     late = f" {abs(source.delay) * 1e3:g} ms {'late' if source.delay > 0.0 else 'early'}" if source.delay else ""
     clock = f" by the clock {own!r}, not {base!r}" if own != base else ""
     return f"{field} was recorded{late}{' and' if late and clock else ''}{clock}: taken is {how}"
@@ -318,7 +310,7 @@ def _bag(path: Path, rows: int | None = None) -> Bag:
 def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
     """Read one recording of which the columns are known already. Raises InputError: as `read_table`."""
     chosen = (columns or ColumnMap({})).completed(found.series)
-    there = ", ".join(list(found.series)[:40])
+    there = _some(found.series)
     if "time" not in chosen.sources and not found.clocks:
         raise InputError(
             f"{path}: no column is the time: map one by --columns time=NAME,..., or let `inspect {path.name} --write "

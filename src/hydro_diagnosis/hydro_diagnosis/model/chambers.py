@@ -161,11 +161,6 @@ SUBSTEPS = 4
 _FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
 
 
-def moves_spool(claim: Claim) -> bool:
-    """Whether a claim acts between the current and the edges, where a sample's command need not stay constant."""
-    return changes(claim, "command")
-
-
 def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
     """Zero-lapped valve: conductances from the spool position [A], shape (..., substeps)."""
     mean = np.full(spool.shape[-1], bench.valve_gain / spool.shape[-1])
@@ -179,7 +174,7 @@ def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim])
 
     An unshaped current is constant within a sample and needs only one substep.
     """
-    moving = sorted((claim for claim in claims if moves_spool(claim)), key=lambda claim: claim.effect.stage)
+    moving = sorted((claim for claim in claims if changes(claim, "command")), key=lambda claim: claim.effect.stage)
     if current.ndim == 1:
         current = np.repeat(current[:, None], SUBSTEPS if moving else 1, axis=1)
     spool = current

@@ -22,14 +22,23 @@ import numpy.typing as npt
 from scipy.ndimage import correlate1d, distance_transform_edt
 from scipy.special import ndtr
 
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, Kinematics, changes
+from hydro_diagnosis.effects.base import (
+    HYDRAULIC,
+    LOAD,
+    MOTION,
+    PRESSURE,
+    Claim,
+    FloatArray,
+    Kinematics,
+    changes,
+    values_key,
+)
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_record import ChamberObserver, SegmentRecord
 from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 VELOCITY_UNCERTAINTY = 1e-3
 """Uncertainty [m/s] of the velocity's zero."""
@@ -38,8 +47,6 @@ SLIDING = 3.0 * VELOCITY_UNCERTAINTY
 _FAST = 1.0
 """Velocity [m/s] beyond which friction is that of sliding."""
 _GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
-
-
 PLACES = 4
 """Corrected positions that a segment keeps."""
 
@@ -174,7 +181,7 @@ class SegmentModel(SegmentRecord):
         moving = [claim for claim in claims if claim.effect.places]
         if not moving or not self.has_position:
             return self
-        key = tuple((claim.effect.label, *claim.values.values()) for claim in moving)
+        key = values_key(moving)
         if key not in self._placed:
             channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
             while len(self._placed) >= PLACES:
@@ -235,9 +242,7 @@ class SegmentModel(SegmentRecord):
     def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated."""
         bench = self.bench(claims)
-        force = self.spring_force(bench, claims, self.recorded)
-        if bench.load_cell_bandwidth is not None:
-            force = self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
+        force = self.behind_cell(self.spring_force(bench, claims, self.recorded), bench)
         return self.kept_smooth(self.channels["load_force"] - self.reading("load_force", force, claims))
 
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes, values_key
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.memory import RecordMemory
@@ -28,6 +28,7 @@ from hydro_diagnosis.preprocessing.smoothing import (
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 BLOCK = 0.1
 """Averaging time [s] of the hydraulic balance."""
@@ -115,6 +116,12 @@ class SegmentRecord:
         self.memory.beside = self.beside
         return signal
 
+    def behind_cell(self, force: FloatArray, bench: Bench) -> FloatArray:
+        """Load's force [N] behind the amplifier of its cell, if the bench states one."""
+        if bench.load_cell_bandwidth is None:
+            return force
+        return self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
+
     @cached_property
     def _smooth_beside(self) -> dict[str, FloatArray]:
         smoothed = {name: self.smooth(signal) for name, signal in self.beside.items() if name != "acceleration"}
@@ -165,11 +172,13 @@ class ChamberObserver:
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
-        moving = sorted(filter(chambers.moves_spool, claims), key=lambda claim: claim.effect.stage)
+        moving = sorted((claim for claim in claims if changes(claim, "command")), key=lambda claim: claim.effect.stage)
         sensing = [claim for claim in claims if changes(claim, "unmeasure")]
         spool = self._cached("spool", moving, self._spool)
         p_a, p_b = self._cached("pressures", sensing, self._middle_pressures)
-        position = self._cached("position", (), self._middle_position)
+        position = self._cached(
+            "position", (), lambda claims: chambers.middle(self._record.channels["piston_position"])
+        )
         velocity = self._cached("velocity", (), lambda claims: chambers.middle(self._record.v))
         return Oil(self._record.time, position, (p_a, p_b), spool, velocity)
 
@@ -192,12 +201,9 @@ class ChamberObserver:
         p_a, p_b = (chambers.middle(self._record.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
         return p_a, p_b
 
-    def _middle_position(self, claims: Sequence[Claim]) -> FloatArray:
-        return chambers.middle(self._record.channels["piston_position"])
-
     def _cached(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
         """Return the result for these claims, computed once as long as only others change."""
-        key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
+        key = (what, *values_key(claims))
         found: Kept = self._cache.pop(key) if key in self._cache else compute(claims)
         if len(self._cache) >= CACHE_SIZE:
             self._cache.pop(next(iter(self._cache)))

@@ -316,10 +316,6 @@ class Plant:
         level = self.level(grip.toward(Kinematics(time, state[0], state[1])))
         return Grip(holding, grip.direction, np.abs(holding) <= level)
 
-    def measurements(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
-        """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
-        return measurements(self, states, begins)
-
 
 def _sticks(claims: Sequence[Claim]) -> bool:
     """Return whether there is dry friction that no bristles carry."""

@@ -57,7 +57,8 @@ def on_box_clock(
     if step == SAMPLE_PERIOD and not shaken:
         thinner = _placed(*place, *_fewer(rows, columns, _gaps_doubled(rows)))
     else:
-        thinner = _placed(name, start, step / spacing, 2 * spacing, place[-1], *_halved(rows, columns, spacing))
+        fewer, values = _fewer(rows, columns, rows % 2 == 0)
+        thinner = _placed(name, start, step / spacing, 2 * spacing, place[-1], fewer * spacing, values)
     return _placed(*place, rows * spacing, columns, thinner)
 
 
@@ -87,11 +88,6 @@ def _ticks(rows: Rows, columns: Mapping[str, FloatArray], skipped: int) -> int:
 
 def _fewer(rows: Rows, columns: Mapping[str, FloatArray], kept: Mask) -> tuple[Rows, dict[str, FloatArray]]:
     return rows[kept], {key: values[kept] for key, values in columns.items()}
-
-
-def _halved(rows: Rows, columns: Mapping[str, FloatArray], spacing: int) -> tuple[Rows, dict[str, FloatArray]]:
-    fewer, values = _fewer(rows, columns, rows % 2 == 0)
-    return fewer * spacing, values
 
 
 def _gaps_doubled(rows: Rows) -> Mask:

@@ -31,8 +31,6 @@ from hydro_sim.model.bench import Bench
 
 LONGEST = 100.0
 """Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
-
-
 ENOUGH = 3.0
 """Time [s] in which the piston must move."""
 STILL_FOR = 0.25

@@ -26,24 +26,14 @@ from hydro_sim.model.bench import Bench
 
 WINDOW = 10.0
 """Length of a window [s]."""
-
-
 _SPEEDS = np.array([-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1])
 """Edges of the velocity bins [m/s]: finer where friction changes most."""
-
-
 _OPENINGS = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
 """Edges of the current bins, as shares of the largest current."""
-
-
 _PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
 """Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
-
-
 _TIMES = 10
 """Parts of the recordings that are distinguished, so that drift is seen."""
-
-
 _THINNED = 5
 """Stride of the samples that are counted."""
 

@@ -16,7 +16,7 @@ import yaml
 
 from hydro_bridge.files.atomic import write_whole
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.base import Claim, changes
 from hydro_diagnosis.effects.closure import Closure, from_mapping
 from hydro_sim.model.bench import Bench
 
@@ -33,31 +33,25 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
     A wrong bulk modulus or valve gain becomes a number of the bench unless an effect before it acts on the same
     quantity (air in the oil, say): then their order matters, and it stays an effect.
     """
-    before = [claim.effect for claim in claims_of(bench)]
+    before = list(claims_of(bench))
     effects: list[Mapping[str, Any]] = list(bench.effects)
     for claim in claims:
         if isinstance(claim.effect, Closure):
             bench = replace(bench, closures=(*bench.closures, claim.effect.to_closure(claim.values)))
             continue
-        changed = bench if _meets(claim.effect, before) else claim.effect.settled(bench, claim.values)
+        changed = bench if _meets(claim, before) else claim.effect.settled(bench, claim.values)
         if changed == bench or claim.effect.id == "sensor_lag":
             effects.append(claim.to_mapping())
-            before.append(claim.effect)
+            before.append(claim)
         else:
             bench = replace(changed, effects=())
     return replace(bench, effects=tuple(effects))
 
 
-def _meets(effect: Effect, before: Sequence[Effect]) -> bool:
+def _meets(claim: Claim, before: Sequence[Claim]) -> bool:
     """Return whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
-    for hook in ("stiffness", "openings"):
-        if _overrides(effect, hook) and any(_overrides(one, hook) for one in before):
-            return True
-    return False
-
-
-def _overrides(effect: Effect, hook: str) -> bool:
-    return getattr(type(effect), hook) is not getattr(Effect, hook)
+    hooks = [hook for hook in ("stiffness", "openings") if changes(claim, hook)]
+    return any(changes(one, hook) for one in before for hook in hooks)
 
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:

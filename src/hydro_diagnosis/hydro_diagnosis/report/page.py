@@ -17,7 +17,7 @@ from hydro_bridge.pages import environment
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, display_unit, interval
@@ -117,7 +117,7 @@ def compare(found: Diagnosis) -> Comparison | None:
 def _simulated(model: SegmentModel, claims: tuple[Claim, ...], begins: Any, length: int) -> dict[str, FloatArray]:
     """Readings by channel, the windows one after the other, shape (windows * length,)."""
     plant = Plant.of(model, claims)
-    shown = plant.measurements(plant.run(plant.start(begins), begins, length), begins)
+    shown = measurements(plant, plant.run(plant.start(begins), begins, length), begins)
     return {name: one.T.ravel() for name, one in shown.items()}
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit, holdout_gain, noticeable, score
+from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, holdout_gain, noticeable, score
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
-from hydro_diagnosis.report_json import EffectReport, Location, LookAlike, ParameterEstimate, Rival
+from hydro_diagnosis.report_json import EffectReport, Location, LookAlike, Rival
 from hydro_diagnosis.selection.localisation import Place, locate
 from hydro_diagnosis.selection.outcome import CLOSE, Outcome
 from hydro_diagnosis.selection.verdict import Assessment
@@ -26,12 +26,11 @@ def describe(
     `held`: the held-out recordings; `bounds`: of the parameters of all claims, in their order.
     """
     found = assessment.fit
-    reports, k = [], 0
-    for claim in found.claims:
-        count = len(claim.effect.parameters)
-        if claim.effect.named and not claim.effect.estimated:
-            reports.append(_report(problem, held, outcome, found, claim, bounds[k : k + count]))
-        k += count
+    reports = [
+        _report(problem, held, outcome, found, claim, own)
+        for claim, own in by_claim(found.claims, bounds)
+        if claim.effect.named and not claim.effect.estimated
+    ]
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
@@ -40,9 +39,7 @@ def _report(
 ) -> EffectReport:
     without = fit(problem, tuple(one for one in found.claims if one is not claim))
     parameters = {
-        parameter.name: ParameterEstimate(
-            value=bound.value, ci95=[bound.low, bound.high] if bound.identifiable else None, unit=parameter.unit
-        )
+        parameter.name: bound.estimate(parameter.unit)
         for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
         if parameter.reported
     }

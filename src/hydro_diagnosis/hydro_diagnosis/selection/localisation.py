@@ -45,7 +45,7 @@ def locate(problem: Problem, residual: FloatArray, gains: Mapping[str, float]) -
     `gains`: evidence of the best free-form input in each equation (`free_form.gains_by_equation`).
     """
     excess = {name: square - 1.0 for name, square in remaining(problem, residual).items()}
-    counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
+    counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     weights: dict[str, float] = {}
     channel_of: dict[str, str] = {}
     for name in excess:
@@ -141,12 +141,11 @@ def _coherent(problem: Problem, residual: FloatArray) -> bool:
 
 
 def _through_cell(model: SegmentModel, problem: Problem, motion: FloatArray) -> FloatArray:
-    bandwidth = problem.bench.load_cell_bandwidth
-    if bandwidth is None:
+    if problem.bench.load_cell_bandwidth is None:
         return motion
     kept = model.kept_time()
     fine = np.interp(model.time, kept, motion)
-    return np.interp(kept, model.time, model.memory.low_pass("", fine, bandwidth, 0.7071))
+    return np.interp(kept, model.time, model.behind_cell(fine, problem.bench))
 
 
 def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, share: float) -> Place:

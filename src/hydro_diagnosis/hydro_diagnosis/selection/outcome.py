@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from hydro_bridge.settings import quantity
-from hydro_diagnosis.estimation.fit import FORM_ERROR, Fit
+from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import Problem
 
 
@@ -23,10 +23,6 @@ class SearchSettings:
     """Claims at most."""
     patience: Annotated[int, quantity("-", 1, 100)] = 100
     """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
-    shortlist: Annotated[int, quantity("-", 1, 1000)] = 7
-    """Prospects that are fitted in full at each step."""
-    form_error: Annotated[float, quantity("-", 0.0, 1.0)] = FORM_ERROR
-    """Share of a claim's signature that its form may be off by: another of its family must explain more."""
     restarts: Annotated[int, quantity("-", 1, 10)] = 3
     """First claims that are tried, one search each, as long as something remains unexplained."""
     effort: Annotated[int, quantity("-", 100, 1000000)] = 9000

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.effects.base import MOTION, Claim
-from hydro_diagnosis.estimation.fit import NOTICEABLE, QUANTILE, Fit, fit, residual_variances, without_one
+from hydro_diagnosis.estimation.fit import NOTICEABLE, QUANTILE, Fit, by_claim, fit, residual_variances, without_one
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.selection.search import is_significant
@@ -75,14 +75,12 @@ def contradicted(
 
 def _evidence(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> dict[str, float]:
     """Evidence [BIC] of each named claim by its label, by as many samples as are worth one that is independent."""
-    evidence, k, needed = {}, 0, {name for claim in found.claims for name in claim.effect.needs}
-    for claim in found.claims:
-        count = len(claim.effect.parameters)
-        variance = max((bound.inflation**2 for bound in bounds[k : k + count]), default=1.0)
-        k += count
+    evidence, needed = {}, {name for claim in found.claims for name in claim.effect.needs}
+    for claim, own in by_claim(found.claims, bounds):
+        variance = max((bound.inflation**2 for bound in own), default=1.0)
         if claim.effect.named and not claim.effect.estimated and claim.effect.id not in needed:
             rise = without_one(problem, found, claim).deviance - found.deviance
-            evidence[claim.effect.label] = rise / variance - count * float(np.log(len(found.residual) / variance))
+            evidence[claim.effect.label] = rise / variance - len(own) * float(np.log(len(found.residual) / variance))
     return evidence
 
 
@@ -131,10 +129,9 @@ def differing(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[
 
 def apart(found: Fit, other: Fit, bounds: Sequence[Interval]) -> list[str]:
     """Named claims whose size in another fit differs by more than `MOVED`, and lies out of its interval."""
-    sizes, labels, k = {claim.effect.label: claim for claim in other.claims}, [], 0
-    for claim in found.claims:
-        label, own = claim.effect.label, bounds[k : k + len(claim.effect.parameters)]
-        k += len(own)
+    sizes, labels = {claim.effect.label: claim for claim in other.claims}, []
+    for claim, own in by_claim(found.claims, bounds):
+        label = claim.effect.label
         if label in sizes and claim.effect.named and not claim.effect.estimated and _moves(claim, sizes[label], own):
             labels.append(label)
     return labels

@@ -17,6 +17,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import (
+    FORM_ERROR,
     Fit,
     fit,
     mean_squares,
@@ -32,6 +33,8 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.estimation.score_test import Prospect, Signatures, screen
 from hydro_diagnosis.selection.outcome import MINOR, Outcome, SearchSettings, Step
 
+SHORTLIST = 7
+"""Prospects that are fitted at each step, the most promising first."""
 SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
 SAME_UNCERTAINTY = 1e-3
@@ -76,7 +79,7 @@ class Shortlists:
         """
         screened = self._screened.get(_labels(base))
         if screened is None:
-            prospects = screen(problem, base, self._library, self._signatures)[: self._settings.shortlist]
+            prospects = screen(problem, base, self._library, self._signatures)[:SHORTLIST]
             hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self._settings.threshold]
             screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, hopeful)
         elif not np.allclose(screened.doubt, problem.uncertainty, rtol=SAME_UNCERTAINTY, atol=0.0):
@@ -219,15 +222,11 @@ class Search:
         return ranked
 
     @property
-    def _spent(self) -> int:
-        return self.problem.evaluations - self._begun
-
-    @property
     def _exhausted(self) -> bool:
         return self._exhausted_at(self.settings.effort)
 
     def _exhausted_at(self, effort: float) -> bool:
-        return self._spent > effort or self.problem.budget.exhausted
+        return self.problem.evaluations - self._begun > effort or self.problem.budget.exhausted
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
@@ -251,7 +250,7 @@ class Search:
             self._shortlists.polish(problem, base, best + CONTENDING * (score(problem, base) - best), POLISHED)
         better = [one for one in self._shortlists.beside(problem, base, 0.0) if score(problem, one) <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
-        mends = bool(evidence) and form_error(problem, base, evidence[0], self.settings.form_error)
+        mends = bool(evidence) and form_error(problem, base, evidence[0])
         if mends and not self._completed(problem, base, evidence[0]):
             evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
         if noticeable(problem, base.residual):
@@ -434,12 +433,10 @@ def _at_its_end(parameter: FitParameter, value: float) -> bool:
     return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
 
 
-def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
+def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
     """Return whether the newest claim explains no more than an error in the form of its kin would.
 
     Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
-
-    `share`: of a claim's signature that its form may be off by.
     """
     if noticeable(problem, base.residual) and not noticeable(problem, found.residual):
         return False
@@ -451,7 +448,7 @@ def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
         without = problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
         signature = float(np.sum(np.square(without - problem.residual(found.claims[:-1]))))
         added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
-        if added < share**2 * signature:
+        if added < FORM_ERROR**2 * signature:
             return True
     return False
 
@@ -459,7 +456,7 @@ def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
 def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
     """Whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
     before, one, two = (mean_squares(problem, each.residual) for each in (base, mended, other))
-    counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
+    counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}
     shared = sum(
         part for name, part in removed.items() if before[name] - one[name] > MINOR * (before[name] - two[name])
@@ -470,7 +467,7 @@ def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool
 def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
     """Return whether the newest claim removes little of what remains in the channel in which it removes most."""
     before, after = (mean_squares(problem, one.residual) for one in (base, found))
-    counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
+    counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
     excess = remaining(problem, found.residual).get(channel, 1.0) - 1.0
     return before[channel] - after[channel] < MINOR * excess

@@ -16,7 +16,15 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import Fit, fit, mean_squares, noise_thresholds, noticeable, remaining
+from hydro_diagnosis.estimation.fit import (
+    Fit,
+    fit,
+    mean_squares,
+    noise_thresholds,
+    noticeable,
+    orthogonal,
+    remaining,
+)
 from hydro_diagnosis.estimation.free_form import FreeForm, free_forms, gains_by_equation, variables
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.selection.localisation import Place, locate, locate_claims
@@ -34,11 +42,9 @@ def without_varying(problem: Problem, found: Fit, judged: npt.NDArray[np.bool_],
     if not found.claims or remains <= 0.0:
         return found
     states = [_along(problem, name) for name in variables(problem)]
-    steady, column = [], 0
+    steady = []
     for claim in found.claims:
-        count = len(claim.effect.parameters)
-        slopes = found.jacobian[:, column : column + count]
-        column += count
+        slopes = found.jacobian[:, found.columns(claim)]
         removed = (
             0.0
             if claim.effect.estimated or claim.effect.id in spared
@@ -52,10 +58,8 @@ def without_varying(problem: Problem, found: Fit, judged: npt.NDArray[np.bool_],
 def _removed(found: Fit, slopes: FloatArray, state: FloatArray, judged: npt.NDArray[np.bool_]) -> float:
     """Squares that go if a claim's numbers follow a variable, beyond what the claims' own values can take up."""
     columns = np.column_stack([found.jacobian, slopes * state[:, None]])[judged]
-    lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     left = found.residual[judged]
-    amounts = np.linalg.lstsq(columns / lengths, left, rcond=1e-10)[0]
-    return float(left @ left - np.sum(np.square(left - columns @ (amounts / lengths))))
+    return float(left @ left - np.sum(np.square(orthogonal(columns, left))))
 
 
 def _along(problem: Problem, name: str) -> FloatArray:
@@ -161,13 +165,12 @@ def _suspects(problem: Problem, found: Fit) -> set[str]:
 
 def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
-    counts = problem.layout.count()
     before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
     limit = noise_thresholds(problem)
     gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
     shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and after[name] > limit[name]]
-    return float(min(shares, default=1.0)) if counts.sum() else 1.0
+    return float(min(shares, default=1.0))
 
 
 def _judged(problem: Problem, found: Fit) -> npt.NDArray[np.bool_]:

@@ -67,8 +67,6 @@ PHYSICS = {
     "pressure_b": (-0.02, 0.02),
 }
 """s by which a channel may be late (negative: early) because of valve, play or an amplifier: causes, no mistakes."""
-
-
 NO_UNITS: Mapping[str, str] = {}
 Left = dict[str, tuple[float, float]]
 """By channel: sum of the squares that are left, over the noise's, and how many they are."""
@@ -78,7 +76,7 @@ def left(problem: Problem, claims: Sequence[Claim]) -> Left:
     """Return squares and counts of the residuals under claims, by channel."""
     with np.errstate(all="ignore"):
         squares = problem.layout.squares(problem.residual(claims))
-    counts = problem.layout.count()
+    counts = problem.layout.count
     return {
         name: (float(np.nan_to_num(squares[k], nan=1e30, posinf=1e30)), float(counts[k]))
         for k, name in enumerate(CHANNELS)
@@ -245,8 +243,6 @@ LAGS = frozenset({"sensor_lag", "transport_delay", "valve_lag"})
 """Causes that a delay of a channel found too short or too long would pass for."""
 MOST_READINGS = 8
 """Ways of reading that are tried where numbers cannot be what they are named."""
-
-
 Repaired = tuple[tuple[Repair, ...], Case]
 """Repairs, and the recordings after them."""
 
@@ -279,7 +275,9 @@ def read_repaired(question: Question, progress: Progress) -> Case:
         if question.as_wired or not inspection.doubts:
             raise
         refusal = str(error)
-    if case is not None and (question.as_wired or not (inspection.doubts or _mismatch(case.problem))):
+    if case is not None and question.as_wired:
+        return case
+    if case is not None and not (inspection.doubts or noticeable(case.problem, case.problem.residual(()))):
         return case
     readings = _plausible(question, inspection, progress) if case is None or inspection.doubts else [((), case)]
     readings = [_with_suspected_repairs(question, *one, inspection.units, progress) for one in readings]
@@ -320,10 +318,6 @@ def _other_zero(problem: Problem, claims: Sequence[Claim]) -> tuple[Repair, ...]
     offset = problem.bench.spring_rest_position - found["spring_rest"]["position"]
     said = "piston_position has its zero elsewhere (offset estimated from the spring force: better measure it)"
     return (Scale("piston_position", said, offset=float(f"{offset:.5g}")),)
-
-
-def _mismatch(problem: Problem) -> bool:
-    return noticeable(problem, problem.residual(()))
 
 
 def _plausible(question: Question, inspection: Inspection, progress: Progress) -> list[Repaired]:

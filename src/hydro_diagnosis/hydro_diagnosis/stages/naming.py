@@ -31,7 +31,7 @@ from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.steady_motion import FRICTION, curves
 from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
 from hydro_diagnosis.stages.reading import Progress, StageResult
-from hydro_diagnosis.validation import Known, equation_report, held_out
+from hydro_diagnosis.validation import Known, equation_errors, held_out
 
 
 def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
@@ -154,7 +154,7 @@ def model_remainder(names: StageResult, library: Sequence[Effect], progress: Pro
     if ahead is None and can_simulate(problem.bench):
         ahead = next_for_law(beside.problem, found.closed.fit, found.closed.screen)
     holdout = holdout.weighed(found.closed.fit.claims)
-    proof = {**found.held, "equations": equation_report(holdout, found.closed.fit.claims)}
+    proof = {**found.held, "equations": equation_errors(holdout, found.closed.fit.claims)}
     return replace(beside, holdout=holdout, proof=proof, next_recording=ahead)
 
 

@@ -157,11 +157,13 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
         raise InputError(
             "the recordings and the bench file give residuals that are not finite: check units and numbers"
         )
+    without = " ".join(question.without)
+    untried = [f"--without {without}: these causes were not tried"] if without else []
     facts = {
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
         "recordings": [recording_entry(path) for path in (*question.recordings, *question.holdout)],
-        "data_quality": [*_untried(question.without), *left_out(channels, believed), *quality],
+        "data_quality": [*untried, *left_out(channels, believed), *quality],
         "baseline": {"bench": given.to_mapping(), "model": origin},
         "versions": {"hydro_diagnosis": _version()},
     }
@@ -175,10 +177,6 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
         numbers=numbers,
         units=inspection.units,
     )
-
-
-def _untried(without: Sequence[str]) -> list[str]:
-    return [f"--without {' '.join(without)}: these causes were not tried"] if without else []
 
 
 def _acting(effects: Sequence[Effect], bench: Bench) -> list[Effect]:

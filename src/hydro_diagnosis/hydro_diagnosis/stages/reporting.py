@@ -12,7 +12,7 @@ import numpy as np
 import scipy.signal
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.fit import QUANTILE, Fit, pack, residual_variances
+from hydro_diagnosis.estimation.fit import QUANTILE, Fit, orthogonal, pack, residual_variances
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
@@ -147,7 +147,7 @@ def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
         return [names[k]]
     others = np.delete(columns, k, axis=1)
     lengths = np.linalg.norm(others, axis=0)
-    if not len(lengths) or np.linalg.norm(column - _part(others, column)) > OWN * np.linalg.norm(column):
+    if not len(lengths) or np.linalg.norm(orthogonal(others, column)) > OWN * np.linalg.norm(column):
         return []
     lengths = np.maximum(lengths, 1e-300)
     shares = np.linalg.lstsq(others / lengths, column, rcond=1e-12)[0]
@@ -156,27 +156,18 @@ def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(rest[j] for j in by_size if abs(shares[j]) > 0.3 * np.max(np.abs(shares))))
 
 
-def _part(others: FloatArray, column: FloatArray) -> FloatArray:
-    """Return the projection of a column onto others."""
-    if not others.shape[1]:
-        return np.zeros_like(column)
-    scaled = others / np.maximum(np.linalg.norm(others, axis=0), 1e-300)
-    return np.asarray(scaled @ np.linalg.lstsq(scaled, column, rcond=1e-12)[0])
-
-
 def _alike(
     problem: Problem, found: Fit, columns: FloatArray, k: int, weight: FloatArray, library: Sequence[Effect]
 ) -> list[str]:
     """Causes that are not claimed and would change the residuals as the number does."""
     others = np.delete(columns, k, axis=1)
-    own = columns[:, k] - _part(others, columns[:, k])
+    own = orthogonal(others, columns[:, k])
     alike = []
     for effect in allowed(library, found.claims, problem.blocks):
         if not effect.named or effect.needs or len(effect.parameters) > 1:
             continue
         probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
-        shown = (problem.residual((*found.claims, probe)) - found.residual) * weight
-        shown = shown - _part(others, shown)
+        shown = orthogonal(others, (problem.residual((*found.claims, probe)) - found.residual) * weight)
         size = float(np.linalg.norm(shown) * np.linalg.norm(own))
         if size > 0.0 and abs(float(shown @ own)) > ALIKE * size:
             alike.append(effect.label)
@@ -217,7 +208,7 @@ def _sentence(name: str, value: str, interval: str, others: Sequence[str]) -> st
 def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
     """The report and the data behind it; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
-    problem.clear_caches()
+    problem.columns.clear()
     hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, found.holdout, found.outcome, assessment, found.bounds)
     read_off = curves(problem, assessment.fit.claims)
@@ -338,7 +329,7 @@ def confirmed(
             continue
         (ratio,) = effect.parameters
         signature = (problem.residual((*found.claims, Claim(effect, {ratio.name: 1.01}))) - found.residual) * weight
-        own = signature - _part(columns, signature)
+        own = orthogonal(columns, signature)
         power = max(float(own @ own), 1e-300)
         off = 0.01 * (abs(float(own @ left)) / power + QUANTILE * inflation / power**0.5)
         if off < CONFIRMED:
