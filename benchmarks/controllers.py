@@ -10,6 +10,11 @@ compensated      the compensated law, adaptive, from neutral coefficients
 learned_residual  the same with the learned residual
 amplitude_phase  the same with amplitude and phase control in its place
 filtered_x       the same with adaptive inverse control by the filtered-x LMS algorithm in its place
+equivalent_nominal  the compensated law, its coefficients held, by a simulation of the shipped bench.yaml beforehand
+equivalent_known  the same of a bench file with the truth's own parameters
+predictive_nominal, predictive_known  the same under model predictive control of a_3 by the same numbers
+predictive_adaptive  the compensated law, adaptive, under that control by the shipped bench.yaml
+oracle           the compensated law, coefficients and corrections of a_3 learnt on the very truth and reference before
 compensated_specimen  the same for the force in front of the load cell, whose amplifier is known: see true_rmse
 paper_fixed      the paper's law at its gains (90, 15)
 robust_fixed     the paper's law at the gains that trip on the fewest truths of another draw (--robust finds them)
@@ -34,6 +39,8 @@ import yaml
 
 from benchmarks._adaptive_feedforward import RATES, Feedforward
 from benchmarks._drawn_truths import drawn_truths
+from benchmarks._model_based import Fixed, equivalent, foreseen, known_bench, oracle
+from benchmarks._model_predictive import WEIGHTS, Predictive
 from benchmarks._report import parser
 from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.bags.writer import code_version
@@ -53,6 +60,7 @@ from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box import reference
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, truth_from_mapping
+from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import figure, legend
 
 PAPER_GAINS = (90.0, 15.0)
@@ -74,6 +82,12 @@ CONTROLLERS = (
     "learned_residual",
     "amplitude_phase",
     "filtered_x",
+    "equivalent_nominal",
+    "equivalent_known",
+    "predictive_nominal",
+    "predictive_known",
+    "predictive_adaptive",
+    "oracle",
     "compensated_specimen",
     "paper_fixed",
     "robust_fixed",
@@ -154,6 +168,8 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
         return compensated(config, cases, cell=load_cell(config) if name == "compensated_specimen" else None)
     if name == "learned_residual":
         return compensated(config, cases, residual=Residual(len(cases), Network.load()))
+    if name.startswith(("equivalent", "predictive", "oracle")):
+        return knowing(config, name, cases)
     if name in RATES:
         return compensated(config, cases, residual=Feedforward(len(cases), name))
     if name == "policy":
@@ -161,6 +177,20 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
         return measure(config, cases, mean_action(actor_parameters(shipped.agent), shipped))
     gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
     return measure(config, cases, held(gains))
+
+
+def knowing(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """A peer that knows a bench file, or the truth itself."""
+    bench = known_bench(config) if name.endswith("known") else Bench.nominal()
+    if name == "oracle":
+        on: Fixed = oracle(truth_fleet(len(cases), config), cases, SETTINGS)
+    elif name == "predictive_adaptive":
+        on = Predictive(cases, Compensator(len(cases)), bench, WEIGHTS[name])
+    else:
+        on = equivalent(bench, cases, SETTINGS)
+    if name in ("predictive_nominal", "predictive_known"):
+        on = Predictive(cases, on, bench, WEIGHTS[name], foreseen(bench, cases, SETTINGS, on))
+    return measure(config, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), on)
 
 
 def compensated(
