@@ -71,7 +71,7 @@ class BridgeNode(PlantNode):
         logger, self._bench = self.get_logger(), bench
         self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box)
         self.connect(self.link)
-        self.get_logger().info(request_realtime(realtime=realtime))
+        self.get_logger().info(f"this node runs under {request_realtime(realtime=realtime)}")
 
     def _publish(self, sample: State, stamp_ns: int, flags: int) -> None:
         self.publish_law_state(stamp_ns, sample.sequence, sample.law_state)

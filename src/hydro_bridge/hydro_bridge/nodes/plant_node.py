@@ -341,9 +341,10 @@ class PlantNode(Node):
         """Accept commands for `side`, and report its status; `clock` is the guard's [s]."""
         self.side, self._now = side, clock
         limits = side.guard.settings
+        only = "" if limits.relies_on == "nothing" else f"; the bench bears them behind this filter: {limits.relies_on}"
         self.get_logger().info(
-            f"guard: delta_kp within [{limits.delta_kp_min:g}, {limits.delta_kp_max:g}] 1/s, delta_ki within "
-            f"[{limits.delta_ki_min:g}, {limits.delta_ki_max:g}] 1/s^2, relying on {limits.relies_on}"
+            f"the guard passes delta_kp from {limits.delta_kp_min:g} to {limits.delta_kp_max:g} 1/s and delta_ki from "
+            f"{limits.delta_ki_min:g} to {limits.delta_ki_max:g} 1/s^2{only}"
         )
         if not limits.require_filter:
             self.get_logger().warning(

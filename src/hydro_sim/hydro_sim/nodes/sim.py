@@ -82,7 +82,9 @@ class SimNode(PlantNode):
         guard.valve_current_max = info.valve_current_max
         self._known, self._law = known_box(info, believed.to_mapping(), self.get_name()), config.compensated
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
-        self.get_logger().info(request_realtime(realtime=realtime and self.simulation.real_time))
+        self.get_logger().info(
+            f"this node runs under {request_realtime(realtime=realtime and self.simulation.real_time)}"
+        )
 
     def begin(self) -> None:
         """Start the plant's thread, once all settings are valid."""
