@@ -30,15 +30,6 @@ from hydro_sim.emulator.truth.config import profile, truth_from_mapping, truth_t
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.excitation import Segment, load_schedule
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
-
-
-def test_nominal_profile_is_the_shipped_bench() -> None:
-    truth = truth_to_mapping(profile("nominal"))
-    assert truth["bench"].pop("load_cell_damping") == pytest.approx(LOAD_CELL_DAMPING)
-    assert truth["bench"] == Bench.nominal().to_mapping()
-    assert truth["effects"] == {}
-    assert truth["outside"] == {}
 
 
 def test_the_emulated_bench_is_the_box_s_where_the_truth_does_not_say_otherwise(tmp_path: Path) -> None:
