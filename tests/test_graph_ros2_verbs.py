@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Thread
@@ -117,14 +118,16 @@ def test_the_rate_of_samples_is_told_each_second_until_an_interrupt(graph: Path)
 
 
 def test_services_are_listed_and_called(graph: Path) -> None:
-    assert "/bridge\n" in ros2("node", "list") and "/hydro/state\n" in ros2("topic", "list")
-    assert "nobody offers the service /colour" in refused("service", "call", "/colour", "std_srvs/srv/Trigger")
-    assert "/hydro/arm [std_srvs/srv/SetBool]\n" in ros2("service", "list", "-t")
-    said = ros2("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: false}")
-    assert "requester: making request: std_srvs.srv.SetBool_Request(data=False)\n" in said
-    assert "response:\nstd_srvs.srv.SetBool_Response(success=True, message='disarmed')\n" in said
-    arming = ros2("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: true}")
-    assert "success=False" in arming, "nobody arms by this service, by whatever tool"
+    call = ("service", "call", "/hydro/arm", "std_srvs/srv/SetBool")
+    with ThreadPoolExecutor() as at_once:  # it is looked for for ten seconds
+        refusal = at_once.submit(refused, "service", "call", "/colour", "std_srvs/srv/Trigger")
+        assert "/bridge\n" in ros2("node", "list") and "/hydro/state\n" in ros2("topic", "list")
+        assert "/hydro/arm [std_srvs/srv/SetBool]\n" in ros2("service", "list", "-t")
+        said = ros2(*call, "{data: false}")
+        assert "requester: making request: std_srvs.srv.SetBool_Request(data=False)\n" in said
+        assert "response:\nstd_srvs.srv.SetBool_Response(success=True, message='disarmed')\n" in said
+        assert "success=False" in ros2(*call, "{data: true}"), "nobody arms by this service, by whatever tool"
+        assert "nobody offers the service /colour" in refusal.result()
 
 
 def test_a_recording_is_told_of_while_it_grows(graph: Path) -> None:
