@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,6 +23,8 @@ from hydro_diagnosis.preprocessing.quality import checked, counted, frozen_encod
 from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.search import all_significant
+from hydro_diagnosis.stages import naming, reading
+from hydro_diagnosis.stages.reading import Question
 from hydro_diagnosis.stages.reporting import undetectable_causes
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -148,6 +152,28 @@ def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) 
     problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
     found = fit(problem, [Claim(MASS, {"mass": 0.1})])
     assert not all_significant(problem, found) or not without_insignificant(problem, found)[0].claims
+
+
+@pytest.mark.parametrize(("spacing", "shown"), [(1, True), (5, True), (10, False)])
+def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
+    spacing: int, shown: bool, tmp_path: Path, nominal: StateArray, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mass rings at 87 Hz: 200 rows a second show it; in 100 it is as slow as 13 Hz, and so it is in 50."""
+    tried: list[Problem] = []
+    monkeypatch.setattr(naming, "closures", lambda problem, *_: tried.append(problem) or ())
+    frame(nominal)[::spacing].to_csv(tmp_path / "run.csv", index=False)
+    question = Question(recordings=[tmp_path / "run.csv"], holdout=[], bench=BENCH, model=None, columns=None,
+                        without=[], estimate=[], as_wired=True)  # fmt: skip
+    case = reading.read(question, lambda text: None)
+    assert case.problem.unseen_ringing == pytest.approx(0.0 if shown else 86.5, abs=0.5)
+    assert any("the mass rings on the oil at 86.5 Hz" in note for note in case.facts["data_quality"]) != shown
+    labels = {effect.label for effect in case.candidates}
+    assert ({"bulk_modulus", "dead_volume:a", "moving_mass", "sensor_lag:pressure_a"} <= labels) == shown
+    assert {"sensor_lag:load_force", "friction_coulomb", "valve_deadband"} <= labels
+    remains: Any = SimpleNamespace(problem=case.problem, holdout=None, assessment=SimpleNamespace(remainder=(1,)),
+                                   models=(), proof={}, simulated={})  # fmt: skip
+    naming.model_remainder(remains, [], lambda text: None)
+    assert bool(tried) == shown
 
 
 def test_rows_hide_no_cause_of_a_sensor_that_is_not_there(nominal: StateArray) -> None:

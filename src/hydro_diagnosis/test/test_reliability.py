@@ -20,6 +20,7 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.reliability import contradicted, differing, doubted, explained_shares, moved, objections
 from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
+from hydro_diagnosis.selection.verdict import seen_at_steady_speed
 from hydro_sim.model.bench import Bench
 
 DRY = next(effect for effect in LIBRARY if effect.label == "friction_coulomb")
@@ -72,6 +73,14 @@ def test_a_claim_that_misses_most_speeds_is_refused(size: float, refused: list[s
     points = curves(judged, found.claims)[FRICTION]
     reasons = contradicted(judged, found, [], bounds, points, 0.1, 20.0)
     assert [label for label, reason in reasons.items() if "steady speeds" in reason] == refused
+
+
+@pytest.mark.parametrize(("size", "kept"), [(11.0, ["friction_coulomb"]), (5.0, [])])
+def test_friction_that_the_steady_speeds_show_is_kept_beside_a_ringing(size: float, kept: list[str]) -> None:
+    judged = problem(0.0)
+    found = fit(judged, (Claim(DRY, {"force": size}),), iterations=0)
+    assert [claim.effect.label for claim in seen_at_steady_speed(judged, (), found)] == kept
+    assert not seen_at_steady_speed(judged, found.claims, found)
 
 
 def test_a_size_that_depends_on_names_that_are_not_claimed_is_refused() -> None:

@@ -306,6 +306,14 @@ class Problem:
             raise InputError(f"no equation can be checked with {names}: both pressures or a force are needed, too")
         return tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
 
+    @property
+    def unseen_ringing(self) -> float:
+        """Frequency [Hz] of a mass that rings on the oil too fast for the rows of a logger; 0 where none does.
+
+        Seen less than twice a period it looks slow, in half of the rows as in all: nothing tells it from a law.
+        """
+        return max(model.unseen_ringing for model in self.models) if PRESSURE in self.blocks else 0.0
+
     def weighed(self, claims: Sequence[Claim]) -> Problem:
         """Return the problem with residuals weighed down where these claims leave the sign of friction uncertain.
 

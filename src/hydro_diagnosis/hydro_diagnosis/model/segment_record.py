@@ -101,6 +101,17 @@ class SegmentRecord:
             bench = claim.effect.bench(bench, claim.values)
         return bench
 
+    @cached_property
+    def unseen_ringing(self) -> float:
+        """Frequency [Hz] at which the believed mass rings on the oil; 0 where the rows show it, twice in a period."""
+        if self.spacing == 1 or not (self.has_position and self.has_pressures):
+            return 0.0
+        bench, moduli = self.base, (self.base.bulk_modulus, self.base.bulk_modulus)
+        stiff_a, stiff_b = eq.stiffnesses(bench, moduli, float(np.mean(self.channels["piston_position"])))
+        stiffness = bench.piston_area**2 * (stiff_a + bench.area_ratio**2 * stiff_b)
+        ringing = float(np.sqrt(stiffness / bench.moving_mass) / (2.0 * np.pi))
+        return ringing if 2.0 * ringing * self.step * self.spacing > 1.0 else 0.0
+
     def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
         """A channel with the sensors' gains and biases taken out."""
         signal = self.channels[channel]

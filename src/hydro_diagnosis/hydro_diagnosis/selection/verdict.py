@@ -28,6 +28,7 @@ from hydro_diagnosis.estimation.fit import (
 from hydro_diagnosis.estimation.free_form import FreeForm, free_forms, gains_by_equation, variables
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.selection.localisation import Place, locate, locate_claims
+from hydro_diagnosis.selection.steady_motion import FRICTION, curves, missed
 
 MOST = 0.5
 """Share of what remains that a claimed number may remove by varying."""
@@ -148,7 +149,17 @@ def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
     left = [claim for claim in fewer.claims if claim.effect.label in suspects]
     if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and (everyday or not _crowded(left)):
         return without_varying(problem, fewer, _judged(problem, fewer), EVERYDAY)
-    return fit(problem, tuple(claim for claim in fewer.claims if claim.effect.label not in suspects))
+    kept = tuple(claim for claim in fewer.claims if claim.effect.label not in suspects)
+    if problem.unseen_ringing:
+        kept = (*kept, *seen_at_steady_speed(problem, kept, found))
+    return fit(problem, kept)
+
+
+def seen_at_steady_speed(problem: Problem, kept: Sequence[Claim], found: Fit) -> tuple[Claim, ...]:
+    """Everyday causes of `found` that `kept` misses at steady speed, where no ringing is: with them it misses none."""
+    everyday = tuple(one for one in found.judged if one.effect.id in EVERYDAY and one not in kept)
+    misses = [missed(curves(problem, claims).get(FRICTION, ())) for claims in (kept, (*kept, *everyday))]
+    return everyday if misses[0] and not misses[1] else ()
 
 
 def _suspects(problem: Problem, found: Fit) -> set[str]:

@@ -132,9 +132,10 @@ def _assess(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interv
 def model_remainder(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult:
     """Names and closure together; the names alone where nothing remains, or no closure is admitted.
 
-    `library`: causes that may stand beside it.
+    Nor is any sought where what remains may be a ringing that the rows are too slow to show. `library`: causes that may
+    stand beside it.
     """
-    if not names.assessment.remainder or names.problem.budget.exhausted:
+    if not names.assessment.remainder or names.problem.budget.exhausted or names.problem.unseen_ringing:
         return names
     progress(stage_bar.MODELLING)
     problem, holdout = names.problem, names.holdout

@@ -163,7 +163,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
         "recordings": [recording_entry(path) for path in (*question.recordings, *question.holdout)],
-        "data_quality": [*untried, *left_out(channels, believed), *quality],
+        "data_quality": [*untried, *left_out(channels, believed), *quality, *_ringing(problem)],
         "baseline": {"bench": given.to_mapping(), "model": origin},
         "versions": {"hydro_diagnosis": _version()},
     }
@@ -171,12 +171,33 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     return Case(
         question=question,
         problem=problem,
-        candidates=_acting(unruled, believed),
+        candidates=_told_from_ringing(_acting(unruled, believed), problem),
         held=held,
         facts=facts,
         numbers=numbers,
         units=inspection.units,
     )
+
+
+RINGING = frozenset({"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"})
+"""Causes that change how the mass rings on the oil, or how its ringing is read."""
+
+
+def _told_from_ringing(effects: list[Effect], problem: Problem) -> list[Effect]:
+    """Effects without those that the ringing mimics in rows that are too slow for it; the load cell hardly rings."""
+    if not problem.unseen_ringing:
+        return effects
+    return [effect for effect in effects if effect.id not in RINGING or effect.lagged == "load_force"]
+
+
+def _ringing(problem: Problem) -> list[str]:
+    if not (rings := problem.unseen_ringing):
+        return []
+    return [
+        f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so the oil's "
+        "stiffness, the moving mass and the lags of sensors are not judged, and what remains is given no law; record "
+        f"at {2.0 * rings:.0f} Hz or more"
+    ]
 
 
 def _acting(effects: Sequence[Effect], bench: Bench) -> list[Effect]:
