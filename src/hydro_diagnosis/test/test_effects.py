@@ -10,12 +10,18 @@ import pytest
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.bench_values import SupplyPressure, TankPressure
 from hydro_diagnosis.effects.fluid import EntrainedAir
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, finish
 from hydro_diagnosis.recording import Segment
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation import Segment as Drive
 from hydro_sim.model.bench import Bench
+from tests.segments import segment
 
 ADAPTED = [effect.adapted(Bench.nominal()) for effect in CANDIDATES]
 
@@ -124,3 +130,20 @@ def test_friction_is_averaged_over_the_velocities_within_the_test_function() -> 
     true = (strength * np.sign(velocity) * np.exp(-((velocity / width) ** 2))) @ bell / bell.sum()
     np.testing.assert_allclose(got[50:350], true[50:350], atol=0.06 * strength)
     assert np.abs(got - true)[204:212].max() < 0.03 * strength  # where it is told from Coulomb friction
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_intervals_of_a_stribeck_rise_hold_whatever_its_exponent(exponent: float) -> None:
+    """The form that is claimed is 2, and what fits as well may be 1 (Tustin 1947)."""
+    sizes = {"breakaway_force": 10.0, "velocity": 0.03}
+    effects = {"friction_coulomb": {"force": 10.0}, "friction_stribeck": {**sizes, "exponent": exponent}}
+    drive = Drive(seconds=20, waveform="multisine", amplitude=260, frequency=0.7, kp=60, ki=10)
+    states = record_offline(truth_from_mapping({"profile": "nominal", "effects": effects}), [drive], seed=3).states
+    problem, claims = Problem([segment(states)], BENCH), (claim("friction_coulomb", force=10.0),
+                                                          claim("friction_stribeck", **sizes))  # fmt: skip
+    for _ in range(3):
+        problem = problem.weighed(claims)
+        found = fit(problem, claims)
+        claims = found.claims
+    for bound, true in zip(intervals(problem, found), (10.0, *sizes.values()), strict=True):
+        assert bound.low <= true <= bound.high

@@ -158,6 +158,9 @@ class Effect:
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
+    other_forms: ClassVar[tuple[Effect, ...]] = ()
+    """The same cause and parameters in forms that are not claimed: intervals hold for them too where they fit as well.
+    """
     additive: ClassVar[bool] = False
     """Whether it adds to one equation in proportion to its amplitudes, independently of other effects."""
     bristles: ClassVar[bool] = False

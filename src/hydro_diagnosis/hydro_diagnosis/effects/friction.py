@@ -108,6 +108,16 @@ class FrictionStribeck(_Motion):
         )
 
 
+class _StribeckExponential(FrictionStribeck):
+    """Level F_s exp(-|v|/v_s) (Tustin 1947)."""
+
+    def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+        return level + values["breakaway_force"] * np.exp(-np.abs(motion.velocity) / values["velocity"])
+
+
+FrictionStribeck.other_forms = (_StribeckExponential({"form": "exponential"}),)
+
+
 class FrictionPresliding(_Motion):
     """Bristles of stiffness sigma: dF/dx = sigma (1 - F sign(v)/level), Dahl's model."""
 

@@ -5,13 +5,14 @@ A parameter is moved, all others are fitted again, and the deviance must rise by
 independent and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to
 the curvature (the sandwich), and by more where blocks resemble their neighbours (slow noise, drift); where a remainder
 is left unexplained that ratio grows by itself. The systematic part covers the residuals' own discretisation, a fraction
-of the smallest size worth claiming, noise in what a parameter multiplies, and rows that were not recorded.
+of the smallest size worth claiming, noise in what a parameter multiplies, and rows that were not recorded. Where a
+claim's law may have another form, the interval spans those of all forms that fit as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
 import numpy as np
@@ -53,6 +54,8 @@ CONFIDENCE = 0.975
 """Of each side; Student's, with as many degrees of freedom as blocks that are independent."""
 FEWEST = 3.0
 """Degrees of freedom at least."""
+FORMS_ALIKE = 10.0
+"""Deviance by which another form of a claim may be worse and still be the true one (Kass and Raftery 1995)."""
 MOST_CORRELATED = 0.97
 """Correlation of neighbouring blocks at most: of 60 s of data hardly any block is new beyond it."""
 
@@ -102,6 +105,22 @@ def _includes_neutral(claim: Claim, bounds: Sequence[Interval]) -> bool:
 
 def intervals(problem: Problem, found: Fit) -> list[Interval]:
     """One per parameter of the claims, in the order of `pack`."""
+    owners = [claim for claim in found.claims for _ in claim.effect.parameters]
+    bounds = _intervals(problem, found, range(len(owners)))
+    for claim in found.claims:
+        kin = [k for k, one in enumerate(owners) if one.effect.family == claim.effect.family]
+        for form in claim.effect.other_forms:
+            others = [replace(one, effect=form) if one is claim else one for one in found.claims]
+            other = fit(problem, others)
+            if other.deviance < found.deviance + FORMS_ALIKE:
+                for k, bound in zip(kin, _intervals(problem, other, kin), strict=True):
+                    low, high = min(bounds[k].low, bound.low), max(bounds[k].high, bound.high)
+                    bounds[k] = replace(bounds[k], low=low, high=high)
+    return bounds
+
+
+def _intervals(problem: Problem, found: Fit, which: Sequence[int]) -> list[Interval]:
+    """Intervals of `which` of the parameters, the form of every claim as it is."""
     parameters, values = pack(found.claims)
     if not len(values):
         return []
@@ -109,9 +128,9 @@ def intervals(problem: Problem, found: Fit) -> list[Interval]:
     curvature, inflation = _uncertainty(problem, found)
     missing = np.concatenate(shifts(problem, found))
     return [
-        _interval(problem, found, k, parameter, float(values[k]), curvature[k] * parameter.span, inflation[k],
+        _interval(problem, found, k, parameters[k], float(values[k]), curvature[k] * parameters[k].span, inflation[k],
                   hypot(problem.attenuation.get(owners[k], 0.0), missing[k]))
-        for k, parameter in enumerate(parameters)
+        for k in which
     ]  # fmt: skip
 
 
