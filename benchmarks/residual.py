@@ -3,6 +3,8 @@
 
     python -m benchmarks.residual --truths 40 --seed 4242 --json residual.json      scores the shipped one: 10 s a truth
     python -m benchmarks.residual --train residual.safetensors --seed 1              trains another: 15 minutes
+    python -m benchmarks.residual --truths 6 --seed 51000 --bound tuned              after ten minutes on each bench
+    python -m benchmarks.residual --changes                                          the bench changes in mid-run
 
 Each truth tracks each of nine references, none of them among those of the training, once under the compensated law
 alone and once with the residual; with --fixed also under the paper's law at its best gains in hindsight (another 15 s).
@@ -22,7 +24,7 @@ import math
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -39,9 +41,9 @@ from benchmarks.controllers import best_gains, interquartile_mean
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, progress
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
-from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, STRUCTURE, Network, Residual
+from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, REPEAT_GAIN, STRUCTURE, Network, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.cases import Case, EvaluationSettings
@@ -76,6 +78,17 @@ LATENCY = 5
 EVERY = 8
 """Every so many is the emulator's default truth."""
 HIDDEN, BATCH, RATE = 64, 2048, 3e-3
+BENCH_RUNS, BENCH_STEPS = 60, 600
+"""Of `tuned`: runs, some ten minutes on a bench, and steps of fitting to them."""
+CHANGE = 400
+"""Policy steps, 4 s: when a bench changes."""
+CHANGES: Mapping[str, Mapping[str, Any]] = {
+    "spring x 0.5": {"spring_stiffness": {"ratio": 0.5}},
+    "spring x 2": {"spring_stiffness": {"ratio": 2.0}},
+    "supply x 0.65": {"supply_pressure": {"ratio": 0.65}},
+    "valve gain x 0.75": {"valve_gain": {"ratio": 0.75}},
+    "valve gain x 1.25": {"valve_gain": {"ratio": 1.25}},
+}
 SKIPPED = 100
 """Policy steps at the begin of a run on which nothing is trained."""
 CONTROLLERS = ("compensated", "learned", "fixed")
@@ -109,11 +122,12 @@ def run(
     delays: Sequence[int] = (LATENCY,),
     settle: float = 2.0,
     gains: tuple[float, float] | None = None,
+    later: TruthConfig | None = None,
 ) -> Run:
     """Run bench i with reference i under the compensated law, with the residual or without one.
 
     `delays`: samples from a decision to where it acts, by turns; `settle` [s] at the begin do not count. `gains`: the
-    paper's law at this (K_p, K_i) instead.
+    paper's law at this (K_p, K_i) instead. `later`: what each bench is from `CHANGE` on.
     """
     count, settings = len(configs), EvaluationSettings(settle=settle, measure=6.0)
     fleet = VectorBench([Bench.nominal()] * count, [TruthPlant(config) for config in configs], BoxConfig())
@@ -122,10 +136,13 @@ def run(
     names = ("error", "current", "counted", "inputs", "needed")
     parts: dict[str, list[npt.NDArray[Any]]] = {name: [] for name in names}
     tripped = np.zeros(count, bool)
-    for step in vector_runs.run(
+    runs = vector_runs.run(
         fleet, cases, vector_runs.fixed(np.array(gains or BASE)), settings, seed,
         None if gains else Compensator(count), residual,
-    ):  # fmt: skip
+    )  # fmt: skip
+    for number, step in enumerate(runs):
+        if later is not None and number == CHANGE:
+            fleet.rows.arrays.parameters[:] = TruthPlant(later).parameters[0]
         tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
         parts["error"].append(step.samples["reference_force"] - step.samples["load_force"])
         parts["current"].append(step.samples["valve_current"].copy())
@@ -155,26 +172,30 @@ def drawn_signals(count: int, generator: np.random.Generator) -> list[ReferenceS
     return found
 
 
-def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
-    """Fit a network to the needed corrections of runs, each run's share over its own mean square."""
+def fitted(runs: Sequence[Run], steps: int, seed: int, start: Network | None = None) -> Network:
+    """Fit a network, or one further, to the needed corrections of runs, each run's share over its own mean square."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     x = np.concatenate([one.inputs[:, SKIPPED:].reshape(-1, INPUTS) for one in runs])
     y = np.concatenate([one.needed[:, SKIPPED:].reshape(-1, OUTPUTS) for one in runs])
     squares = [np.mean(one.needed[:, SKIPPED:, 0] ** 2, axis=1) + 0.1 for one in runs]
     share = np.concatenate([np.repeat(1.0 / one, runs[0].needed.shape[1] - SKIPPED) for one in squares])
-    mean, spread = x.mean(0), x.std(0) + 1e-3
+    mean, spread, rate = x.mean(0), x.std(0) + 1e-3, RATE
+    if start is not None:
+        mean, spread, rate = start.mean.astype(np.float32), start.spread.astype(np.float32), RATE / 3.0
     inputs, targets = torch.tensor((x - mean) / spread).clamp(-6.0, 6.0), torch.tensor(y)
     weight = torch.tensor(share.astype(np.float32))[:, None]
     sizes = (INPUTS, HIDDEN, HIDDEN, OUTPUTS)
     parts = [layer for a, b in pairwise(sizes) for layer in (torch.nn.Linear(a, b), torch.nn.SiLU())]
     model = torch.nn.Sequential(*parts[:-1])
+    for part, layer in zip(parts[::2], start.layers if start else (), strict=False):
+        part.weight.data, part.bias.data = (torch.tensor(one.T.astype(np.float32)) for one in layer)
     averaged = torch.optim.swa_utils.AveragedModel(
         model, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998)
     )
-    optimiser = torch.optim.AdamW(model.parameters(), RATE, weight_decay=0.02)
+    optimiser = torch.optim.AdamW(model.parameters(), rate, weight_decay=0.02)
     for step in range(steps):
-        optimiser.param_groups[0]["lr"] = RATE * max(1.0 - step / steps, 0.01)
+        optimiser.param_groups[0]["lr"] = rate * max(1.0 - step / steps, 0.01)
         chosen = torch.randint(len(inputs), (BATCH,))
         noisy = inputs[chosen] + 0.05 * torch.randn(BATCH, INPUTS)
         loss = torch.mean(weight[chosen] * (model(noisy) - targets[chosen]) ** 2)
@@ -187,6 +208,24 @@ def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
         (part.weight.detach().numpy().T.astype(float), part.bias.detach().numpy().astype(float)) for part in linear
     )
     return Network(mean.astype(float), spread.astype(float), layers)
+
+
+def tuned(config: TruthConfig, network: Network, seed: int) -> Network:
+    """Fit a network further to runs of one bench under it, on references of the training."""
+    signals = drawn_signals(BENCH_RUNS, np.random.default_rng(seed))
+    found = run([config] * BENCH_RUNS, signals, Residual(BENCH_RUNS, network), seed + 1)
+    return fitted([found], BENCH_STEPS, seed, network)
+
+
+class Told(Residual):
+    """Given the corrections that were needed in the same runs, their noise included: no prediction knows them."""
+
+    def __init__(self, found: Run, network: Network) -> None:
+        super().__init__(len(found.needed), network)
+        self._told = np.pad(found.needed / REPEAT_GAIN, ((0, 0), (0, 2 * DELAY), (0, 0)))
+
+    def _repeated(self, a: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self._told[:, self._steps - 1], np.ones((len(a), 1))
 
 
 def train(path: Path, steps: int, seed: int, rounds: int = 5) -> None:
@@ -224,14 +263,21 @@ def scores(found: Run) -> tuple[FloatArray, FloatArray]:
     return rms(found.error, found.counted), rms(rates, found.counted[:, 1:])
 
 
-def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float) -> Scores:
+def score(
+    config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float, bound: str | None
+) -> Scores:
     """RMSE [N], RMS of u' [A/s] and whether it tripped, of a controller of `CONTROLLERS` on each of `REFERENCES`.
 
     A run that tripped has the error of a force that stands.
     """
-    residual = Residual(len(REFERENCES), Network.load(weights_file)) if controller == "learned" else None
+    configs, signals, residual = [config] * len(REFERENCES), list(REFERENCES.values()), None
+    if controller == "learned":
+        network = Network.load(weights_file)
+        residual = Residual(len(configs), tuned(config, network, seed) if bound == "tuned" else network)
+        if bound == "told":
+            residual = Told(run(configs, signals, residual, seed, settle=settle), network)
     gains = best_gains(config) if controller == "fixed" else None
-    found = run([config] * len(REFERENCES), list(REFERENCES.values()), residual, seed, settle=settle, gains=gains)
+    found = run(configs, signals, residual, seed, settle=settle, gains=gains)
     rmse, rate = scores(found)
     times = np.arange(found.error.shape[1]) * SAMPLE_PERIOD
     still = [np.sqrt(np.mean(reference.sample(signal, times)[0] ** 2)) for signal in REFERENCES.values()]
@@ -243,10 +289,10 @@ def compare(asked: argparse.Namespace) -> None:
     """Score a network on truths of a seed, as many as the time allows."""
     names = CONTROLLERS if asked.fixed else CONTROLLERS[:2]
     used = b"" if asked.weights is None else asked.weights.read_bytes()
-    version = hashlib.sha256(repr((used, asked.settle, code_version())).encode()).hexdigest()[:12]
+    version = hashlib.sha256(repr((used, asked.settle, asked.bound, code_version())).encode()).hexdigest()[:12]
     jobs_of = {
         f"{version} {asked.seed} {truth} {name}":
-            (truth_from_mapping(content), name, asked.seed, asked.weights, asked.settle)
+            (truth_from_mapping(content), name, asked.seed, asked.weights, asked.settle, asked.bound)
         for truth, content in drawn_truths(asked.truths, asked.seed).items() for name in names
     }  # fmt: skip
     until = time.monotonic() + 60.0 * asked.minutes if asked.minutes else math.inf
@@ -295,6 +341,30 @@ def table(rows: Sequence[Sequence[Scores]], title: str) -> Table:
     return made
 
 
+def changed(weights_file: Path | None, seed: int) -> Table:
+    """RMSE in the first second behind a change of the default truth, and from 2 s to 4 s behind it."""
+    windows = {"first second": (CHANGE, CHANGE + 100), "2 s later": (CHANGE + 200, CHANGE + 400)}
+    columns = {"change": "", "window": "", "compensated": "RMSE, N", "with the residual": "RMSE, N",
+               "ratio": "of the two", "largest": "ratio", "trips": "with the residual (without)"}  # fmt: skip
+    made = Table(columns, title="The default bench changes at 4 s")
+    signals = list(REFERENCES.values())
+    configs = [truth_from_mapping({"profile": "default"})] * len(signals)
+    for name, effects in CHANGES.items():
+        later = truth_from_mapping({"profile": "default", "effects": effects})
+        residuals = (None, Residual(len(signals), Network.load(weights_file)))
+        law, learned = (run(configs, signals, residual, seed, later=later) for residual in residuals)
+        for window, (first, last) in windows.items():
+            parts = (one.error[:, first * SAMPLES_PER_STEP : last * SAMPLES_PER_STEP] for one in (law, learned))
+            rmse = [np.sqrt(np.mean(part**2, axis=1)) for part in parts]
+            ratio = rmse[1] / rmse[0]
+            made.add(
+                change=name, window=window, compensated=interquartile_mean(rmse[0]), ratio=interquartile_mean(ratio),
+                **{"with the residual": interquartile_mean(rmse[1])}, largest=float(ratio.max()),
+                trips=f"{learned.tripped.sum():g} ({law.tripped.sum():g})",
+            )  # fmt: skip
+    return made
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Score, or train."""
     options = parser("residual", __doc__)
@@ -309,11 +379,18 @@ def main(arguments: list[str] | None = None) -> int:
     )
     options.add_argument("--minutes", type=float, metavar="M", help="of scoring, then no more begins")
     options.add_argument("--fixed", action="store_true", help="the best fixed gains on each truth in hindsight as well")
+    options.add_argument(
+        "--bound", choices=("tuned", "told"), help="of learning on a bench: the network fitted further to ten minutes "
+        "there on other references; or no prediction, but the corrections that were needed in the same runs"
+    )  # fmt: skip
+    options.add_argument("--changes", action="store_true", help="the default truth that changes in mid-run, instead")
     options.add_argument("--settle", type=float, default=2.0, metavar="S", help="not scored, default %(default)s s")
     jobs.add_arguments(options)
     asked = options.parse_args(arguments)
     if asked.train:
         train(asked.train, asked.steps, asked.seed)
+    elif asked.changes:
+        changed(asked.weights, asked.seed).show(asked.json)
     else:
         compare(asked)
     return 0
