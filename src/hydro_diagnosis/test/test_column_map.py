@@ -306,6 +306,19 @@ def test_the_map_that_inspect_proposes_reads_an_export_as_the_bench_was(
         np.testing.assert_allclose(found.columns[field], states[field], rtol=1e-9, atol=1e-12, err_msg=field)
 
 
+def test_times_of_twelve_hours_go_on_over_a_cell_without_one_and_a_header_among_them(tmp_path: Path) -> None:
+    clock = datetime(2026, 12, 31, 11, 59, 40)
+    moments = [f"{clock + timedelta(seconds=k):%I:%M:%S,250 %p}" for k in range(60)]
+    moments[7] = "--"
+    lines = [f"{moment};{k};{-k};{2 * k},5" for k, moment in enumerate(moments)]
+    head = "Time;F [N];p_a [bar];p_b [bar]"
+    (tmp_path / "log.csv").write_text("\n".join([head, *lines[:40], head, *lines[40:]]))
+    time, force, *_ = columns_of(tmp_path / "log.csv").series.values()
+    told = np.isfinite(time)
+    assert told.sum() == 59
+    np.testing.assert_allclose((time - force)[told], 43180.25, rtol=0.0, atol=1e-9)
+
+
 def test_a_matrix_without_names_and_units_is_mapped_by_the_equations_of_the_bench(
     tmp_path: Path, nominal: StateArray
 ) -> None:

@@ -101,6 +101,16 @@ def test_a_plant_that_a_person_disarmed_is_asked_for_now_and_then_until_a_person
     assert heard.armings == [False, True] * 3
 
 
+def test_a_plant_that_a_person_arms_meanwhile_before_all_is_ready_is_disarmed() -> None:
+    heard, learner = Heard(), Slow()
+    watch = PlantSupervisor(heard, True, [learner.requirement])
+    run(watch, 0, 0.0, 1.0)
+    watch.leave_to_person(1.0)
+    run(watch, 0, 1.0, 3.0)
+    run(watch, ARMED, 3.0, 3.2)
+    assert TOO_EARLY in heard.said and heard.armings == [False]
+
+
 def test_arming_waits_for_the_filter() -> None:
     heard = Heard()
     watch = PlantSupervisor(heard, rearm=True)

@@ -210,15 +210,19 @@ class Link:
     def run(self) -> None:
         """Keep the line open until `stop`; body of the serial thread."""
         backoff, path = self.port.settings.backoff_first, self.port.settings.path
-        until = time.monotonic() + (_GRACE if path.startswith("/dev/") else _EMULATOR)
+        begin, waiting = time.monotonic(), False
+        grace = _GRACE if path.startswith("/dev/") else _EMULATOR
         while not self._stopping.is_set():
             try:
                 self.port.open()
                 self.state = LinkState.OPEN
                 self._converse()
             except PortLostError as error:
-                if self._connected_before or time.monotonic() > until:
+                if self._connected_before or time.monotonic() > begin + grace:
                     self._complain(str(error))
+                elif not waiting and time.monotonic() > begin + _GRACE:
+                    waiting = True
+                    self._log(f"waiting for {path} to appear")
             if self.state is LinkState.CONNECTED:
                 backoff = self.port.settings.backoff_first
             self._disconnect()

@@ -39,6 +39,7 @@ class Arming:
         self._outputs, self.alone = outputs, rearm
         self._arm_after = math.inf  # time to arm after a disarm, s
         self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
+        self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed, s
         self._prompted = ""  # condition in which a person was asked to arm
 
     def arm(self, now: float) -> None:
@@ -49,7 +50,7 @@ class Arming:
     def leave_to_person(self, now: float) -> None:
         """Ask again in `REMINDER` only, since a person disarmed the plant; call when a request was refused for that."""
         if self.alone:
-            self._arm_after, self._asked = math.inf, now + REMINDER - RETRY
+            self._arm_after, self._not_before = math.inf, now + REMINDER
 
     def under_way(self, now: float) -> bool:
         """Whether this object requested arming, which may explain an armed plant."""
@@ -64,12 +65,12 @@ class Arming:
         elif now >= self._arm_after:
             self._arm_after = math.inf
             self._outputs.arm(True)
-        elif self.alone and now - self._asked > RETRY:
+        elif self.alone and now - self._asked > RETRY and now >= self._not_before:
             self.arm(now)
 
     def rest(self) -> None:
         """Request nothing; call on each tick while the plant is armed or absent."""
-        self._arm_after, self._asked, self._prompted = math.inf, -math.inf, ""
+        self._arm_after, self._asked, self._not_before, self._prompted = math.inf, -math.inf, -math.inf, ""
 
     def lower(self, now: float, why: str) -> None:
         """Disarm with reference 0 N and report why; call on each tick as long as it stays armed."""

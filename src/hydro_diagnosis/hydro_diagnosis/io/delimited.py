@@ -38,8 +38,8 @@ UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_lab
 FIRST_NUMBERS = "trace_values"
 """ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)."""
 _NUMBER = re.compile(r"[+-]?(\d+([.]\d*)?|[.]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
-_CLOCK = r"(?<!\d)(\d{1,2}):(\d\d):(\d\d(?:[.]\d+)?)"
-"""Time of day in a cell, its decimal sign a point."""
+_CLOCK = r"(?<!\d)(\d{1,2}):(\d\d):(\d\d(?:[.]\d+)?)(?:\s*([ap])\.?m\b)?"
+"""Time of day in a cell, its decimal sign a point; of 12 hours with am or pm."""
 _FOLLOWING = 4
 """Rows below the first that must be numbers too."""
 
@@ -309,10 +309,14 @@ def _numbers(source: object, header: Header, separator: str, decimal: str, *, st
 
 
 def _times_of_day(cells: pd.Series) -> FloatArray:
-    """Times of day, with or without a date, in s from the first, beyond midnight too; NaN where any is none."""
-    parts = cells.astype(str).str.extract(_CLOCK).to_numpy(dtype=np.float64)
-    seconds = np.unwrap(parts @ np.array([3600.0, 60.0, 1.0]), period=86400.0)
-    return np.asarray(seconds - seconds[0])
+    """Times of day, with or without a date, in s since the first midnight; NaN in a cell without one."""
+    parts = cells.astype(str).str.lower().str.replace(",", ".").str.extract(_CLOCK)
+    seconds = parts[[0, 1, 2]].to_numpy(dtype=np.float64) @ np.array([3600.0, 60.0, 1.0])
+    halves = parts[3].notna()
+    seconds[halves] = seconds[halves] % 43200.0 + 43200.0 * (parts[3][halves] == "p")
+    told = np.isfinite(seconds)
+    seconds[told] = np.unwrap(seconds[told], period=86400.0)
+    return np.asarray(seconds)
 
 
 def _holds_headers(rows: pd.DataFrame) -> bool:

@@ -157,7 +157,8 @@ def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
 
 def seen_at_steady_speed(problem: Problem, kept: Sequence[Claim], found: Fit) -> tuple[Claim, ...]:
     """Everyday causes of `found` that `kept` misses at steady speed, where no ringing is: with them it misses none."""
-    everyday = tuple(one for one in found.judged if one.effect.id in EVERYDAY and one not in kept)
+    steady = EVERYDAY - {"moving_mass"}
+    everyday = tuple(one for one in found.judged if one.effect.id in steady and one not in kept)
     misses = [missed(curves(problem, claims).get(FRICTION, ())) for claims in (kept, (*kept, *everyday))]
     return everyday if misses[0] and not misses[1] else ()
 

@@ -7,6 +7,7 @@ bench.yaml, from a diagnosis' corrected.yaml, or from `ros2 run hydro_sim learn`
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -194,9 +195,9 @@ def _ringing(problem: Problem) -> list[str]:
     if not (rings := problem.unseen_ringing):
         return []
     return [
-        f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so the oil's "
-        "stiffness, the moving mass and the lags of sensors are not judged, and what remains is given no law; record "
-        f"at {2.0 * rings:.0f} Hz or more"
+        f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no cause is "
+        "sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is given no law; "
+        f"record at {math.ceil(2.0 * rings)} Hz or more"
     ]
 
 

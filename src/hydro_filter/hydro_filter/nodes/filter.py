@@ -67,7 +67,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
 from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
-from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
+from hydro_filter.controller.statistics import FilterStatistics, sentence
 from hydro_filter.model.sample import Sample
 from hydro_filter.nodes.options import arguments
 from hydro_msgs.msg import Authority
@@ -84,8 +84,10 @@ FOREIGN = 1.0
 ANOTHER_LAW = 50
 """Samples for which a message of another law than the paper's holds: one of them may be lost."""
 
+FAILED = (CorrectionStatus.NAN, CorrectionStatus.INFEASIBLE)
+"""Of which one is worth a warning."""
 WORTH_A_WARNING = 0.01
-"""Share of late, stale or failed corrections above which the node warns; /diagnostics counts each of them."""
+"""Share of stale corrections above which the node warns; /diagnostics counts each of them."""
 
 BUSY = "stale ones came too late to be applied: the machine is busy; close other programs"
 
@@ -235,7 +237,10 @@ class FilterNode(Node):
     def _on_law_state(self, message: Any) -> None:
         if self._law is None:
             why = self._bypasses(message)
-            self.get_logger().info("the box runs the compensated law" + (f": BYPASSED, {why}" if why else ""))
+            if message.law != Law.COMPENSATED:
+                self.get_logger().warning(f"BYPASSED, nothing is corrected: {why}")
+            else:
+                self.get_logger().info("the box runs the compensated law" + (f": BYPASSED, {why}" if why else ""))
         self._law = message
         if self._waiting is not None and self._waiting.sequence == message.sequence:
             waiting, self._waiting = self._waiting, None
@@ -307,20 +312,20 @@ class FilterNode(Node):
     def _status(self) -> Status:
         self._follow_the_plants_clock()
         news = self.tally.news()
-        told = sentence(news)
+        told, late = sentence(news), news[CorrectionStatus.STALE]
         level = Level.OK
         if not news:
             level, told = Level.STALE, "no states"
-        elif sum(news[status] for status in TROUBLE) > WORTH_A_WARNING * news.total():
+        elif any(news[status] for status in FAILED) or late > WORTH_A_WARNING * news.total():
             level = Level.WARN
-            late = news[CorrectionStatus.STALE] and not self.settings.bypass
-            busy = f"; {BUSY}{self._advice}" if late else ""
+            busy = f"; {BUSY}{self._advice}" if late and not self.settings.bypass else ""
             self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
         elif self._law is not None and (why := self._bypasses(self._law)):
-            level, told = Level.OK, f"BYPASSED, the box runs the compensated law: {why}; {told}"
+            level = Level.OK if self._law.law == Law.COMPENSATED else Level.WARN
+            told = f"BYPASSED, the box does not run the paper's law: {why}; {told}"
         if self._mismatch:
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}

@@ -244,7 +244,9 @@ class PlantSupervisor:
             why = self.unready(now)
             if why and not (self.calming or self.override.active):
                 self._arming.lower(now, why)
-        elif not self.lost:
+        elif self.lost:
+            self._arming.rest()
+        else:
             self._arming.seek(self.readiness.complete, now)
         self._tell(now)
 

@@ -31,6 +31,7 @@ from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import spin
 from hydro_bridge.ros.topics import COMMANDS, STATE, create_subscription
 from hydro_bridge.safety.arming import TOO_EARLY, Arming
+from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
@@ -197,6 +198,7 @@ class CollectNode(Node):
 
     def _follow_arming(self, now: float) -> None:
         if self._finished.done() or self.playback.flags & Flag.ARMED:
+            self._entered()  # consent given while it is armed is none for the next time
             self._arming.rest()
         elif trouble := publisher_conflicts(self, *COMMANDS):
             self._end(f"{trouble}; the plant is left disarmed")
@@ -206,7 +208,7 @@ class CollectNode(Node):
             self._arming.seek(True, now)
             condition = "tripped" if self.playback.flags & Flag.TRIPPED else "disarmed"
             if hint := self._arming.prompt(condition, True, now):
-                _warn(f"the plant is {condition}: {hint}" + " (after `arm --off`)" * (condition == "tripped"))
+                _warn(f"the plant is {condition}: {hint}" + " --off, then without it" * (condition == "tripped"))
 
     def _entered(self) -> bool:
         """Return whether a person has pressed Enter since the last call."""
@@ -230,7 +232,9 @@ class CollectNode(Node):
 
     def _on_answer(self, arm: bool, answer: Future) -> None:
         refusal = "" if answer.result() is None or answer.result().success else answer.result().message
-        if refusal and refusal != self._refusals[arm]:
+        if refusal == BY_HAND:
+            self._arming.leave_to_person(time.monotonic())
+        if refusal == BY_HAND or (refusal and refusal != self._refusals[arm]):
             what = "was not armed" if arm else "did not confirm that it is disarmed"
             _warn(f"the plant {what}: {refusal}")
         self._refusals[arm] = refusal
