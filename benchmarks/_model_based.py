@@ -12,20 +12,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
+from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.serial.frames import BoxLaw
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
+from hydro_diagnosis.pipeline import diagnose
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box import reference
+from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import TruthConfig
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -37,6 +43,15 @@ BEGIN = np.clip((np.arange(LONGEST) - 60) / 40.0, 0.0, 1.0)
 """Of the learning, by policy step: the law arms first."""
 RUNS = 5
 """That the oracle learns from."""
+
+RECORDED = tuple(
+    [Segment(seconds=10.0, waveform=waveform, amplitude=amplitude, frequency=0.5, kp=150.0, ki=15.0),
+     Segment(seconds=10.0, waveform="sine", amplitude=200.0, frequency=frequency, kp=150.0, ki=15.0)]
+    for waveform, amplitude, frequency in (("multisine", 200.0, 1.5), ("smooth_step", 150.0, 1.0))
+)  # fmt: skip
+"""What a diagnosis is given: to fit, and held out."""
+CAUTIOUS = 1.6
+"""Times the nominal valve's flow, which the box believes meanwhile: nothing trips."""
 
 FORMS: dict[str, tuple[str, ...]] = {
     "spring_stiffness": ("ratio",), "supply_pressure": ("ratio",), "valve_gain": ("ratio",),
@@ -131,6 +146,18 @@ def known_bench(config: TruthConfig) -> Bench:
         for lag in config.effects.sensor_lag
     ]
     return replace(Bench.nominal(), effects=tuple(effects))
+
+
+def diagnosed_bench(config: TruthConfig) -> Bench:
+    """The bench that `diagnose` makes of two recordings of 20 s on this truth, under the paper's law."""
+    bench = Bench.nominal()
+    believed = replace(bench, valve_nominal_flow=CAUTIOUS * bench.valve_nominal_flow)
+    with TemporaryDirectory() as folder:
+        bags = [Path(folder) / name for name in ("fitted", "held_out")]
+        for seed, (bag, segments) in enumerate(zip(bags, RECORDED, strict=True)):
+            with BagWriter(bag) as writer:
+                writer.write_states(record_offline(config, segments, bench=believed, seed=seed).states)
+        return diagnose(bags[:1], holdout=bags[1:]).corrected
 
 
 def equivalent(bench: Bench, cases: Sequence[Case], settings: EvaluationSettings) -> Fixed:

@@ -42,7 +42,8 @@ STEPS, SPACING, BEGIN = 20, 5, 65
 NOISE = 0.6
 """N, standard deviation of the load cell."""
 WEIGHTS = {
-    "predictive_nominal": (3.0, 1000.0), "predictive_known": (3.0, 100.0), "predictive_adaptive": (100.0, 300.0),
+    "predictive_nominal": (3.0, 1000.0), "predictive_diagnosed": (3.0, 100.0), "predictive_known": (3.0, 100.0),
+    "predictive_adaptive": (100.0, 300.0),
 }  # fmt: skip
 """rho and standard deviation of d's change in a sample [N/s]: least error of a grid on four truths (--seed 5501)."""
 STATES, MEASURED = 9, 3
@@ -51,7 +52,10 @@ STATES, MEASURED = 9, 3
 
 def loop_model(bench: Bench, law: BoxLaw) -> tuple[FloatArray, FloatArray]:
     """Transition over a sample, shape (9, 9), and inputs p and p' that are held meanwhile, shape (9, 2)."""
-    numbers, effects = bench.without_effects(), {each["id"]: each["parameters"] for each in bench.effects}
+    numbers = bench.without_effects()
+    effects = {
+        each["id"]: each["parameters"] for each in bench.effects if each.get("sensor", "load_force") == "load_force"
+    }
     true, box = numbers.constants()[0], Bench.nominal().constants()[0]
     stiff, mass = numbers.spring_stiffness, numbers.moving_mass
     cell = effects.get("sensor_lag", {"bandwidth": numbers.load_cell_bandwidth, "damping": math.sqrt(0.5)})
@@ -62,10 +66,10 @@ def loop_model(bench: Bench, law: BoxLaw) -> tuple[FloatArray, FloatArray]:
     a[1, :3] = -stiff / mass, -numbers.viscous_friction / mass, stiff / mass
     a[2, 1] = hydraulics.velocity_term(true, numbers.spring_rest_position, 1.0) / stiff
     a[2, 6] = input_ratio(true, box) * effects.get("valve_gain", {"ratio": 1.0})["ratio"]
-    a[4, [0, 3, 4]] = w * w, -w * w, -2.0 * cell["damping"] * w
+    a[4, [0, 3, 4]] = w * w, -w * w, -2.0 * cell.get("damping", 1.0) * w
     a[5, [3, STATES]] = -law.base_ki, law.base_ki
     a[7, [3, 5, 8, STATES, STATES + 1]] = w_v * w_v * np.array((-law.base_kp, 1.0, 1.0, law.base_kp, 1.0))
-    a[7, 6:8] = -w_v * w_v, -2.0 * spool["damping"] * w_v
+    a[7, 6:8] = -w_v * w_v, -2.0 * spool.get("damping", 1.0) * w_v
     moved = expm(a * SAMPLE_PERIOD)
     return moved[:STATES, :STATES], moved[:STATES, STATES:]
 

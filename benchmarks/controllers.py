@@ -11,8 +11,9 @@ learned_residual  the same with the learned residual
 amplitude_phase  the same with amplitude and phase control in its place
 filtered_x       the same with adaptive inverse control by the filtered-x LMS algorithm in its place
 equivalent_nominal  the compensated law, its coefficients held, by a simulation of the shipped bench.yaml beforehand
+equivalent_diagnosed  the same of the bench file that `diagnose` makes of two recordings of the truth, 20 s each
 equivalent_known  the same of a bench file with the truth's own parameters
-predictive_nominal, predictive_known  the same under model predictive control of a_3 by the same numbers
+predictive_nominal, _diagnosed, _known  the same under model predictive control of a_3 by the same numbers
 predictive_adaptive  the compensated law, adaptive, under that control by the shipped bench.yaml
 oracle           the compensated law, coefficients and corrections of a_3 learnt on the very truth and reference before
 compensated_specimen  the same for the force in front of the load cell, whose amplifier is known: see true_rmse
@@ -39,7 +40,7 @@ import yaml
 
 from benchmarks._adaptive_feedforward import RATES, Feedforward
 from benchmarks._drawn_truths import drawn_truths
-from benchmarks._model_based import Fixed, equivalent, foreseen, known_bench, oracle
+from benchmarks._model_based import Fixed, diagnosed_bench, equivalent, foreseen, known_bench, oracle
 from benchmarks._model_predictive import WEIGHTS, Predictive
 from benchmarks._report import parser
 from benchmarks._truth_fleet import truth_fleet
@@ -83,8 +84,10 @@ CONTROLLERS = (
     "amplitude_phase",
     "filtered_x",
     "equivalent_nominal",
+    "equivalent_diagnosed",
     "equivalent_known",
     "predictive_nominal",
+    "predictive_diagnosed",
     "predictive_known",
     "predictive_adaptive",
     "oracle",
@@ -181,14 +184,15 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
 
 def knowing(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
     """A peer that knows a bench file, or the truth itself."""
-    bench = known_bench(config) if name.endswith("known") else Bench.nominal()
+    beliefs = {"known": known_bench, "diagnosed": diagnosed_bench}
+    bench = beliefs.get(name.split("_")[-1], lambda config: Bench.nominal())(config)
     if name == "oracle":
         on: Fixed = oracle(truth_fleet(len(cases), config), cases, SETTINGS)
     elif name == "predictive_adaptive":
         on = Predictive(cases, Compensator(len(cases)), bench, WEIGHTS[name])
     else:
         on = equivalent(bench, cases, SETTINGS)
-    if name in ("predictive_nominal", "predictive_known"):
+    if name.startswith("predictive") and name != "predictive_adaptive":
         on = Predictive(cases, on, bench, WEIGHTS[name], foreseen(bench, cases, SETTINGS, on))
     return measure(config, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), on)
 
