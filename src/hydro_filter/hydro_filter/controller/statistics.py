@@ -10,13 +10,10 @@ from hydro_bridge.process.realtime import Latency
 from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate import QpCounts
 
-TROUBLE = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.INFEASIBLE)
-"""Statuses without a useful decision."""
-
 
 @dataclass
 class FilterStatistics:
-    """Statistics since the node started; `trouble` compares with its previous call."""
+    """Statistics since the node started; `news` compares with its previous call."""
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)
     missing: int = 0
@@ -65,7 +62,9 @@ def sentence(news: Counter[CorrectionStatus]) -> str:
     order = (
         CorrectionStatus.BYPASSED,
         CorrectionStatus.MISMATCH,
-        *TROUBLE,
+        CorrectionStatus.NAN,
+        CorrectionStatus.STALE,
+        CorrectionStatus.INFEASIBLE,
         CorrectionStatus.RELAXED,
         CorrectionStatus.MODIFIED,
     )

@@ -222,7 +222,7 @@ class CollectNode(Node):
         self._commander.reference(signal)
 
     def arm(self, arm: bool) -> None:
-        """See `ArmingOutputs`; a refusal is reported once."""
+        """See `ArmingOutputs`; a refusal is reported once, one that a person caused each time."""
         if (answer := self._commander.arm(arm)) is not None:
             answer.add_done_callback(partial(self._on_answer, arm))
 
