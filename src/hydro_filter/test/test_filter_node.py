@@ -149,6 +149,9 @@ def test_every_state_gets_exactly_one_correction(started: Callable[..., Source],
     assert [message.sequence for message in source.corrections] == [(first + k) % 2**32 for k in range(300)]
     assert all(message.active == (message.delta_u != 0.0) for message in source.corrections)
     assert {message.status for message in source.corrections} >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
+    source.publish(200, samples(still, 1)[0]._replace(reference_force=math.nan))
+    source.wait(lambda: source.diagnostics[-1].level == DiagnosticStatus.WARN)
+    assert source.corrections[-1].status == CorrectionStatus.NAN and "1 nan" in source.diagnostics[-1].message
 
 
 def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[..., Source], still: FloatArray) -> None:
@@ -289,6 +292,11 @@ def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still
             source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
     statuses = [message.status for message in source.corrections]
     assert statuses[5] == CorrectionStatus.STALE and statuses.count(CorrectionStatus.STALE) == 1
+    laws.publish(LawStateMessage(sequence=10, law=7))
+    source.publish(10, sample)
+    source.wait(lambda: "law 7 is unknown" in source.diagnostics[-1].message)
+    assert source.corrections[-1].status == CorrectionStatus.BYPASSED
+    assert source.diagnostics[-1].level == DiagnosticStatus.WARN
 
 
 def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:
