@@ -8,7 +8,7 @@ import os
 import re
 import statistics
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
-from hydro_bridge.bags.storage import RecordingSummary, summarized
+from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.nodes.verbs.launch import add_group
 from hydro_bridge.ros.companion import CompanionError
@@ -152,27 +152,9 @@ def wait_for(condition: Callable[[], object], sentence: str, patience: float = P
         time.sleep(_LOOK)
 
 
-def answer_of(node: Node, answer: Future, who: str) -> object:
-    """Return the answer of a service; raises UserError if there is none within `PATIENCE`."""
-    rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
-    if not answer.done():
-        raise UserError(f"{who} gave no answer within {PATIENCE:g} s")
-    return answer.result()
-
-
 def absolute(name: str) -> str:
     """Return a name with its leading slash."""
     return name if name.startswith("/") else f"/{name}"
-
-
-def hidden(name: str) -> bool:
-    """Return whether one of a name's parts begins with `_`."""
-    return any(part.startswith("_") for part in name.split("/"))
-
-
-def node_names(node: Node) -> list[str]:
-    """Return the full names of all nodes, sorted."""
-    return sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces())
 
 
 def types_of(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
@@ -181,19 +163,12 @@ def types_of(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sent
     return list(dict(offered())[name])
 
 
-Run = Callable[[argparse.Namespace], None]
-Argument = tuple[tuple[str, ...], dict[str, Any]]
-"""Names and options of an argument."""
-Names = Iterable[tuple[str, list[str]]]
-"""Names with their types."""
-
 GROUPS = {
     "topic": "topics of the running graph: list, echo, hz",
     "node": "nodes of the running graph: list",
     "service": "services of the running graph: list, call",
     "bag": "recordings: info",
 }
-_VERBS: list[tuple[str, str, str, tuple[Argument, ...], Run]] = []
 _DEPTH = 1000
 _WINDOW = 5000
 """Messages that count for a rate."""
@@ -214,14 +189,31 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
     result = Parser(prog="ros2", description=__doc__)
     groups = result.add_subparsers(dest="group", required=True, metavar="GROUP", parser_class=Parser)
+    verbs = {}
     for name, summary in GROUPS.items():
         group = groups.add_parser(name, help=summary, description=summary, allow_abbrev=False)
-        verbs = group.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
-        for _, verb, text, arguments, run in (entry for entry in _VERBS if entry[0] == name):
-            added = verbs.add_parser(verb, help=text)
-            for names, options in arguments:
-                added.add_argument(*names, **options)
-            added.set_defaults(carry_out=run)
+        verbs[name] = group.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
+
+    def verb(group: str, name: str, text: str, run: Callable[[argparse.Namespace], None]) -> argparse.ArgumentParser:
+        added = verbs[group].add_parser(name, help=text)
+        added.set_defaults(carry_out=run, show_types=False)
+        return added
+
+    for name in ("topic", "service"):
+        listing = verb(name, "list", f"names of all {name}s", _list)
+        listing.add_argument("-t", "--show-types", action="store_true", help="with their types")
+    verb("node", "list", "names of all nodes", _list)
+    echo = verb("topic", "echo", "what is published, until Ctrl-C", _topic_echo)
+    echo.add_argument("topic")
+    echo.add_argument("--once", action="store_true", help="one message, then end")
+    rate = verb("topic", "hz", "how often something is published, each second until Ctrl-C", _topic_hz)
+    rate.add_argument("topic")
+    call = verb("service", "call", "ask a service once, and show what it answers", _service_call)
+    call.add_argument("service")
+    call.add_argument("type", help="e.g. std_srvs/srv/SetBool")
+    call.add_argument("values", nargs="?", default="", help="fields as YAML, e.g. '{data: false}'")
+    info = verb("bag", "info", "what a recording holds; of a recorder that was killed or still runs, too", _bag_info)
+    info.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
     add_group(groups)
     return result
 
@@ -234,40 +226,20 @@ def main() -> int | None:
     return status
 
 
-def _argument(*names: str, **options: Any) -> Argument:
-    return names, options
-
-
-def _verb(group: str, name: str, text: str, *arguments: Argument) -> Callable[[Run], Run]:
-    """Register a function as `ros2 group name`."""
-
-    def register(run: Run) -> Run:
-        _VERBS.append((group, name, text, arguments, run))
-        return run
-
-    return register
-
-
-_SHOW_TYPES = _argument("-t", "--show-types", action="store_true", help="with their types")
-_TOPIC, _SERVICE = _argument("topic"), _argument("service")
-
-
-def _print_list(found: Names, show_types: bool) -> None:
-    for name, kinds in sorted((name, kinds) for name, kinds in found if not hidden(name)):
-        print(f"{name} [{', '.join(kinds)}]" if show_types else name)
-
-
-@_verb("topic", "list", "names of all topics", _SHOW_TYPES)
-def _topic_list(options: argparse.Namespace) -> None:
+def _list(options: argparse.Namespace) -> None:
     with visiting() as node:
         settle(node)
-        _print_list(node.get_topic_names_and_types(), options.show_types)
+        found: list[tuple[str, list[str]]] = node.get_topic_names_and_types()
+        if options.group == "service":
+            found = node.get_service_names_and_types()
+        if options.group == "node":
+            nodes = node.get_node_names_and_namespaces()
+            found = [(f"{namespace.rstrip('/')}/{name}", []) for name, namespace in nodes]
+    for name, kinds in sorted(found):
+        if not any(part.startswith("_") for part in name.split("/")):  # hidden
+            print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
 
 
-@_verb(
-    "topic", "echo", "what is published, until Ctrl-C", _TOPIC,
-    _argument("--once", action="store_true", help="one message, then end"),
-)  # fmt: skip
 def _topic_echo(options: argparse.Namespace) -> None:
     done = Future()
 
@@ -279,7 +251,6 @@ def _topic_echo(options: argparse.Namespace) -> None:
     _listen(options.topic, show, done)
 
 
-@_verb("topic", "hz", "how often something is published, each second until Ctrl-C", _TOPIC)
 def _topic_hz(options: argparse.Namespace) -> None:
     """Count serialized messages on arrival, without decoding them."""
     times: deque[float] = deque(maxlen=_WINDOW)
@@ -355,25 +326,6 @@ def _offered_qos(node: Node, topic: str) -> QoSProfile:
     )
 
 
-@_verb("node", "list", "names of all nodes")
-def _node_list(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        settle(node)
-        print("\n".join(name for name in node_names(node) if not hidden(name)))
-
-
-@_verb("service", "list", "names of all services", _SHOW_TYPES)
-def _service_list(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        settle(node)
-        _print_list(node.get_service_names_and_types(), options.show_types)
-
-
-@_verb(
-    "service", "call", "ask a service once, and show what it answers", _SERVICE,
-    _argument("type", help="e.g. std_srvs/srv/SetBool"),
-    _argument("values", nargs="?", default="", help="fields as YAML, e.g. '{data: false}'"),
-)  # fmt: skip
 def _service_call(options: argparse.Namespace) -> None:
     service, kind = absolute(options.service), interface(options.type, "srv")
     request = kind.Request(check_fields=True)
@@ -386,34 +338,42 @@ def _service_call(options: argparse.Namespace) -> None:
         if not client.wait_for_service(timeout_sec=PATIENCE):
             raise UserError(f"{service} was not ready within {PATIENCE:g} s")
         print(f"requester: making request: {request}\n")
-        print(f"response:\n{answer_of(node, client.call_async(request), service)}\n")
+        answer = client.call_async(request)
+        rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
+        if not answer.done():
+            raise UserError(f"{service} gave no answer within {PATIENCE:g} s")
+        print(f"response:\n{answer.result()}\n")
 
 
-@_verb(
-    "bag", "info", "what a recording holds; of a recorder that was killed or still runs, too",
-    _argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file"),
-)  # fmt: skip
 def _bag_info(options: argparse.Namespace) -> None:
-    print(_summary_text(summarized(options.bag)))
-
-
-def _summary_text(summary: RecordingSummary) -> str:
-    """Return a summary in the format of upstream's `ros2 bag info`, then the irregularities of the recording."""
+    """Count a recording's messages in one pass, in the format of upstream's `ros2 bag info`, irregularities behind."""
+    source = BagSource(options.bag)
+    counts: Counter[str] = Counter()
+    times: list[int] = []
+    for _, channel, _, span in source.spans():
+        counts[channel.topic] += len(span.log_times)
+        times += [int(span.log_times.min()), int(span.log_times.max())]
+    kinds = {
+        channel.topic: scan.schemas[channel.schema_id].name if channel.schema_id in scan.schemas else ""
+        for scan in source.scans
+        for channel in scan.channels.values()
+    }
     topics = [
-        f"Topic: {topic} | Type: {kind} | Count: {count} | Serialization Format: cdr"
-        for topic, (kind, count) in sorted(summary.topics.items())
+        f"Topic: {topic} | Type: {kind} | Count: {counts[topic]} | Serialization Format: cdr"
+        for topic, kind in sorted(kinds.items())
     ]
+    begin, end = min(times, default=0), max(times, default=0)
     lines = {
-        "Files:": "  ".join(path.name for path in summary.files),
-        "Bag size:": _size(summary.size),
+        "Files:": "  ".join(scan.path.name for scan in source.scans),
+        "Bag size:": _size(sum(scan.path.stat().st_size for scan in source.scans)),
         "Storage id:": "mcap",
-        "Duration:": f"{1e-9 * (summary.end_ns - summary.begin_ns):.9f}s",
-        "Start:": _date(summary.begin_ns),
-        "End:": _date(summary.end_ns),
-        "Messages:": str(sum(count for _, count in summary.topics.values())),
+        "Duration:": f"{1e-9 * (end - begin):.9f}s",
+        "Start:": _date(begin),
+        "End:": _date(end),
+        "Messages:": str(counts.total()),
         "Topic information:": f"\n{'':19}".join(topics),
     }
-    return "\n".join([*(f"{name:<19}{value}" for name, value in lines.items()), *summary.notes])
+    print("\n".join([*(f"{name:<19}{value}" for name, value in lines.items()), *source.notes]))
 
 
 def _date(time_ns: int) -> str:

@@ -5,6 +5,7 @@ Unsupported arguments are refused by Python, unsupported names by the import: no
 stopped in reverse order, so that controllers end before the plant.
 """
 
+# ruff: noqa: N802
 from __future__ import annotations
 
 import argparse
@@ -13,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from types import ModuleType
@@ -28,25 +29,25 @@ from hydro_bridge.ros.companion import Companion
 _YES, _NO = ("true", "1"), ("false", "0")
 
 
+@dataclass
 class LaunchContext:
     """Present values of the arguments."""
 
-    def __init__(self, values: dict[str, str]) -> None:
-        self.launch_configurations = values
+    launch_configurations: dict[str, str]
 
 
+@dataclass
 class Substitution:
     """Text that is evaluated once the arguments are known."""
 
-    def perform(self, context: LaunchContext) -> str:
-        """Return the text; raises UserError."""
-        raise NotImplementedError
+    perform: Callable[[LaunchContext], str]
+    """Returns the text; raises UserError."""
 
 
 Words: TypeAlias = "str | int | float | Path | Substitution"
 
 
-def performed(words: Words, context: LaunchContext) -> str:
+def performed(words: Words | ExecutableInPackage, context: LaunchContext) -> str:
     """Return the evaluated text; raises UserError."""
     if isinstance(words, Substitution):
         return words.perform(context)
@@ -55,39 +56,25 @@ def performed(words: Words, context: LaunchContext) -> str:
     raise UserError(f"{words!r}: words that need a full ROS 2 Jazzy")
 
 
-@dataclass
-class LaunchConfiguration(Substitution):
-    """Value of an argument."""
+def LaunchConfiguration(variable_name: str) -> Substitution:
+    """Value of an argument; UserError if it is not set."""
 
-    variable_name: str
+    def value(context: LaunchContext) -> str:
+        if variable_name not in context.launch_configurations:
+            raise UserError(f"{variable_name}:= is needed")
+        return context.launch_configurations[variable_name]
 
-    def perform(self, context: LaunchContext) -> str:
-        """Return its value; raises UserError if it is not set."""
-        if self.variable_name not in context.launch_configurations:
-            raise UserError(f"{self.variable_name}:= is needed")
-        return context.launch_configurations[self.variable_name]
+    return Substitution(value)
 
 
-@dataclass
-class PathJoinSubstitution(Substitution):
+def PathJoinSubstitution(substitutions: Sequence[Words]) -> Substitution:
     """Parts of a path."""
-
-    substitutions: Sequence[Words]
-
-    def perform(self, context: LaunchContext) -> str:
-        """Return the path."""
-        return os.path.join(*(performed(part, context) for part in self.substitutions))
+    return Substitution(lambda context: os.path.join(*(performed(part, context) for part in substitutions)))
 
 
-@dataclass
-class FindPackageShare(Substitution):
+def FindPackageShare(package: str) -> Substitution:
     """Share folder of a package."""
-
-    package: str
-
-    def perform(self, context: LaunchContext) -> str:
-        """Return the folder; raises UserError."""
-        return share_of(self.package)
+    return Substitution(lambda context: share_of(package))
 
 
 def share_of(package: str) -> str:
@@ -98,127 +85,107 @@ def share_of(package: str) -> str:
         raise UserError(f"package '{package}' not found: is the workspace sourced?") from None
 
 
+def IfCondition(predicate_expression: Words) -> Callable[[LaunchContext], bool]:
+    """Condition on a process; UserError if it is neither true nor false."""
+
+    def holds(context: LaunchContext) -> bool:
+        word = performed(predicate_expression, context).strip().lower()
+        if word not in _YES + _NO:
+            raise UserError(f"{word!r} is neither true nor false")
+        return word in _YES
+
+    return holds
+
+
 @dataclass
-class ExecutableInPackage(Substitution):
+class LaunchDescriptionEntity:
+    """Entry of a launch file that is no process; entries are expanded in the order of the file."""
+
+    visit: Callable[[LaunchContext], Entries]
+    """Returns the entries that it expands to; raises UserError."""
+
+
+Entries: TypeAlias = "Iterable[LaunchDescriptionEntity | ExecuteProcess]"
+
+
+def LaunchDescription(entities: Entries = ()) -> LaunchDescriptionEntity:
+    """List of entries."""
+    return LaunchDescriptionEntity(lambda context: entities)
+
+
+def DeclareLaunchArgument(
+    name: str, *, default_value: Words | None = None, description: str = "", choices: Sequence[str] | None = None
+) -> LaunchDescriptionEntity:
+    """Declaration of an argument `name:=value`; UserError for a missing or invalid value."""
+
+    def declare(context: LaunchContext) -> Entries:
+        values = context.launch_configurations
+        if name not in values:
+            if default_value is None:
+                raise UserError(f"{name}:= is needed: {description}")
+            values[name] = performed(default_value, context)
+        if choices is not None and values[name] not in choices:
+            raise UserError(f"{name}:={values[name]}: {', '.join(choices)} can be chosen")
+        return ()
+
+    return LaunchDescriptionEntity(declare)
+
+
+def PythonLaunchDescriptionSource(launch_file_path: Words) -> Words:
+    """Reference to another launch file."""
+    return launch_file_path
+
+
+def IncludeLaunchDescription(
+    launch_description_source: Words, *, launch_arguments: Iterable[tuple[str, Words]] = ()
+) -> LaunchDescriptionEntity:
+    """Inclusion of another launch file; its arguments stay set, as upstream's do."""
+
+    def include(context: LaunchContext) -> Entries:
+        for name, words in launch_arguments:
+            context.launch_configurations[name] = performed(words, context)
+        return [load(Path(performed(launch_description_source, context)))]
+
+    return LaunchDescriptionEntity(include)
+
+
+def OpaqueFunction(*, function: Callable[[LaunchContext], Entries | None]) -> LaunchDescriptionEntity:
+    """Function of the arguments that returns further entries; its error becomes a UserError."""
+
+    def call(context: LaunchContext) -> Entries:
+        try:
+            return function(context) or ()
+        except (RuntimeError, TypeError, AttributeError) as error:
+            raise UserError(str(error)) from None
+
+    return LaunchDescriptionEntity(call)
+
+
+@dataclass(kw_only=True)
+class Shutdown:
+    """As `on_exit` of a process: ends all others with it."""
+
+    reason: str = ""
+
+
+@dataclass
+class ExecutableInPackage:
     """Program of an `ExecuteProcess`: one of a package's executables."""
 
     executable: str
     package: str
 
-    def perform(self, context: LaunchContext) -> str:
-        """Return package and executable, for a message."""
-        return f"{self.package} {self.executable}"
 
-
-@dataclass
-class IfCondition:
-    """Condition on an action."""
-
-    predicate_expression: Words
-
-    def evaluate(self, context: LaunchContext) -> bool:
-        """Return the condition's value; raises UserError if it is neither true nor false."""
-        word = performed(self.predicate_expression, context).strip().lower()
-        if word not in _YES + _NO:
-            raise UserError(f"{word!r} is neither true nor false")
-        return word in _YES
-
-
-class LaunchDescriptionEntity:
-    """Entry of a launch file; entries are expanded in the order of the file."""
-
-    condition: IfCondition | None = None
-
-    def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """Return the entries that it expands to; raises UserError."""
-        return ()
-
-
-@dataclass
-class LaunchDescription(LaunchDescriptionEntity):
-    """List of entries."""
-
-    entities: Sequence[LaunchDescriptionEntity] = ()
-
-    def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """Return the list."""
-        return self.entities
-
-
-@dataclass
-class DeclareLaunchArgument(LaunchDescriptionEntity):
-    """Declaration of an argument `name:=value`."""
-
-    name: str
-    default_value: Words | None = field(default=None, kw_only=True)
-    description: str = field(default="", kw_only=True)
-    choices: Sequence[str] | None = field(default=None, kw_only=True)
-
-    def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """Set the default and return nothing; raises UserError for a missing or invalid value."""
-        values = context.launch_configurations
-        if self.name not in values:
-            if self.default_value is None:
-                raise UserError(f"{self.name}:= is needed: {self.description}")
-            values[self.name] = performed(self.default_value, context)
-        value = values[self.name]
-        if self.choices is not None and value not in self.choices:
-            raise UserError(f"{self.name}:={value}: {', '.join(self.choices)} can be chosen")
-        return ()
-
-
-@dataclass
-class PythonLaunchDescriptionSource:
-    """Reference to another launch file."""
-
-    launch_file_path: Words
-
-
-@dataclass
-class IncludeLaunchDescription(LaunchDescriptionEntity):
-    """Inclusion of another launch file; its arguments stay set, as upstream's do."""
-
-    launch_description_source: PythonLaunchDescriptionSource
-    launch_arguments: Iterable[tuple[str, Words]] = field(default=(), kw_only=True)
-
-    def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """Return the other file's description; raises UserError."""
-        for name, words in self.launch_arguments:
-            context.launch_configurations[name] = performed(words, context)
-        return [load(Path(performed(self.launch_description_source.launch_file_path, context)))]
-
-
-@dataclass
-class OpaqueFunction(LaunchDescriptionEntity):
-    """Function of the arguments that returns further entries."""
-
-    function: Callable[[LaunchContext], Iterable[LaunchDescriptionEntity] | None] = field(kw_only=True)
-
-    def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """Return the function's entries; raises UserError with its error message."""
-        try:
-            return self.function(context) or ()
-        except (RuntimeError, TypeError, AttributeError) as error:
-            raise UserError(str(error)) from None
-
-
-@dataclass
-class Shutdown(LaunchDescriptionEntity):
-    """As `on_exit` of a process: ends all others with it."""
-
-    reason: str = field(default="", kw_only=True)
-
-
-@dataclass
-class ExecuteProcess(LaunchDescriptionEntity):
+@dataclass(kw_only=True)
+class ExecuteProcess:
     """Executable of a package that is not a node."""
 
-    cmd: Sequence[Words] = field(kw_only=True)
-    output: str = field(default="log", kw_only=True)
-    emulate_tty: bool = field(default=False, kw_only=True)
-    sigterm_timeout: Words = field(default="5", kw_only=True)
-    on_exit: Shutdown | None = field(default=None, kw_only=True)
-    condition: IfCondition | None = field(default=None, kw_only=True)
+    cmd: Sequence[Words | ExecutableInPackage]
+    output: str = "log"
+    emulate_tty: bool = False
+    sigterm_timeout: Words = "5"
+    on_exit: Shutdown | None = None
+    condition: Callable[[LaunchContext], bool] | None = None
 
     def patience(self, context: LaunchContext) -> float:
         """Time allowed for it to end [s]; raises UserError."""
@@ -236,11 +203,9 @@ class ExecuteProcess(LaunchDescriptionEntity):
         return program.package, program.executable, [performed(word, context) for word in words]
 
 
-class Node(ExecuteProcess):
+def Node(*, package: str, executable: str, arguments: Sequence[Words] = (), **options: Any) -> ExecuteProcess:
     """ROS node."""
-
-    def __init__(self, *, package: str, executable: str, arguments: Sequence[Words] = (), **options: Any) -> None:
-        super().__init__(cmd=[ExecutableInPackage(executable, package), *arguments], **options)
+    return ExecuteProcess(cmd=[ExecutableInPackage(executable, package), *arguments], **options)
 
 
 _MODULES = {
@@ -270,7 +235,7 @@ def provide() -> None:
             setattr(sys.modules[package], last, module)
 
 
-def load(path: Path) -> LaunchDescription:
+def load(path: Path) -> LaunchDescriptionEntity:
     """Load a launch file's description.
 
     Raises UserError: the file is missing, is not a launch file in Python, or uses unsupported features.
@@ -285,7 +250,7 @@ def load(path: Path) -> LaunchDescription:
         raise UserError(f"{path.name} needs a full ROS 2 Jazzy: {error}") from None
     except (KeyError, SyntaxError, UnicodeDecodeError):
         raise UserError(f"{path.name} is not a launch file in Python") from None
-    if not isinstance(made, LaunchDescription):
+    if not isinstance(made, LaunchDescriptionEntity):
         raise UserError(f"{path.name} describes nothing to launch")
     return made
 
@@ -293,14 +258,16 @@ def load(path: Path) -> LaunchDescription:
 _LOOK = 0.1  # s
 
 
-def processes(entity: LaunchDescriptionEntity, context: LaunchContext) -> Iterator[ExecuteProcess]:
+def processes(entity: LaunchDescriptionEntity | ExecuteProcess, context: LaunchContext) -> Iterator[ExecuteProcess]:
     """Return all processes of a description whose conditions hold, in its order; raises UserError."""
-    if entity.condition is not None and not entity.condition.evaluate(context):
-        return
     if isinstance(entity, ExecuteProcess):
-        yield entity
-    for part in entity.visit(context):
-        yield from processes(part, context)
+        if entity.condition is None or entity.condition(context):
+            yield entity
+    elif isinstance(entity, LaunchDescriptionEntity):
+        for part in entity.visit(context):
+            yield from processes(part, context)
+    else:
+        raise UserError(f"{entity!r}: an entry that needs a full ROS 2 Jazzy")
 
 
 def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
@@ -322,24 +289,21 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
     planned = [(process, process.patience(context), process.command(context)) for process in wanted]
     if not planned:
         raise UserError("nothing is to be started")
-    started: list[tuple[Companion, ExecuteProcess]] = []
-    patience: dict[Companion, float] = {}
+    started: list[tuple[Companion, ExecuteProcess, float]] = []
     try:
         for number, (process, seconds, (package, executable, words)) in enumerate(planned, 1):
-            name = f"{executable}-{number}"
-            companion = Companion(package, executable, words, name=name, output=sys.stdout)
-            patience[companion] = seconds
-            started.append((companion, process))
-            print(f"[INFO] [{name}]: process started with pid [{companion.process.pid}]", flush=True)
-        return _follow(started)
+            companion = Companion(package, executable, words, name=f"{executable}-{number}", output=sys.stdout)
+            started.append((companion, process, seconds))
+            print(f"[INFO] [{companion.name}]: process started with pid [{companion.process.pid}]", flush=True)
+        return _follow([(companion, process) for companion, process, _ in started])
     finally:
         with undisturbed():
-            for companion, _ in reversed(started):
-                companion.stop(patience[companion])
+            for companion, _, seconds in reversed(started):
+                companion.stop(seconds)
 
 
-def _follow(started: list[tuple[Companion, ExecuteProcess]]) -> int:
-    running, failed = list(started), False
+def _follow(running: list[tuple[Companion, ExecuteProcess]]) -> int:
+    failed = False
     while running:
         time.sleep(_LOOK)
         for companion, process in list(running):
