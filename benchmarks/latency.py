@@ -169,7 +169,7 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
         elapsed = time.monotonic() - begin
         cpu = {name: cpu_seconds(companion.process.pid) - before[name] for name, companion in running.items()}
         driver.run(1.2)  # the last diagnostics
-    lost = continuity(read_bag(folder / "bag").state)
+    states = read_bag(folder / "bag").state
     bridge, own = driver.told.get("bridge", {}), driver.told.get("filter", {})
     table = Table({"what": "", "value": ""}, title=_title(asked))
     table.add(what="box frame in to correction frame out", value=bridge.get("state in to correction out", "not told"))
@@ -181,7 +181,7 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
     table.add(what="filter: corrections", value=told)
     for name, used in cpu.items():
         table.add(what=f"{name}: share of a core", value=f"{used / elapsed:.1%}")
-    table.add(what="recording: samples, missing sequence numbers", value=f"{lost.samples}, {lost.lost}")
+    table.add(what="recording: samples, missing sequence numbers", value=f"{len(states)}, {continuity(states).lost}")
     table.add(what="bridge: heartbeats (commands without a correction)", value=bridge.get("heartbeats", "not told"))
     return table
 

@@ -85,7 +85,7 @@ def look(bag: Path, seen: Seen) -> None:
     """What a recorder has heard of the plant."""
     states = read_bag(bag).state
     found = continuity(states)
-    seen.samples, seen.lost, seen.disorder = found.samples, found.lost, found.duplicates + found.backward
+    seen.samples, seen.lost, seen.disorder = len(states), found.lost, found.duplicates + found.reordered
     states = states[(states["flags"] & Flag.ARMED) != 0]
     gains = np.stack([states["proportional_gain"], states["integral_gain"]], axis=1)
     own = [(np.abs(gains - np.array(pair)) < 1e-3).all(axis=1) for pair in _OWN]

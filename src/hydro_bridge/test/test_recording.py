@@ -35,6 +35,7 @@ from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
 from hydro_bridge.bags.writer import sequence_of
 from hydro_bridge.nodes.replayer import Replay
+from hydro_bridge.serial.stream import LinkCounts
 
 GAINS = "/hydro/gains"
 GAINS_TYPE = "hydro_msgs/msg/Gains"
@@ -89,7 +90,7 @@ def test_what_was_written_is_read(bag, states, single):
     assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
     assert recording.qos[STATE_TOPIC] == TopicQos(reliability="best_effort", depth=50)
     assert recording.notes == ()
-    assert continuity(recording.state).whole
+    assert continuity(recording.state) == LinkCounts()
 
 
 @pytest.mark.parametrize("single", [False, True], ids=["folder", "file"])
@@ -275,14 +276,13 @@ def test_errors_are_one_clear_sentence(tmp_path, bag):
 
 def test_an_interrupted_sequence_is_reported(make_states):
     states = make_states(1000)
-    assert continuity(states).whole
-    gap = continuity(np.delete(states, slice(100, 103)))
-    assert (gap.lost, gap.whole) == (3, False)
-    twice = continuity(np.concatenate([states[:10], states[9:]]))
-    assert (twice.duplicates, twice.lost) == (1, 0)
-    assert continuity(make_states(10, first=2**32 - 5)).whole
-    assert continuity(np.concatenate([make_states(5, first=10**7), make_states(5)])).whole, "the box began again"
-    assert continuity(states[[0, 2, 1, 3]]).backward == 1 and continuity(states[:1]).whole
+    assert continuity(states) == continuity(states[:1]) == LinkCounts()
+    assert continuity(np.delete(states, slice(100, 103))) == LinkCounts(lost=3)
+    assert continuity(np.concatenate([states[:10], states[9:]])) == LinkCounts(duplicates=1)
+    assert continuity(make_states(10, first=2**32 - 5)) == LinkCounts(), "the sequence wraps"
+    begun_again = np.concatenate([make_states(5, first=10**7), make_states(5)])
+    assert continuity(begun_again) == LinkCounts(restarts=1)
+    assert continuity(states[[0, 2, 1, 3]]).reordered == 1
 
 
 @pytest.fixture

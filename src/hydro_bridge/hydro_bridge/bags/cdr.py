@@ -21,7 +21,7 @@ from rosbags.typesys import get_types_from_msg
 from hydro_bridge.bags.types import definition
 from hydro_bridge.signals import StateArray
 
-STATE_TYPE = "hydro_msgs/msg/BenchState"
+STATE_TOPIC, STATE_TYPE = "/hydro/state", "hydro_msgs/msg/BenchState"
 ByteRows = npt.NDArray[np.uint8]
 """Serialized messages of equal length, shape (n, bytes)."""
 

@@ -1,60 +1,221 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Public interface of recordings: reading, writing, checking and repairing bags.
+"""Recordings as arrays by field name, from a rosbag2 folder or a single .mcap of any writer; their check and repair.
 
 >>> states = read_bag("runs/tuesday").state          # doctest: +SKIP
 >>> states["load_force"].mean(), continuity(states)  # doctest: +SKIP
+
+`read_bag` returns everything, `stream_bag` one topic block by block in bounded memory, `messages` the bytes as
+recorded, `objects` the messages of a topic whose type is not numbers only.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from hydro_bridge.bags.reader import STATE_TOPIC, Extent, Recording, messages, objects, read_bag, stream_bag
+from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE
+from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter
-from hydro_bridge.signals import StateArray
+from hydro_bridge.serial.stream import LinkCounts, SequenceTracker
+from hydro_bridge.signals import STATE_DTYPE, StateArray
 
-_RESTART = 600_000  # a sequence that jumps further was started again (as in stream.SequenceTracker)
+__all__ = [
+    "STATE_TOPIC", "BagWriter", "Extent", "Recording", "RecordingError", "TopicQos", "as_states", "continuity",
+    "messages", "objects", "read_bag", "repair", "stream_bag",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What is known of all numbers of a field of which a table holds every `every`-th."""
+
+    every: int
+    count: int = 0
+    """Finite numbers."""
+    low: float = inf
+    high: float = -inf
+
+    def with_values(self, values: npt.ArrayLike) -> Extent:
+        """That of more numbers."""
+        numbers = np.asarray(values, dtype=np.float64)
+        finite = numbers[np.isfinite(numbers)]
+        low, high = float(np.min(finite, initial=self.low)), float(np.max(finite, initial=self.high))
+        return Extent(self.every, self.count + len(finite), low, high)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Continuity:
-    """Counts over one recording; all but `samples` are zero if nothing is missing."""
+class Recording:
+    """One recording in memory."""
 
-    samples: int
-    lost: int
-    """Missing sequence numbers."""
-    duplicates: int
-    backward: int
-    """Samples whose sequence number is lower than that of the sample before."""
+    path: Path
+    topics: dict[str, str]
+    """Type of each topic that has messages."""
+    qos: dict[str, TopicQos]
+    """Offered quality of service of each topic."""
+    tables: dict[str, Table]
+    """Array of each topic whose type is numbers only."""
+    extents: dict[str, dict[str, Extent]]
+    """Extent of each field of each table, if `read_bag` was told to keep some rows only."""
+    metadata: dict[str, dict[str, str]]
+    """MCAP metadata records; `hydro` holds the run's parameters, code version and digests."""
+    attachments: dict[str, bytes]
+    """Attached files, for instance bench.yaml."""
+    notes: tuple[str, ...]
+    """Irregularities that the reader tolerated, a sentence each; empty for a complete recording."""
 
-    @property
-    def whole(self) -> bool:
-        """Whether every sample is present exactly once, in order."""
-        return not (self.lost or self.duplicates or self.backward)
+    def __getitem__(self, topic: str) -> Table:
+        """Return the array of a topic; raises RecordingError if there is none."""
+        if topic not in self.tables:
+            there = ", ".join(sorted(self.topics)) or "nothing"
+            raise RecordingError(f"{self.path} has no messages on {topic}; there is {there}")
+        return self.tables[topic]
+
+    @cached_property
+    def state(self) -> StateArray:
+        """/hydro/state as `STATE_DTYPE` records; raises RecordingError if it is missing or of another type."""
+        return as_states(self[STATE_TOPIC], self.path)
 
 
-def continuity(states: StateArray) -> Continuity:
-    """Count what is missing, twice or out of order in `STATE_DTYPE` records; a restarted box counts as nothing."""
-    step = np.diff(states["sequence"]).view(np.int32).astype(np.int64)  # unsigned difference: wraps at 2^32
-    step = step[np.abs(step) <= _RESTART]
-    return Continuity(
-        samples=len(states),
-        lost=int((step[step > 1] - 1).sum()),
-        duplicates=int((step == 0).sum()),
-        backward=int((step < 0).sum()),
+@dataclass
+class _Column:
+    """Growing table, thinned out where `rows` is given."""
+
+    table: Table
+    rows: int | None
+    count: int = 0
+    seen: int = 0
+    every: int = 1
+    extents: dict[str, Extent] = field(default_factory=dict)
+
+    def extend(self, piece: Table) -> None:
+        if self.rows is not None:
+            for name in piece.dtype.names or ():
+                self.extents[name] = self.extents.get(name, Extent(1)).with_values(piece[name])
+            first, self.seen = -self.seen % self.every, self.seen + len(piece)
+            piece = piece[first :: self.every]
+        if self.count + len(piece) > len(self.table):
+            grown = np.empty(max(2 * len(self.table), self.count + len(piece)), self.table.dtype)
+            grown[: self.count] = self.table[: self.count]
+            self.table = grown
+        self.table[self.count : self.count + len(piece)] = piece
+        self.count += len(piece)
+        while self.rows is not None and self.count >= 2 * self.rows:
+            kept = self.table[: self.count : 2].copy()
+            self.count, self.every = len(kept), 2 * self.every
+            self.table[: self.count] = kept
+
+
+def read_bag(path: Path | str, topics: Collection[str] | None = None, rows: int | None = None) -> Recording:
+    """Read a recording into arrays.
+
+    `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: of a longer table every
+    n-th row is kept, less than twice so many. Raises RecordingError: nothing there, damaged, or a topic in `topics` has
+    no messages.
+    """
+    source = BagSource(Path(path))
+    types: dict[str, str] = {}
+    qos: dict[str, TopicQos] = {}
+    columns: dict[str, _Column] = {}
+    for scan, channel, block, span in source.spans():
+        if channel.topic not in types:
+            types[channel.topic] = scan.schemas[channel.schema_id].name if channel.schema_id in scan.schemas else ""
+            qos[channel.topic] = TopicQos.from_rosbag2(channel.metadata.get("offered_qos_profiles", ""))
+        if topics is not None and channel.topic not in topics:
+            continue
+        layout = source.layout(scan, channel)
+        if layout is not None:
+            piece = decode_span(scan.path, channel.topic, layout, block, span)
+            columns.setdefault(channel.topic, _Column(np.empty(0, piece.dtype), rows)).extend(piece)
+    for topic in topics or ():
+        if topic not in types:
+            raise source.without(topic, types)
+    return Recording(
+        path=source.path,
+        topics=types,
+        qos=qos,
+        tables={topic: column.table[: column.count] for topic, column in columns.items()},
+        extents={
+            topic: {name: replace(one, every=column.every) for name, one in column.extents.items()}
+            for topic, column in columns.items()
+        },
+        metadata={name: record for scan in source.scans for name, record in scan.metadata.items()},
+        attachments={name: data for scan in source.scans for name, data in scan.attachments.items()},
+        notes=tuple(source.notes),
     )
 
 
-__all__ = [
-    "STATE_TOPIC", "BagWriter", "Continuity", "Extent", "Recording", "RecordingError", "TopicQos", "continuity",
-    "messages", "objects", "read_bag", "repair", "stream_bag",
-]  # fmt: skip
+def stream_bag(path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | None = None) -> Iterator[Table]:
+    """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`.
+
+    `notes` gets what was tolerated (`Recording.notes`) once all is read.
+    """
+    source = BagSource(Path(path))
+    for scan, channel, block, span in source.spans(topic):
+        layout = source.layout(scan, channel)
+        if layout is None:
+            raise RecordingError(f"{scan.path}: {topic} is not numbers only")
+        piece = decode_span(scan.path, topic, layout, block, span)
+        yield as_states(piece, scan.path) if topic == STATE_TOPIC else piece
+    if notes is not None:
+        notes += source.notes
+
+
+def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
+    """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; errors as `read_bag`."""
+    spans: list[tuple[int, int, str, str, int]] = []
+    source, last = BagSource(Path(path)), b""
+    for scan, channel, block, span in source.spans():
+        if block is not last:
+            yield from _ordered(last, spans)
+            spans, last = [], block
+        type_name = scan.schemas[channel.schema_id].name
+        columns = zip(span.log_times.tolist(), span.starts.tolist(), span.sizes.tolist(), strict=True)
+        spans += [(time, start, channel.topic, type_name, size) for time, start, size in columns]
+    yield from _ordered(last, spans)
+
+
+def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
+    """Yield log time [s] and message object of a topic of any type such as /diagnostics; errors as `read_bag`."""
+    source = BagSource(Path(path))
+    decoder = MessageDecoder(source)
+    for scan, channel, block, span in source.spans(topic):
+        yield from decoder.objects(scan, channel, block, span)
+
+
+def as_states(table: Table, path: Path) -> StateArray:
+    """Return `STATE_DTYPE` records from a table that has its fields; raises RecordingError for another type."""
+    if table.dtype == STATE_DTYPE:
+        return table
+    missing = [name for name in STATE_DTYPE.names or () if name not in (table.dtype.names or ())]
+    if missing:
+        raise RecordingError(f"{path}: {STATE_TOPIC} is no {STATE_TYPE}: it has no {', '.join(missing)}")
+    states = np.empty(len(table), STATE_DTYPE)
+    for name in STATE_DTYPE.names or ():
+        states[name] = table[name]
+    return states
+
+
+def _ordered(block: bytes, spans: list[tuple[int, int, str, str, int]]) -> Iterator[tuple[str, str, int, bytes]]:
+    for time, start, topic, type_name, size in sorted(spans):
+        yield topic, type_name, time, block[start : start + size]
+
+
+def continuity(states: StateArray) -> LinkCounts:
+    """Count what is lost, duplicate or reordered in `STATE_DTYPE` records; a restarted box counts as nothing."""
+    tracker = SequenceTracker()
+    for sequence in states["sequence"].tolist():
+        tracker.accept(sequence)
+    return tracker.counts
 
 
 def repair(folder: Path | str) -> int:

@@ -256,18 +256,26 @@ class BagSource:
             for scan in self.scans:
                 scan.part = (first + 1e9 * part[0], first + 1e9 * part[1])
 
-    def spans(self) -> Iterator[tuple[McapScan, Channel, bytes, Span]]:
-        """Yield each channel's messages in each block of each file; raises RecordingError."""
+    def spans(self, topic: str | None = None) -> Iterator[tuple[McapScan, Channel, bytes, Span]]:
+        """Yield each channel's messages in each block of each file.
+
+        `topic`: only those of this topic. Raises RecordingError: the recording is damaged, or has none of this topic.
+        """
+        found = False
         for scan in self.scans:
             for block, spans in scan.blocks():
                 for number, span in spans.items():
                     if number not in scan.channels:
                         raise RecordingError(f"{scan.path} has messages on a channel that it does not declare")
-                    yield scan, scan.channels[number], block, span
+                    if topic in (None, scan.channels[number].topic):
+                        found = True
+                        yield scan, scan.channels[number], block, span
             if not scan.finished:
                 self.notes.append(
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
                 )
+        if topic is not None and not found:
+            raise self.without(topic, {channel.topic for scan in self.scans for channel in scan.channels.values()})
 
     def seconds(self) -> float:
         """Return the time [s] from the first message to the last, by the index; raises RecordingError."""

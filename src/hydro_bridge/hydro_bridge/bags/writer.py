@@ -18,8 +18,7 @@ import numpy as np
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from hydro_bridge.bags.cdr import STATE_TYPE, encode_states
-from hydro_bridge.bags.reader import STATE_TOPIC
+from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE, encode_states
 from hydro_bridge.bags.types import RecordingError, TopicQos, definition
 from hydro_bridge.serial.stream import LinkCounts, SequenceTracker
 from hydro_bridge.signals import StateArray

@@ -86,27 +86,9 @@ class Nodes:
 
     def content(self, now: float) -> list[dict[str, Any]]:
         """For the page, each with its `age` [s]."""
-        return [{**said, "age": round(now - heard, 1)} for heard, said in sorted(self._heard.values(), key=_by_name)]
+        return [{**said, "age": round(now - heard, 1)} for _, (heard, said) in sorted(self._heard.items())]
 
 
-def _by_name(entry: tuple[float, dict[str, Any]]) -> str:
-    return str(entry[1]["name"])
-
-
-class FilterCounts:
-    """Counts of the filter's decisions over about the last second, in words."""
-
-    def __init__(self) -> None:
-        self._counts = dict.fromkeys(CorrectionStatus, 0)
-
-    def add(self, statuses: Mapping[int, int]) -> None:
-        """Add the counts of each status."""
-        for status, count in statuses.items():
-            if status in tuple(CorrectionStatus):
-                self._counts[CorrectionStatus(status)] += count
-
-    def take(self) -> dict[str, int]:
-        """Return the counts of each status since the last call."""
-        told = {status.name.lower(): count for status, count in self._counts.items() if count}
-        self._counts = dict.fromkeys(CorrectionStatus, 0)
-        return told
+def counted(statuses: Mapping[int, int]) -> dict[str, int]:
+    """Return counts of the filter's decisions in words, from those by their numbers."""
+    return {known.name.lower(): statuses[known] for known in CorrectionStatus if known in statuses}

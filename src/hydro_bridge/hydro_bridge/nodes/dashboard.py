@@ -9,25 +9,124 @@ from __future__ import annotations
 
 import argparse
 import threading
+import time
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future as Promise
 from concurrent.futures import InvalidStateError
 from contextlib import suppress
 from functools import partial
+from math import inf
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.client import Client
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.cli.console import command, number
+from hydro_bridge.dashboard import series, status
+from hydro_bridge.dashboard.series import SLOT, Thinner
 from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, Rules, read
-from hydro_bridge.dashboard.status import encoded
-from hydro_bridge.nodes.dashboard_feed import Feed
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_duplicate_nodes
+from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import CLAIM_SERVICE, END_SERVICE, FREEZE_SERVICE, OVERRIDE_SERVICE
+from hydro_bridge.ros.topics import (
+    AUTHORITY,
+    CLAIM_SERVICE,
+    CORRECTION,
+    DIAGNOSTICS,
+    END_SERVICE,
+    FREEZE_SERVICE,
+    GAINS,
+    GRAPH,
+    LAW_STATE,
+    OVERRIDE_SERVICE,
+    REFERENCE,
+    STATE,
+    TRAINING,
+    Mailbox,
+    create_subscription,
+)
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_msgs.msg import Authority, TrainingStatus
 from hydro_msgs.srv import Claim, OverrideGains
+
+QUEUE = 500
+"""Messages per topic that wait for the next frame: half a second."""
+
+
+class Samples:
+    """Takes the messages received since the last frame."""
+
+    def __init__(self) -> None:
+        self._mailbox = Mailbox("dashboard")
+        kinds = {STATE: series.STATE_TYPE, CORRECTION: series.CORRECTION_TYPE, LAW_STATE: series.LAW_TYPE}
+        self._queues = {topic: (self._queued(topic), series.Decoder(kind)) for topic, kind in kinds.items()}
+        self._sequence = -1
+        self.series = tuple(Thinner(len(columns)) for columns in series.SERIES)
+        """Thinners of the samples, of the corrections and of the compensated law."""
+        self.decided: Counter[int] = Counter()
+        """Number of corrections of each status since this was last cleared."""
+        self.taken_at = -inf
+        """s, monotonic time at which the last sample was taken."""
+        self.compensated_at = -inf
+        """s, monotonic time at which the compensated law acted last."""
+        self.flags = 0
+        """Flags of the last sample."""
+        self.count = 0
+        self.lost = 0
+        """Samples missing in the sequence."""
+
+    @property
+    def contested(self) -> bool:
+        """Whether more than one plant publishes samples."""
+        return bool(self._queues[STATE][0].get_publisher_count() > 1)
+
+    def take(self, now: float) -> None:
+        """Take all queued messages at `now` [s, monotonic]."""
+        self._take_states(now)
+        if (table := self._fetched(CORRECTION)) is not None:
+            self.decided.update(table["status"].tolist())
+            self.series[1].add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
+        if (table := self._fetched(LAW_STATE)) is not None:
+            self.compensated_at = now
+            self.series[2].add(table["time"], series.values(series.LAW_COLUMNS, table))
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._mailbox.close()
+
+    def _queued(self, topic: str) -> Subscription:
+        qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return self._mailbox.subscribe(topic, GRAPH[topic][0], qos)
+
+    def _fetched(self, topic: str) -> npt.NDArray[np.void] | None:
+        """Return the queued messages as a table; None if there are none, or of a plant of another version."""
+        subscription, decoder = self._queues[topic]
+        messages = [data for data, _ in self._mailbox.fetch(subscription, QUEUE)]
+        try:
+            return decoder.table(messages) if messages else None
+        except ValueError:  # unknown layout
+            return None
+
+    def _take_states(self, now: float) -> None:
+        table = self._fetched(STATE)
+        if table is None:
+            return
+        sequence = table["sequence"].astype(np.int64)
+        gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
+        self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
+        self.count += len(table)
+        self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
+        self.series[0].add(table["time"], series.state_values(table))
+
 
 _WHO = "a person, by the live page"
 _NO_PLANT = "no plant runs here that could be told"
@@ -120,25 +219,40 @@ def _settle(told: Promise[str], answer: str) -> None:
 
 def _answer(command: PageCommand, success: bool, message: str) -> str:
     content = {"number": command.number, "command": command.command, "success": success, "text": message}
-    return encoded("answer", content)
+    return status.encoded("answer", content)
 
 
 HOST = "127.0.0.1"
+PERIOD = 0.05
+"""s between two frames."""
+
+_WORDS_EVERY = 10  # frames: twice a second
+_UNWATCHED = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE`
+_SHOWN = (STATE, CORRECTION, GAINS, REFERENCE)
 
 
 class DashboardNode(Node):
     """Passes messages of the graph to the page, and the page's commands to the plant; publishes only its diagnostics.
 
-    `host`, `port`: address of the page.
+    `host`, `port`: address of the page. The node subscribes to the infrequent topics; `Samples` to the others.
     """
 
     def __init__(self, host: str, port: int | None) -> None:
         super().__init__("dashboard")
+        self._samples = Samples()
+        self._authority = self._word = Authority()
+        self._box: dict[str, Any] = {}
+        self._training: dict[str, Any] = {}
+        self._curve, self._nodes = status.Curve(), status.Nodes()
+        self._frames = 0
+        self._words_heard = create_subscription(self, AUTHORITY, self._on_authority)
+        subscribe_to_box(self, self._on_box)
+        self.create_subscription(TrainingStatus, TRAINING, self._on_training, _best_effort(TRAINING))
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, _best_effort(DIAGNOSTICS))
         rules = Rules()
-        self._feed = Feed(self)
-        self._commands = PageCommands(self, rules, lambda: self._feed.epoch, lambda: self._feed.holder)
-        self._server = PageServer(self._commands.act, host, port)
-        self._feed.serve(self._server)
+        commands = PageCommands(self, rules, lambda: int(self._authority.epoch), lambda: str(self._authority.holder))
+        self._server = PageServer(commands.act, host, port)
+        self.create_timer(PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         warn_of_duplicate_nodes(
             self, f"another live page runs here: both show the plant, this one at {self._server.address}"
@@ -148,12 +262,120 @@ class DashboardNode(Node):
 
     def close(self) -> None:
         """Disconnect the viewers."""
-        self._feed.close()
+        self._samples.close()
         self._server.close()
 
     def _status(self) -> Status:
-        values = {"address": self._server.address, "viewers": self._server.viewers, **self._feed.counts()}
+        values = {
+            "address": self._server.address,
+            "viewers": self._server.viewers,
+            "frames": self._frames,
+            "samples": self._samples.count,
+            "samples missed": self._samples.lost,
+        }
         return Status(message=f"viewers: {self._server.viewers}", values=values)
+
+    def _frame(self) -> None:
+        self._frames += 1
+        if not self._server.viewers and self._frames % _UNWATCHED:
+            return
+        now = time.monotonic()
+        self._samples.take(now)
+        self._believe()
+        frames: list[str | bytes] = []
+        for index, thinned in enumerate(self._samples.series):
+            slots = thinned.take()
+            if self._server.viewers and len(slots.values):
+                frames.append(slots.encoded(index))
+        if self._server.viewers:
+            frames.append(status.encoded("pulse", self._pulse(now)))
+            if self._frames % _WORDS_EVERY == 0:
+                frames.append(status.encoded("words", self._words(now)))
+        self._server.publish(frames, partial(self._welcome, now))
+
+    def _welcome(self, now: float) -> list[str | bytes]:
+        """Return the initial content of a page: names and units, the last minute, the status texts."""
+        hello = {"slot": SLOT, "series": series.described()}
+        told: list[str | bytes] = [status.encoded("hello", hello)]
+        for index, thinned in enumerate(self._samples.series):
+            told.append(thinned.history().encoded(index))
+        return [*told, status.encoded("pulse", self._pulse(now)), status.encoded("words", self._words(now))]
+
+    def _pulse(self, now: float) -> dict[str, Any]:
+        age = now - self._samples.taken_at
+        return {
+            "age": round(age, 3) if age < inf else None,
+            "alive": age < status.DEAD_AFTER,
+            "sent": round(1e3 * now),
+            "contested": self._samples.contested,
+            "flags": status.flag_labels(self._samples.flags),
+            "epoch": str(self._authority.epoch),
+            "holder": self._authority.holder,
+        }
+
+    def _words(self, now: float) -> dict[str, Any]:
+        decided, self._samples.decided = self._samples.decided, Counter()
+        publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in _SHOWN}
+        published = {topic: sorted({info.node_name for info in found}) for topic, found in publishers.items()}
+        return {
+            "box": self._box,
+            "training": self._training,
+            "curve": self._curve.content(),
+            "filter": status.counted(decided),
+            "law": "compensated" if now - self._samples.compensated_at < status.DEAD_AFTER else "paper",
+            "nodes": self._nodes.content(now),
+            "publishers": published,
+            "missed": self._samples.lost,
+            "viewers": self._server.viewers,
+        }
+
+    def _on_authority(self, message: Authority) -> None:
+        self._word = message
+        self._believe()
+
+    def _believe(self) -> None:
+        """Ignore the authority's messages of two plants; the latest counts once there is only one again."""
+        if self._words_heard.get_publisher_count() <= 1:
+            self._authority = self._word
+
+    def _on_box(self, box: KnownBox) -> None:
+        info = box.info
+        self._box = {
+            "plant": box.plant,
+            "firmware": info.name,
+            "bench": box.bench_digest,
+            "base_kp": info.base_kp,
+            "base_ki": info.base_ki,
+            "kp_max": info.base_kp + info.delta_kp_max,
+            "ki_max": info.base_ki + info.delta_ki_max,
+            "current_max": 1e3 * info.valve_current_max,
+        }
+
+    def _on_training(self, message: TrainingStatus) -> None:
+        phase = status.PHASES[message.phase] if message.phase < len(status.PHASES) else str(message.phase)
+        finished = (message.force_rmse, message.episode_return, message.critic_loss, message.actor_loss)
+        self._curve.add(message.phase, message.episode, *finished)
+        self._training = {
+            "phase": phase,
+            "episode": message.episode,
+            "step": message.step,
+            "return": message.episode_return,
+            "rmse": message.force_rmse,
+            "alpha": message.entropy_coefficient,
+            "updates": message.updates,
+            "learner": message.learner_alive,
+        }
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
+        for node in message.status:
+            values = {entry.key: entry.value for entry in node.values}
+            self._nodes.update(node.name, int.from_bytes(node.level, "little"), node.message, values, now)
+
+
+def _best_effort(topic: str) -> QoSProfile:
+    offered = GRAPH[topic][1]
+    return QoSProfile(depth=offered.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -140,13 +140,6 @@ def main() -> None:
         print(f"{options.repair}: kept {repair(options.repair)} messages", file=sys.stderr)
         return
     metadata, attachments = parse_pairs(options.metadata), read_attachments(options.attach)
-    made: list[RecorderNode] = []
-
-    def make() -> RecorderNode:
-        run = partial(RecordingRun, options.out, metadata, attachments)
-        made.append(RecorderNode(run, realtime=options.realtime))
-        return made[0]
-
-    run_node(make, ros)
-    if made[0].failed:
+    run = partial(RecordingRun, options.out, metadata, attachments)
+    if run_node(lambda: RecorderNode(run, realtime=options.realtime), ros).failed:
         sys.exit(1)

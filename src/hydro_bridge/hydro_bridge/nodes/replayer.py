@@ -192,12 +192,6 @@ def main() -> None:
     own, ros = ros_arguments()
     options = _parser().parse_args(own)
     read_bag(options.bag, topics=())  # fails at once if there is nothing to read
-    nodes: list[ReplayerNode] = []
-
-    def make() -> ReplayerNode:
-        nodes.append(ReplayerNode(options))
-        return nodes[0]
-
-    run_node(make, ros)
-    if nodes[0].failure is not None:
-        raise nodes[0].failure
+    failure = run_node(lambda: ReplayerNode(options), ros).failure
+    if failure is not None:
+        raise failure

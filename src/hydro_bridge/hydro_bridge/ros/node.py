@@ -62,6 +62,7 @@ def stay_on_this_machine() -> None:
 
 
 T = TypeVar("T")
+N = TypeVar("N", bound=Node)
 
 
 def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
@@ -244,8 +245,8 @@ def call_service(
         rclpy.try_shutdown()
 
 
-def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
-    """Start ROS, create the node, spin it, and shut down in order.
+def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
+    """Start ROS, create the node, spin it, and shut down in order; return it, destroyed, for its results.
 
     `make`: creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that
     reaches a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a
@@ -259,6 +260,7 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
         refuse_unknown_parameters(node)
         getattr(node, "begin", _nothing)()
         spin(node, getattr(node, "done", None))
+        return node
     finally:
         if node is not None:
             with endings.undisturbed():

@@ -10,7 +10,7 @@ watchdog     flag WATCHDOG: no commands for 50 ms
 authority    /hydro/authority: change of holder
 episode      /hydro/training: start of the next episode, and result of the last one
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
-weights      /hydro/policy: change of the acting weights (`WeightChanges`)
+weights      /hydro/policy: change of the acting weights (`Marks.steps`)
 rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by a person, to within 0.5 s
 call         /rosout, names that end in `calls`: requests to arm, disarm or override, and the answers
@@ -32,39 +32,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.cli.console import plural
 from hydro_bridge.dashboard.status import PHASES, flag_labels
 from hydro_bridge.signals import Flag, StateArray
 
 STILL = 1.0
 """s without a change, after which a change is marked."""
-
-
-class WeightChanges:
-    """Tracks the acting weights while a recording is read in order; they are told as in the trainer's diagnostics."""
-
-    def __init__(self) -> None:
-        self._weights: int | None = None
-        self._changed, self._count = 0.0, 0
-
-    def add(self, steps: npt.NDArray[np.void]) -> list[tuple[float, str]]:
-        """Add PolicyStep records, with `time` [s] and `weights`; returns the marks by time [s] and sentence."""
-        if not len(steps):
-            return []
-        times, weights = steps["time"], steps["weights"]
-        marks = []
-        if self._weights is None:
-            self._changed, self._weights = float(times[0]), int(weights[0])
-            marks.append((self._changed, f"weights {self._weights:012x}, the first to act"))
-        before = np.concatenate((np.array([self._weights], weights.dtype), weights[:-1]))
-        for n in np.flatnonzero(weights != before):
-            time, self._count = float(times[n]), self._count + 1
-            if time - self._changed >= STILL:
-                often = f"{self._count} change{'s' if self._count > 1 else ''} since the mark before"
-                marks.append((time, f"weights {int(weights[n]):012x}, {often}"))
-                self._count = 0
-            self._changed = time
-        self._weights = int(weights[-1])
-        return marks
 
 
 MARKS = 20_000
@@ -97,7 +70,8 @@ class Marks:
         self._holder: str | None = None
         self._episode, self._phase, self._learner = -1, -1, True
         self._said: dict[str, str] = {}
-        self._weights = WeightChanges()
+        self._weights: int | None = None
+        self._weights_changed, self._weight_changes = 0.0, 0
 
     def sorted(self) -> list[Mark]:
         """Return all marks by time."""
@@ -135,9 +109,22 @@ class Marks:
         self._phase, self._episode, self._learner = phase, episode, bool(message["learner_alive"])
 
     def steps(self, steps: npt.NDArray[np.void]) -> None:
-        """Add the changes of weights in PolicyStep records, with `time` [s]."""
-        for time, text in self._weights.add(steps):
-            self._add(time, "weights", text)
+        """Add the changes of weights in PolicyStep records, with `time` [s]; told as in the trainer's diagnostics."""
+        if not len(steps):
+            return
+        times, weights = steps["time"], steps["weights"]
+        if self._weights is None:
+            self._weights_changed, self._weights = float(times[0]), int(weights[0])
+            self._add(self._weights_changed, "weights", f"weights {self._weights:012x}, the first to act")
+        before = np.concatenate((np.array([self._weights], weights.dtype), weights[:-1]))
+        for n in np.flatnonzero(weights != before):
+            time, self._weight_changes = float(times[n]), self._weight_changes + 1
+            if time - self._weights_changed >= STILL:
+                often = f"{plural(self._weight_changes, 'change')} since the mark before"
+                self._add(time, "weights", f"weights {int(weights[n]):012x}, {often}")
+                self._weight_changes = 0
+            self._weights_changed = time
+        self._weights = int(weights[-1])
 
     def diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
         """Add a status of the node `name`."""

@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.bags.reader import STATE_TOPIC, as_states
+from hydro_bridge.bags.recording import STATE_TOPIC, as_states
 from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import UserError, command, number, writable

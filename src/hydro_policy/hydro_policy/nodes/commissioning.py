@@ -30,7 +30,7 @@ from typing import IO, Any, TypeVar, cast
 
 import numpy as np
 
-from hydro_bridge.bags.reader import objects, read_bag
+from hydro_bridge.bags.recording import objects, read_bag
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import UserError, print_above_progress
 from hydro_bridge.files import site
