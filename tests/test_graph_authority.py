@@ -62,7 +62,7 @@ def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) 
 def said_by(stack: ExitStack, package: str, executable: str, *words: str) -> io.StringIO:
     """Start an executable; what it says."""
     output = io.StringIO()
-    stack.enter_context(Companion(package, executable, list(words), output=output))
+    stack.enter_context(Companion(package, executable, list(words), output=output.write))
     return output
 
 

@@ -22,8 +22,8 @@ from rclpy.node import Node  # noqa: E402
 
 from hydro_bridge.bags.recording import BagWriter  # noqa: E402
 from hydro_bridge.ros.companion import Companion  # noqa: E402
-from hydro_bridge.ros.keys import RIGHTS, Rights, enclave_of  # noqa: E402
-from hydro_bridge.ros.topics import CLOCK, FREEZE_SERVICE, LAW, LAW_STATE  # noqa: E402
+from hydro_bridge.ros.keys import enclave_of  # noqa: E402
+from hydro_bridge.ros.topics import CLOCK, FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS, Rights  # noqa: E402  # noqa: E402
 from hydro_bridge.signals import STATE_DTYPE  # noqa: E402
 from tests.graph_probe import own_domain  # noqa: E402
 

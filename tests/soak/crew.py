@@ -93,7 +93,7 @@ class Crew:
                 continue
             if post.companion is not None:
                 self.statuses[name] = post.companion.stop()
-            post.companion = Companion(post.package, name, post.words(), output=self._log)
+            post.companion = Companion(post.package, name, post.words(), output=self._log.write)
             post.starts += 1
             started.append(name)
         return started

@@ -21,7 +21,6 @@ from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.keys import (
     ENABLE,
     KEYSTORE,
-    RIGHTS,
     STRATEGY,
     domain,
     enclave_of,
@@ -40,6 +39,7 @@ from hydro_bridge.ros.topics import (
     LOG,
     OVERRIDE_SERVICE,
     REFERENCE,
+    RIGHTS,
     STATE,
 )
 from hydro_bridge.settings import SettingsError

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from hydro_bridge.dashboard.server import BEHIND, COMMANDS, VIEWERS, PageServer, RefusedError, Rules, read
+from hydro_bridge.dashboard.server import BEHIND, COMMANDS, VIEWERS, PageServer, RefusedError, check, read
 from hydro_bridge.errors import UserError
 
 
@@ -155,27 +155,27 @@ def asked(command: str, **words: object) -> bytes:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_with_token_and_epoch_all_pass(command: str) -> None:
-    Rules("right").check(read(asked(command)), EPOCH)
+    check(read(asked(command)), "right", EPOCH)
 
 
 @pytest.mark.parametrize("epoch", [0, 1, EPOCH])
 def test_disarm_needs_nothing(epoch: int) -> None:
-    Rules("right").check(read(b'{"command":"disarm"}'), epoch)
-    Rules("right").check(read(asked("disarm", token="wrong", epoch="7")), epoch)
+    check(read(b'{"command":"disarm"}'), "right", epoch)
+    check(read(asked("disarm", token="wrong", epoch="7")), "right", epoch)
 
 
 @pytest.mark.parametrize("command", [command for command in COMMANDS if command != "disarm"])
 @pytest.mark.parametrize("token", ["", "wrong", "righ", "right ", "ü"])
 def test_nobody_without_the_token_does_anything_else(command: str, token: str) -> None:
     with pytest.raises(RefusedError, match="token"):
-        Rules("right").check(read(asked(command, token=token)), EPOCH)
+        check(read(asked(command, token=token)), "right", EPOCH)
 
 
 @pytest.mark.parametrize("command", [command for command in COMMANDS if command != "disarm"])
 @pytest.mark.parametrize("seen", ["", "0", str(EPOCH - 1), "1.8446744073709552e19"])
 def test_a_page_from_before_the_last_trip_does_nothing(command: str, seen: str) -> None:
     with pytest.raises(RefusedError, match="nothing was done"):
-        Rules("right").check(read(asked(command, epoch=seen)), EPOCH)
+        check(read(asked(command, epoch=seen)), "right", EPOCH)
 
 
 @settings(deadline=None, max_examples=50)

@@ -44,7 +44,8 @@ def start() -> Iterator[Callable[..., Companion]]:
     started: list[Companion] = []
 
     def begin(executable: str, *arguments: object, output: io.StringIO | None = None) -> Companion:
-        companion = Companion("hydro_bridge", executable, [str(word) for word in arguments], output=output)
+        take = output.write if output else None
+        companion = Companion("hydro_bridge", executable, [str(word) for word in arguments], output=take)
         started.append(companion)
         return companion
 

@@ -157,7 +157,7 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
     assert not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=60, check=True)
     output = io.StringIO()
-    collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output)
+    collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output.write)
     listener.wait(lambda: HOW_TO_ARM in collect.last_line)
     assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=30, check=True)

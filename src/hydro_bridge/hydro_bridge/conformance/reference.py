@@ -8,7 +8,6 @@ from math import comb, pi, sin, sqrt
 from typing import Any
 
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.serial.protocol import State
 from hydro_bridge.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 
 FADE = 0.3
@@ -120,30 +119,6 @@ _ROUNDING = 1e-6
 """s: rounding of the clock decides whether a fade ends at its 300th or 301st sample."""
 
 
-class Generator:
-    """Expected f_r with its derivatives: `force` is the field of the followed force, `fade` [s] the cross-fade."""
-
-    def __init__(self, force: str, fade: float) -> None:
-        self.force = STATE_FIELDS.index(force)
-        self.fade = fade
-        self.armed = False
-        self.old: tuple[ReferenceSignal, float] = (ReferenceSignal(), 0.0)
-        self.new: tuple[ReferenceSignal, float] = (ReferenceSignal(), 0.0)
-
-    def point(self, state: State, wanted: ReferenceSignal, time: float) -> Point | None:
-        """Return the expected point at this sample; None while the box is not armed."""
-        if not state.flags & Flag.ARMED:
-            self.armed = False
-            return None
-        if not self.armed:
-            self.armed = True
-            self.old, self.new = (ReferenceSignal(offset=state.values[self.force]), time), (wanted, time)
-        elif time - self.new[1] >= self.fade and wanted != self.new[0]:
-            self.old, self.new = self.new, (wanted, time)
-        points = [shape(signal, time - begun) for signal, begun in (self.old, self.new)]
-        return faded(points[0], points[1], time - self.new[1], self.fade)
-
-
 def playable(signal: ReferenceSignal, force_range: float) -> bool:
     """Return whether a box with this force range [N] must accept the reference."""
     numbers = (signal.amplitude, signal.offset, signal.phase, signal.frequency)
@@ -155,16 +130,29 @@ def playable(signal: ReferenceSignal, force_range: float) -> bool:
 
 
 def expected(host: Host, force: str) -> Iterator[list[Point | None]]:
-    """Yield the points of all states, None where the box is not armed: with either rounding of a fade's end."""
+    """Yield the points of all states, None where the box is not armed: with either rounding of a fade's end.
+
+    `force`: field of the followed force.
+    """
     reach = host.details.details.force_range if host.details else 0.0
     commands = {each.sequence: each.command for each in host.sent}
-    for rounding in (-_ROUNDING, _ROUNDING):
-        generator, wanted, points = Generator(force, FADE + rounding), ReferenceSignal(), []
+    for fade in (FADE - _ROUNDING, FADE + _ROUNDING):
+        wanted, points = ReferenceSignal(), list[Point | None]()
+        old = new = (wanted, 0.0)  # with the time of acceptance, s
         for state in host.states:
-            command = commands.get(state.last_command)
+            command, time = commands.get(state.last_command), state.time_us * 1e-6
             if command is not None and playable(command.reference, reach or 1e6):
                 wanted = command.reference
-            points.append(generator.point(state, wanted, state.time_us * 1e-6))
+            if not state.flags & Flag.ARMED:
+                points.append(None)
+                continue
+            if not points or points[-1] is None:
+                held = ReferenceSignal(offset=state.values[STATE_FIELDS.index(force)])
+                old, new = (held, time), (wanted, time)
+            elif time - new[1] >= fade and wanted != new[0]:
+                old, new = new, (wanted, time)
+            before, after = (shape(signal, time - begun) for signal, begun in (old, new))
+            points.append(faded(before, after, time - new[1], fade))
         yield points
 
 

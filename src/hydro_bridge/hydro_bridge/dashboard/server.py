@@ -9,7 +9,7 @@
     act(text) <── command, from any viewer    answered independently, so that a disarm waits for nothing
 
 No viewer can delay `publish`. Requests from a foreign page or under a foreign host name are refused, so that a page on
-the internet cannot reach the plant through its visitor's browser. `Rules` accepts or refuses commands:
+the internet cannot reach the plant through its visitor's browser. `check` accepts or refuses commands:
 
 =========  ======================================  ==========================================
 command    needs                                   what it does
@@ -34,7 +34,6 @@ import asyncio
 import hmac
 import http
 import math
-import secrets
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
@@ -96,34 +95,26 @@ def read(text: str | bytes) -> PageCommand:
     return command
 
 
-class Rules:
-    """Access rules of one run of the dashboard.
+def check(command: PageCommand, token: str, epoch: int) -> None:
+    """Accept or refuse a command.
 
-    `token`: token shown on the terminal; drawn at random if not given.
+    `token`: as the terminal shows it. `epoch`: the plant's present one, 0 if no plant has announced one. Raises
+    RefusedError: the command is refused.
     """
-
-    def __init__(self, token: str = "") -> None:
-        self.token = token or secrets.token_urlsafe(9)
-
-    def check(self, command: PageCommand, epoch: int) -> None:
-        """Accept or refuse a command; `epoch` is the plant's present one, 0 if no plant has announced one.
-
-        Raises RefusedError: the command is refused.
-        """
-        if command.command == "disarm":
-            return
-        if not hmac.compare_digest(command.token.encode(), self.token.encode()):
-            raise RefusedError(f"{command.command} needs the token that the terminal shows")
-        if not epoch:
-            raise RefusedError("nothing was done: no plant runs here, or it has not said yet who may command it")
-        if command.epoch != str(epoch):
-            raise RefusedError(
-                "nothing was done: the plant was disarmed, tripped or changed hands after this page showed it; "
-                "look, and press again"
-            )
-        numbers = (command.kp, command.ki, command.seconds)
-        if command.command == "override" and not all(map(math.isfinite, numbers)):
-            raise RefusedError("override needs K_p, K_i and for how long; 0 s: until it is told otherwise")
+    if command.command == "disarm":
+        return
+    if not hmac.compare_digest(command.token.encode(), token.encode()):
+        raise RefusedError(f"{command.command} needs the token that the terminal shows")
+    if not epoch:
+        raise RefusedError("nothing was done: no plant runs here, or it has not said yet who may command it")
+    if command.epoch != str(epoch):
+        raise RefusedError(
+            "nothing was done: the plant was disarmed, tripped or changed hands after this page showed it; "
+            "look, and press again"
+        )
+    numbers = (command.kp, command.ki, command.seconds)
+    if command.command == "override" and not all(map(math.isfinite, numbers)):
+        raise RefusedError("override needs K_p, K_i and for how long; 0 s: until it is told otherwise")
 
 
 PORT = 8765

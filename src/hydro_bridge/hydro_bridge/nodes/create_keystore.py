@@ -17,13 +17,13 @@ from hydro_bridge.ros.keys import (
     ENABLE,
     ENFORCE,
     KEYSTORE,
-    RIGHTS,
     STRATEGY,
     domain,
     enclave_of,
     make_keystore,
     policy_xml,
 )
+from hydro_bridge.ros.topics import RIGHTS
 
 
 def parser() -> argparse.ArgumentParser:

@@ -8,6 +8,7 @@ ros2 run hydro_bridge dashboard --port 8080
 from __future__ import annotations
 
 import argparse
+import secrets
 import threading
 import time
 from collections import Counter
@@ -33,7 +34,7 @@ from std_srvs.srv import SetBool, Trigger
 from hydro_bridge.cli.console import command, number
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.dashboard.series import SLOT, Thinner
-from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, Rules, read
+from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, check, read
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
@@ -141,16 +142,16 @@ class PageCommands:
     ----------
     node
         Calls the services on the page's behalf.
-    rules
-        Decides which commands are accepted.
+    token
+        Shown on the terminal, for those who may do more than disarm.
     epoch
         Returns the plant's present epoch; 0: none.
     holder
         Returns the holder of the authority, for whom a page's override is meant.
     """
 
-    def __init__(self, node: Node, rules: Rules, epoch: Callable[[], int], holder: Callable[[], str]) -> None:
-        self._node, self._rules, self._epoch, self._holder = node, rules, epoch, holder
+    def __init__(self, node: Node, token: str, epoch: Callable[[], int], holder: Callable[[], str]) -> None:
+        self._node, self._token, self._epoch, self._holder = node, token, epoch, holder
         self._claim = node.create_client(Claim, CLAIM_SERVICE)
         self._override = node.create_client(OverrideGains, OVERRIDE_SERVICE)
         self._end = node.create_client(Trigger, END_SERVICE)
@@ -162,7 +163,7 @@ class PageCommands:
         command = PageCommand(command="")
         try:
             command = read(text)
-            self._rules.check(command, self._epoch())
+            check(command, self._token, self._epoch())
             client, request, absent = self._asked(command)
             if not client.service_is_ready():
                 raise RefusedError(absent)
@@ -249,8 +250,8 @@ class DashboardNode(Node):
         subscribe_to_box(self, self._on_box)
         self.create_subscription(TrainingStatus, TRAINING, self._on_training, _best_effort(TRAINING))
         self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, _best_effort(DIAGNOSTICS))
-        rules = Rules()
-        commands = PageCommands(self, rules, lambda: int(self._authority.epoch), lambda: str(self._authority.holder))
+        token = secrets.token_urlsafe(9)
+        commands = PageCommands(self, token, lambda: int(self._authority.epoch), lambda: str(self._authority.holder))
         self._server = PageServer(commands.act, host, port)
         self.create_timer(PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(self, self._status)
@@ -258,7 +259,7 @@ class DashboardNode(Node):
             self, f"another live page runs here: both show the plant, this one at {self._server.address}"
         )
         request_realtime(realtime=False)
-        print(f"the live page: {self._server.address}#token={rules.token}", flush=True)
+        print(f"the live page: {self._server.address}#token={token}", flush=True)
 
     def close(self) -> None:
         """Disconnect the viewers."""

@@ -21,15 +21,17 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.bags.recording import repair
-from hydro_bridge.bags.types import TopicQos
-from hydro_bridge.bags.writer import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
+from hydro_bridge.bags.types import RecordingError, TopicQos
+from hydro_bridge.bags.writer import BagWriter, code_version, sequence_of
 from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import GRAPH, Mailbox
+from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox
+from hydro_bridge.serial.stream import SequenceTracker
 
 _QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
 _PERIOD = 0.05  # s between two fetches
+_FLUSH_PERIOD = 0.5  # s: longest loss through `kill -9`; at worst twice that on a slow disk
 _NICE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
 
 
@@ -40,10 +42,12 @@ class RecorderNode(Node):
     that of a wrong command line, by which the processes that wait for the recorder tell the two apart.
     """
 
-    def __init__(self, make_run: Callable[[], RecordingRun], *, realtime: bool) -> None:
+    def __init__(self, make_writer: Callable[[], BagWriter], *, realtime: bool) -> None:
         super().__init__("recorder")
         scheduling = request_realtime(realtime=realtime, nice=_NICE)  # before samples arrive
-        self._run = make_run()
+        self._writer, self._messages, self._bytes = make_writer(), dict.fromkeys(GRAPH, 0), 0
+        self._tracker = SequenceTracker()
+        """Of the samples of /hydro/state."""
         self.failed = False
         self.done: Future = Future()
         self._mailbox, self._heard = Mailbox("recorder"), dict[str, Subscription]()
@@ -51,17 +55,22 @@ class RecorderNode(Node):
             self._subscribe(topic, kind, offered)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PERIOD, self._fetch, clock=steady)
-        self.create_timer(FLUSH_PERIOD, partial(self._write, self._run.writer.flush), clock=steady)
-        warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
+        self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
+        warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
+        self.get_logger().info(f"recording into {self._writer.folder}; {scheduling}")
 
     def close(self) -> None:
         """Finish the recording; a failed one is left unfinished, readable like that of a killed recorder."""
         self._fetch()
         self._mailbox.close()
-        self._write(self._run.writer.close)
-        self.get_logger().info(self._run.summary())
+        self._write(self._writer.close)
+        topics = ", ".join(f"{count} {topic}" for topic, count in self._messages.items() if count) or "no messages"
+        counts = self._tracker.counts
+        self.get_logger().info(
+            f"{self._writer.folder}: {topics}; of {STATE} {counts.lost} lost, {counts.duplicates} duplicate, "
+            f"{counts.reordered} late"
+        )
 
     def _subscribe(self, topic: str, kind: type[Any], offered: QoSProfile) -> None:
         reliable = offered.reliability == ReliabilityPolicy.RELIABLE
@@ -78,7 +87,7 @@ class RecorderNode(Node):
             depth=offered.depth or 10,
         )
         package, name = kind.__module__.split(".")[0], kind.__name__
-        self._run.add_topic(topic, f"{package}/msg/{name}", recorded)
+        self._writer.add_topic(topic, f"{package}/msg/{name}", recorded)
         self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
 
     def _fetch(self) -> None:
@@ -89,7 +98,14 @@ class RecorderNode(Node):
             for data, time_ns in self._mailbox.fetch(subscription, _QUEUE)
         ]
         for time_ns, topic, data in sorted(arrived, key=itemgetter(0)):
-            self._write(self._run.take, topic, data, time_ns)
+            self._write(self._take, topic, data, time_ns)
+
+    def _take(self, topic: str, data: bytes, time_ns: int) -> None:
+        self._writer.write(topic, data, time_ns)
+        self._messages[topic] += 1
+        self._bytes += len(data)
+        if topic == STATE:
+            self._tracker.accept(sequence_of(data))
 
     def _write(self, write: Callable[..., None], *what: object) -> None:
         if self.failed:
@@ -99,16 +115,16 @@ class RecorderNode(Node):
         except OSError as error:
             self.failed = True
             self.get_logger().error(
-                f"{self._run.writer.folder}: recording stopped: {error.strerror}. What was recorded so far is "
+                f"{self._writer.folder}: recording stopped: {error.strerror}. What was recorded so far is "
                 "readable; the bench runs on without a recorder. Free some disk space and start another one"
             )
             self.done.set_result(None)
 
     def _status(self) -> Status:
-        run = self._run
-        values = {"folder": run.writer.folder, "bytes": run.bytes, "lost": run.counts.lost, **run.messages}
-        message = f"{sum(run.messages.values())} messages, {run.counts.lost} samples lost"
-        return Status(level=Level.WARN if run.counts.lost else Level.OK, message=message, values=values)
+        lost = self._tracker.counts.lost
+        values = {"folder": self._writer.folder, "bytes": self._bytes, "lost": lost, **self._messages}
+        message = f"{sum(self._messages.values())} messages, {lost} samples lost"
+        return Status(level=Level.WARN if lost else Level.OK, message=message, values=values)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -139,7 +155,14 @@ def main() -> None:
     if options.repair:
         print(f"{options.repair}: kept {repair(options.repair)} messages", file=sys.stderr)
         return
-    metadata, attachments = parse_pairs(options.metadata), read_attachments(options.attach)
-    run = partial(RecordingRun, options.out, metadata, attachments)
-    if run_node(lambda: RecorderNode(run, realtime=options.realtime), ros).failed:
+    for pair in options.metadata:
+        if "=" not in pair:
+            raise RecordingError(f"--metadata {pair}: must be key=value")
+    metadata = {"code_version": code_version(), **dict(pair.split("=", 1) for pair in options.metadata)}
+    try:
+        attachments = {path.name: path.read_bytes() for path in options.attach}
+    except OSError as error:
+        raise RecordingError(f"--attach {error.filename}: {error.strerror}") from None
+    writer = partial(BagWriter, options.out, metadata=metadata, attachments=attachments)
+    if run_node(lambda: RecorderNode(writer, realtime=options.realtime), ros).failed:
         sys.exit(1)

@@ -17,9 +17,9 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from math import inf
 from pathlib import Path
-from typing import IO, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -60,7 +60,7 @@ class Companion:
     name
         Prefix of each line of its output; the executable's name by default.
     output
-        Destination of its output; standard error by default, so that a progress bar or a table on standard output
+        Takes each line of its output; standard error by default, so that a progress bar or a table on standard output
         stays intact.
     keys
         Whether it reads this program's standard input, by which a person arms; it gets none by default.
@@ -73,11 +73,11 @@ class Companion:
         arguments: Sequence[str] = (),
         *,
         name: str = "",
-        output: IO[str] | None = None,
+        output: Callable[[str], object] | None = None,
         keys: bool = False,
     ) -> None:
         self.name = name or executable
-        self._output = output or sys.stderr
+        self._output = output or partial(print, end="", file=sys.stderr, flush=True)
         self._last_output = ""
         parent = os.getpid()
         self.process = subprocess.Popen(
@@ -113,7 +113,7 @@ class Companion:
             try:
                 self.process.wait(timeout)
             except subprocess.TimeoutExpired:
-                self._output.write(f"[{self.name}] did not end within {timeout:g} s: killed\n")
+                self._output(f"[{self.name}] did not end within {timeout:g} s: killed\n")
         self._signal(signal.SIGKILL)  # the rest of its process group
         status = self.process.wait()
         self._echo.join(1.0)
@@ -135,8 +135,7 @@ class Companion:
             for line in lines:
                 self._last_output = line.strip() or self._last_output
                 with suppress(ValueError, OSError):  # the program's output is closed already
-                    self._output.write(f"[{self.name}] {line.rstrip()}\n")
-                    self._output.flush()
+                    self._output(f"[{self.name}] {line.rstrip()}\n")
 
 
 def _die_with(parent: int) -> None:
@@ -222,22 +221,13 @@ def start_page(
     """
     if not wanted or NAME in node.get_node_names():
         return
-    with suppress(CompanionError):
-        stack.enter_context(Companion("hydro_bridge", NAME, output=cast("IO[str]", _Output(keep))))
 
-
-class _Output:
-    def __init__(self, keep: Callable[[str], object]) -> None:
-        self._keep = keep
-
-    def write(self, text: str) -> int:
-        """Take a line."""
-        if _ADDRESS not in text:
-            self._keep(text)
-            return len(text)
+    def take(line: str) -> None:
+        if _ADDRESS not in line:
+            keep(line)
+            return
         with suppress(OSError, ValueError):  # the terminal has gone
-            tqdm.write(text.partition("] ")[2].rstrip("\n"), file=sys.stderr)
-        return len(text)
+            tqdm.write(line.partition("] ")[2].rstrip("\n"), file=sys.stderr)
 
-    def flush(self) -> None:
-        """Each line is passed on at once."""
+    with suppress(CompanionError):
+        stack.enter_context(Companion("hydro_bridge", NAME, output=take))

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Security by SROS2: rights of each executable, enclave of this process, policy, keystore.
-
-`RIGHTS` is the one table behind policies and keys. A graph test compares the running nodes with it, endpoint by
-endpoint (tests/test_graph_rights.py): a topic added to a node is added here as well.
+"""Security by SROS2: enclave of this process, policy, keystore; the rights are those of `topics.RIGHTS`.
 
 A process' enclave is its executable's, however it was started (network.md). ROS's own variables enable security, for a
 process and its children. ROS reads only `true` as on, and silently runs unsecured if a key is missing, unless the
@@ -19,9 +16,8 @@ import shutil
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -31,126 +27,19 @@ from rclpy.parameter import Parameter
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.files.atomic import flush_folder
-from hydro_bridge.ros.topics import (
-    ARM_SERVICE,
-    AUTHORITY,
-    BOX,
-    BOX_LAW,
-    CLAIM_SERVICE,
-    CLOCK,
-    COMMANDS,
-    CORRECTION,
-    DIAGNOSTICS,
-    END_SERVICE,
-    FREEZE_SERVICE,
-    GAINS,
-    GRAPH,
-    LAW,
-    LAW_STATE,
-    LOG,
-    OVERRIDE_SERVICE,
-    POLICY,
-    REFERENCE,
-    STATE,
-    TRAINING,
-    mailbox_name,
-)
+from hydro_bridge.ros.topics import RIGHTS
 from hydro_bridge.settings import SettingsError
-
-PARAMETER_EVENTS = "/parameter_events"
-DESCRIPTION_SERVICE = "get_type_description"
-PARAMETER_SERVICES = (
-    "describe_parameters",
-    "get_parameter_types",
-    "get_parameters",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-)
-"""Parameter services of each node, below its name. No node may call them, since our parameters are read-only."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rights:
-    """Topics and services of a node; each name begins with a slash."""
-
-    publishes: tuple[str, ...] = ()
-    subscribes: tuple[str, ...] = ()
-    answers: tuple[str, ...] = ()
-    """Services it offers."""
-    calls: tuple[str, ...] = ()
-    """Services it calls."""
-
-
-def enclave_of(executable: str) -> str:
-    """Return the name of an executable's enclave."""
-    return f"/hydro/{executable}"
-
-
-def node(name: str, rights: Rights) -> Rights:
-    """Return the rights extended by those that rclpy needs for any ordinary node of that name."""
-    return Rights(
-        publishes=(*rights.publishes, LOG, PARAMETER_EVENTS),
-        subscribes=rights.subscribes,
-        answers=(*rights.answers, *(f"/{name}/{service}" for service in (*PARAMETER_SERVICES, DESCRIPTION_SERVICE))),
-        calls=rights.calls,
-    )
-
-
-_ARMING = (ARM_SERVICE, CLAIM_SERVICE)
-"""Services of a plant. Our own programs call the second, under their names; the first is open to all."""
-_PLANT = Rights(
-    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING
-)
-
-_CONTROLLER = Rights(
-    publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
-    subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
-    answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
-    calls=(CLAIM_SERVICE,),
-)
-_OWN = {
-    "bridge": _PLANT,
-    "sim": replace(_PLANT, publishes=(*_PLANT.publishes, CLOCK)),
-    "replayer": Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING),
-    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY, CLOCK)),
-    "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS)),
-    "evaluate": _CONTROLLER,
-    "collect": Rights(
-        publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
-        calls=(CLAIM_SERVICE,),
-    ),
-    "recorder": Rights(publishes=(DIAGNOSTICS,)),
-    "dashboard": Rights(
-        publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
-        calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
-    ),
-    "arm": Rights(calls=(CLAIM_SERVICE,)),
-    "override": Rights(calls=(OVERRIDE_SERVICE,)),
-    "watch": Rights(subscribes=(*GRAPH, CLOCK)),
-}  # fmt: skip
-_NODES = {"watch": "_ros2cli_*"}
-"""Name of a node where it is not that of its executable."""
-
-RIGHTS: Mapping[str, dict[str, Rights]] = {
-    executable: {(name := _NODES.get(executable, executable)): node(name, rights)}
-    for executable, rights in _OWN.items()
-}
-for _name, _topics in {
-    "recorder": tuple(GRAPH),
-    "dashboard": (STATE, LAW_STATE, CORRECTION),
-    "trainer": (CORRECTION,),
-    "evaluate": (CORRECTION,),
-}.items():
-    RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
-"""Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""
-
 
 ENABLE = "ROS_SECURITY_ENABLE"
 STRATEGY = "ROS_SECURITY_STRATEGY"
 KEYSTORE = "ROS_SECURITY_KEYSTORE"
 ENFORCE = "Enforce"
 _MEANT = {ENABLE: ("true", "false"), STRATEGY: (ENFORCE, "Permissive")}
+
+
+def enclave_of(executable: str) -> str:
+    """Return the name of an executable's enclave."""
+    return f"/hydro/{executable}"
 
 
 def enclave_arguments() -> list[str]:

@@ -89,29 +89,20 @@ def seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
+_SHAPE = ("amplitude", "offset", "frequency", "phase")
+
+
 def reference_from_message(message: ReferenceMessage) -> ReferenceSignal | None:
     """Return the plain reference; None for an unknown waveform."""
     if message.waveform not in tuple(Waveform):
         return None
-    return ReferenceSignal(
-        waveform=Waveform(message.waveform),
-        amplitude=message.amplitude,
-        offset=message.offset,
-        frequency=message.frequency,
-        phase=message.phase,
-    )
+    return ReferenceSignal(waveform=Waveform(message.waveform), **{name: getattr(message, name) for name in _SHAPE})
 
 
 def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> ReferenceMessage:
     """Return the message of a plain reference; `epoch` is that of the session."""
-    return ReferenceMessage(
-        waveform=int(signal.waveform),
-        amplitude=float(signal.amplitude),
-        offset=float(signal.offset),
-        frequency=float(signal.frequency),
-        phase=float(signal.phase),
-        epoch=epoch,
-    )
+    numbers = {name: float(getattr(signal, name)) for name in _SHAPE}
+    return ReferenceMessage(waveform=int(signal.waveform), epoch=epoch, **numbers)
 
 
 _NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.default, float))

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names, types and quality of service of the graph's topics, shared by publishers and subscribers."""
+"""Names, types and quality of service of the graph's topics, shared by publishers and subscribers; who may use them.
+
+`RIGHTS` is the one table behind policies and keys. A graph test compares the running nodes with it, endpoint by
+endpoint (tests/test_graph_rights.py): a topic added to a node is added here as well.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -141,3 +146,82 @@ def _never(_: object) -> None:
 
 COMMANDS = (GAINS, REFERENCE, CORRECTION, LAW)
 """Topics that command a plant: one publisher each, or nothing is armed."""
+
+PARAMETER_EVENTS = "/parameter_events"
+DESCRIPTION_SERVICE = "get_type_description"
+PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+"""Parameter services of each node, below its name. No node may call them, since our parameters are read-only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rights:
+    """Topics and services of a node; each name begins with a slash."""
+
+    publishes: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
+    """Services it offers."""
+    calls: tuple[str, ...] = ()
+    """Services it calls."""
+
+
+def _with_rclpy(name: str, rights: Rights) -> Rights:
+    """Return the rights extended by those that rclpy needs for any ordinary node of that name."""
+    services = (f"/{name}/{service}" for service in (*PARAMETER_SERVICES, DESCRIPTION_SERVICE))
+    return replace(rights, publishes=(*rights.publishes, LOG, PARAMETER_EVENTS), answers=(*rights.answers, *services))
+
+
+_ARMING = (ARM_SERVICE, CLAIM_SERVICE)
+"""Services of a plant. Our own programs call the second, under their names; the first is open to all."""
+_PLANT = Rights(
+    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING
+)
+
+_CONTROLLER = Rights(
+    publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
+    subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
+    answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
+    calls=(CLAIM_SERVICE,),
+)
+_OWN = {
+    "bridge": _PLANT,
+    "sim": replace(_PLANT, publishes=(*_PLANT.publishes, CLOCK)),
+    "replayer": Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING),
+    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY, CLOCK)),
+    "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS)),
+    "evaluate": _CONTROLLER,
+    "collect": Rights(
+        publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
+        calls=(CLAIM_SERVICE,),
+    ),
+    "recorder": Rights(publishes=(DIAGNOSTICS,)),
+    "dashboard": Rights(
+        publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
+        calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
+    ),
+    "arm": Rights(calls=(CLAIM_SERVICE,)),
+    "override": Rights(calls=(OVERRIDE_SERVICE,)),
+    "watch": Rights(subscribes=(*GRAPH, CLOCK)),
+}  # fmt: skip
+_NODES = {"watch": "_ros2cli_*"}
+"""Name of a node where it is not that of its executable."""
+
+RIGHTS: Mapping[str, dict[str, Rights]] = {
+    executable: {(name := _NODES.get(executable, executable)): _with_rclpy(name, rights)}
+    for executable, rights in _OWN.items()
+}
+for _name, _topics in {
+    "recorder": tuple(GRAPH),
+    "dashboard": (STATE, LAW_STATE, CORRECTION),
+    "trainer": (CORRECTION,),
+    "evaluate": (CORRECTION,),
+}.items():
+    RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
+"""Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""

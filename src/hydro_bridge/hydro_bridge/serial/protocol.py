@@ -199,17 +199,14 @@ def _single(value: float) -> float:
 
 
 def _state(values: tuple[float, ...]) -> State:
-    return State(int(values[2]), int(values[3]), values[4:18], int(values[18]), int(values[19]))
-
-
-def _state_2(values: tuple[float, ...]) -> State:
-    return _state(values[:20])._replace(refused=int(values[20]), refused_references=int(values[21]))
-
-
-def _state_3(values: tuple[float, ...]) -> State:
-    law, value, rate, a_0, a_1, a_2, a_3, *scales = values[22:]
-    law_state = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), *scales)
-    return _state_2(values[:22])._replace(law_state=law_state)
+    state = State(int(values[2]), int(values[3]), values[4:18], int(values[18]), int(values[19]))
+    if len(values) > 20:
+        state = state._replace(refused=int(values[20]), refused_references=int(values[21]))
+    if len(values) > 22:
+        law, value, rate, a_0, a_1, a_2, a_3, *scales = values[22:]
+        law_state = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), *scales)
+        state = state._replace(law_state=law_state)
+    return state
 
 
 def _known_law(number: float) -> Law:
@@ -236,7 +233,7 @@ def _details(values: tuple[float, ...]) -> Details:
 
 
 def _command(values: tuple[float, ...]) -> CommandFrame:
-    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = values[4:14]
+    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase, *shaping) = values[4:]
     if waveform > Waveform.SMOOTH_STEP:
         raise MalformedError(f"waveform {waveform}")
     reference = ReferenceSignal(
@@ -251,20 +248,13 @@ def _command(values: tuple[float, ...]) -> CommandFrame:
         corrects=int(corrects),
         filter_fresh=bool(int(bits) & _FILTER_FRESH),
     )
+    if shaping:
+        law, a_0, a_1, a_2, a_3, c_1, c_2, _ = shaping
+        coefficients = (a_0, a_1, a_2, a_3)
+        command = replace(
+            command, law=_known_law(law), coefficients=coefficients, velocity_compensation=c_1, valve_gain_scale=c_2
+        )
     return CommandFrame(int(values[2]), int(values[3]), command)
-
-
-def _command_3(values: tuple[float, ...]) -> CommandFrame:
-    law, a_0, a_1, a_2, a_3, c_1, c_2, _ = values[14:]
-    frame = _command(values)
-    command = replace(
-        frame.command,
-        law=_known_law(law),
-        coefficients=(a_0, a_1, a_2, a_3),
-        velocity_compensation=c_1,
-        valve_gain_scale=c_2,
-    )
-    return frame._replace(command=command)
 
 
 def _hello(values: tuple[float, ...]) -> Hello:
@@ -280,11 +270,11 @@ _LAYOUTS: dict[tuple[int, int], tuple[Struct, Callable[[tuple[float, ...]], Fram
     (HANDSHAKE, FrameType.HELLO): (_HELLO, _hello),
     (1, FrameType.STATE): (_STATE, _state),
     (1, FrameType.COMMAND): (_COMMAND, _command),
-    (2, FrameType.STATE): (_STATE_2, _state_2),
+    (2, FrameType.STATE): (_STATE_2, _state),
     (2, FrameType.COMMAND): (_COMMAND, _command),
     (2, FrameType.DETAILS): (_DETAILS, _details),
-    (3, FrameType.STATE): (_STATE_3, _state_3),
-    (3, FrameType.COMMAND): (_COMMAND_3, _command_3),
+    (3, FrameType.STATE): (_STATE_3, _state),
+    (3, FrameType.COMMAND): (_COMMAND_3, _command),
     (3, FrameType.DETAILS): (_DETAILS, _details),
     (3, FrameType.LAW): (_LAW, _law),
 }

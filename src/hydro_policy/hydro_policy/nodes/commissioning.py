@@ -26,7 +26,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, TypeVar, cast
+from typing import IO, Any, TypeVar
 
 import numpy as np
 
@@ -83,8 +83,13 @@ class Site:
         Raises GateError: it did not end with status 0; the reason is its last line.
         """
         self.log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
-        output = cast("IO[str]", _Both(self.log, loud=loud))
-        running = Companion(package, executable, words, output=output, keys=True)
+
+        def take(line: str) -> None:
+            self._keep(line)
+            if loud:
+                print_above_progress(line.rstrip("\n"))
+
+        running = Companion(package, executable, words, output=take, keys=True)
         try:
             status = running.process.wait()
         except BaseException:
@@ -98,8 +103,12 @@ class Site:
 
     def start(self, stack: ExitStack, package: str, executable: str, *words: str) -> Companion:
         """Start an executable that `stack` ends."""
-        output = cast("IO[str]", _Both(self.log, loud=False))
-        return stack.enter_context(Companion(package, executable, words, output=output))
+        return stack.enter_context(Companion(package, executable, words, output=self._keep))
+
+    def _keep(self, line: str) -> None:
+        """Add to the log, which is read while it grows."""
+        self.log.write(line)
+        self.log.flush()
 
     def evaluate(self, name: str, *words: str, amplitude: float, parameters: Sequence[str] = ()) -> dict[str, Any]:
         """Run `evaluate` under the compensated law, recorded as recordings/NAME; returns its JSON.
@@ -155,24 +164,6 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise GateError(f"{path} cannot be read: {error}") from None
     return content
-
-
-class _Both:
-    """Output of an executable: the log, and the terminal if it is `loud`."""
-
-    def __init__(self, log: IO[str], *, loud: bool) -> None:
-        self._log, self._loud = log, loud
-
-    def write(self, text: str) -> int:
-        """Take a line."""
-        self._log.write(text)
-        if self._loud:
-            print_above_progress(text.rstrip("\n"))
-        return len(text)
-
-    def flush(self) -> None:
-        """The log is read while it grows."""
-        self._log.flush()
 
 
 AT_REST = "rest"

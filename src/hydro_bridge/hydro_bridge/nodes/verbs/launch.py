@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from pathlib import Path
 from types import ModuleType
@@ -292,7 +293,8 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
     started: list[tuple[Companion, ExecuteProcess, float]] = []
     try:
         for number, (process, seconds, (package, executable, words)) in enumerate(planned, 1):
-            companion = Companion(package, executable, words, name=f"{executable}-{number}", output=sys.stdout)
+            output = partial(print, end="", flush=True)
+            companion = Companion(package, executable, words, name=f"{executable}-{number}", output=output)
             started.append((companion, process, seconds))
             print(f"[INFO] [{companion.name}]: process started with pid [{companion.process.pid}]", flush=True)
         return _follow([(companion, process) for companion, process, _ in started])

@@ -71,23 +71,19 @@ class Announcer:
             print_above_progress(f"! the log ends here: {error.strerror}")
 
 
-class CompanionOutput:
-    """Receives a companion's output: every line goes to the log, warnings and errors also to the terminal."""
+_LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
-    LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
-    def __init__(self, keep: Callable[[str], None]) -> None:
-        self._keep, self._flood = keep, RepeatFilter(1)
+def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
+    """Return what takes a companion's output: every line goes to `keep`, warnings and errors also to the terminal."""
+    flood = RepeatFilter(1)
 
-    def write(self, text: str) -> int:
-        """Take a line."""
-        self._keep(text)
-        if any(word in text.lower() for word in self.LOUD) and (line := self._flood.passed(text.rstrip("\n"))):
+    def take(text: str) -> None:
+        keep(text)
+        if any(word in text.lower() for word in _LOUD) and (line := flood.passed(text.rstrip("\n"))):
             print_above_progress(line)
-        return len(text)
 
-    def flush(self) -> None:
-        """The log is written line by line."""
+    return take
 
 
 _REFUSED = 2  # exit status of all our commands for invalid input

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_policy.nodes.graph.announcements import CompanionOutput
+from hydro_policy.nodes.graph.announcements import companion_output
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.learned_bench import shipped
@@ -174,9 +174,9 @@ def start_companions(
 
     Raises CompanionError: a companion cannot be started: the packages are not built or sourced.
     """
-    output = CompanionOutput(keep)
+    output = companion_output(keep)
     return [
-        stack.enter_context(Companion(package, executable, arguments, output=output))  # type: ignore[arg-type]
+        stack.enter_context(Companion(package, executable, arguments, output=output))
         for package, executable, arguments in commands(options, gains, folder)
     ]
 
