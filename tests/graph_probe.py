@@ -23,6 +23,9 @@ from hydro_bridge.ros.topics import ARM_SERVICE, CLAIM_SERVICE, GAINS, GRAPH, ST
 from hydro_bridge.signals import Flag
 from hydro_msgs.srv import Claim
 
+SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
+"""Words of a trainer whose episodes are short."""
+
 
 class Probe:
     """Hears states, gains and training status; arms as a person does, and commands the plant when told to."""

@@ -30,7 +30,7 @@ from hydro_bridge.signals import Flag
 from hydro_policy.nodes.startup.companions import PlantOptions
 from tests.attacks import Defended
 from tests.graph_probe import own_domain
-from tests.soak.line import Wire, resident
+from tests.soak.wire import Wire, resident
 
 GROWTH = 8.0
 """MiB that a process may grow meanwhile."""

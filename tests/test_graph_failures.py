@@ -31,11 +31,9 @@ from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.nodes.training.start import check_run
 from hydro_policy.runs.run import Checkpoint, RunDirectory, load_checkpoint
-from tests.graph_probe import Probe, Trainer, own_domain, trainer
+from tests.graph_probe import SHORT, Probe, Trainer, own_domain, trainer
 
 pytestmark = pytest.mark.graph
-
-SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 
 
 class Training:

@@ -17,11 +17,10 @@ from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import GAINS, STATE
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.signals import Flag
-from tests.graph_probe import Probe, trainer
+from tests.graph_probe import SHORT, Probe, trainer
 
 pytestmark = pytest.mark.graph
 
-SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 AT_ONCE = 0.5
 """s from arming to the first gains: a tick and a policy step are 0.06 s, the rest is for a busy machine."""
 

@@ -19,11 +19,9 @@ from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import DIAGNOSTICS, STATE, create_subscription
 from hydro_bridge.signals import Flag
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
-from tests.graph_probe import Probe, trainer
+from tests.graph_probe import SHORT, Probe, trainer
 
 pytestmark = pytest.mark.graph
-
-SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 
 
 @pytest.fixture

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hydro_bridge.ros.companion import Companion
-from tests.graph_probe import _children, _command_line
-from tests.soak.line import resident
+from tests.graph_probe import SHORT, _children, _command_line
+from tests.soak.wire import resident
 
 _MARK = "HYDRO_SOAK"
-SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "exam.every:=0", "-p", "warmup_steps:=100")
 LEARNER = "learner"
 _SETTLED = 60.0  # s after a start from which memory counts: on a loaded machine a learner imports for half a minute
 

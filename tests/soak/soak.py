@@ -16,9 +16,8 @@ from hydro_bridge.process.endings import undisturbed
 from tests.graph_probe import own_domain
 from tests.soak.crew import Crew
 from tests.soak.faults import Fault, Scene, drawn
-from tests.soak.judge import Outcome, count_lost, growth, invariants
-from tests.soak.line import Wire
-from tests.soak.trace import acting, read
+from tests.soak.judge import Outcome, acting, count_lost, growth, invariants, read
+from tests.soak.wire import Wire
 
 _PATIENCE = 240.0  # s until a policy acts again: imports, a lease of 20 s of who was killed, a compiler
 _CALM = 0.5  # s of samples that must all be armed

@@ -15,21 +15,121 @@ Orders come on standard input, one a line::
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import select
+import subprocess
 import sys
 import time
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
 from random import Random
+from struct import Struct
+from typing import IO, Any
 
 from hydro_bridge.serial.protocol import CommandFrame, MalformedError, State, decode
 from hydro_bridge.signals import STATE_FIELDS, Flag
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.realtime import raise_priority
-from tests.soak.stranger import Direction
-from tests.soak.trace import RECORD
+from tests.fuzz_link import DAMAGES
+
+RECORD = Struct("<dIIIfff")
+"""Monotonic time [s], sequence, flags, last command taken, load force [N], valve current [A], K_p [1/s]."""
+_DAMAGES = tuple(damage for damage, whole in DAMAGES.values() if not whole)
+_KEPT = 500  # frames that may be sent again: fewer than the host remembers as seen
+
+
+class Direction:
+    """One way of the line: frames that passed, and what a stranger makes of them.
+
+    What is hostile is noise, damaged frames, frames of another version, and frames that have passed already. A HELLO is
+    never sent again: that opens a conversation again, and the wire has no key (network.md).
+    """
+
+    def __init__(self, random: Random) -> None:
+        self.frames = self.hostile = 0
+        self.unwritten = b""
+        self._random, self._rest = random, b""
+        self._passed: deque[bytes] = deque(maxlen=_KEPT)
+        self._owed = 0.0
+
+    def whole(self, data: bytes) -> list[bytes]:
+        """Frames that end within `data`, without delimiters."""
+        *pieces, self._rest = (self._rest + data).split(b"\0")
+        return [piece for piece in pieces if piece]
+
+    def let_pass(self, piece: bytes, frame: object) -> None:
+        """Send it on; what is no greeting may be sent again later."""
+        wire = b"\0" + piece + b"\0"
+        self.frames += 1
+        self.unwritten += wire
+        if isinstance(frame, State | CommandFrame):
+            self._passed.append(wire)
+
+    def disturb(self, size: float) -> None:
+        """Send `size` hostile bytes, on average."""
+        self._owed += size
+        while self._owed > 0.0:
+            chunk = self._chunk()
+            self._owed -= max(len(chunk), 1)
+            self.hostile += len(chunk)
+            self.unwritten += chunk
+
+    def replay(self, count: int) -> None:
+        """Send frames again that have passed, in their order."""
+        self.unwritten += b"".join(list(self._passed)[-count:])
+
+    def write(self, descriptor: int) -> None:
+        """Write what fits; a line that nobody reads loses what does not."""
+        with contextlib.suppress(BlockingIOError):
+            self.unwritten = self.unwritten[os.write(descriptor, self.unwritten) :]
+        self.unwritten = self.unwritten[-65536:]
+
+    def _chunk(self) -> bytes:
+        chance = self._random.random()
+        if chance < 0.3 or not self._passed:
+            return self._random.randbytes(self._random.randint(1, 64))
+        wire = self._random.choice(self._passed)
+        return wire if chance < 0.5 else self._random.choice(_DAMAGES)(wire, self._random)
+
+
+class Wire:
+    """The process that this module is, from the side of whoever gives it orders."""
+
+    def __init__(self, stack: ExitStack, box: Path, bridge: Path, seed: int, *more: str) -> None:
+        words = ["--box", str(box), "--bridge", str(bridge), "--seed", str(seed), *more]
+        self.process = stack.enter_context(
+            subprocess.Popen(
+                [sys.executable, "-m", "tests.soak.wire", *words],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                bufsize=1,
+                start_new_session=True,
+            )
+        )
+        stack.callback(self.process.kill)
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self._orders: IO[str] = self.process.stdin
+        self._answers: IO[str] = self.process.stdout
+
+    def order(self, order: str) -> None:
+        """Tell it what to do."""
+        self._orders.write(f"{order}\n")
+
+    def report(self) -> dict[str, Any]:
+        """What has passed."""
+        self.order("report")
+        return dict(json.loads(self._answers.readline()))
+
+
+def resident(pid: int) -> float:
+    """Memory of a process [MiB]."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024.0
+
 
 _FORCE, _CURRENT, _KP = map(STATE_FIELDS.index, ("load_force", "valve_current", "proportional_gain"))
 _TICK = 5e-4  # s
