@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Any
 
 import pytest
 
@@ -61,20 +59,3 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if WORKER not in os.environ and cache is not None:
         failed = cache.get("cache/lastfailed", {})
         cache.set("cache/lastfailed", {name.rpartition("@")[0] or name: True for name in failed})
-
-
-@pytest.fixture
-def each() -> Callable[..., None]:
-    """Check all cases in one test: what fails is named together in the end."""
-
-    def check_each(cases: Iterable[Any], check: Callable[..., None], name: Callable[[Any], object] = str) -> None:
-        listed, wrong = list(cases), []
-        for case in listed:
-            try:
-                check(case)
-            except (Exception, pytest.fail.Exception) as error:
-                wrong.append(f"{name(case)}: {error!r}")
-        assert listed, "no case"
-        assert not wrong, f"{len(wrong)} of {len(listed)} fail\n" + "\n".join(wrong)
-
-    return check_each

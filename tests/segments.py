@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated run as the diagnosis reads it, and how far its own simulation is from that."""
+"""Simulated runs as the diagnosis reads them, and how far its own simulation is from one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.effects import Claim
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
@@ -21,6 +25,39 @@ from hydro_sim.simulation.offline import Schedule, simulate
 
 BEGINS, LENGTH = np.arange(300, 1100, 100), 40
 """Samples from which a run is simulated again, and for how many."""
+
+
+def record(
+    truth: Bench,
+    seed: int = 1,
+    seconds: float = 10.0,
+    waveform: Waveform = Waveform.MULTISINE,
+    amplitude: float = 260.0,
+    *,
+    noise: float = 1.0,
+    believed: Bench | None = None,
+    **more: float,
+) -> StateArray:
+    """A run of the analytic plant, which shares no code with the diagnosis; the box believes the nominal bench."""
+    reference = ReferenceSignal(waveform=waveform, amplitude=amplitude, **{"frequency": 0.7, **more})
+    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=seconds)
+    return simulate(AnalyticPlant(truth, noise=noise), believed or Bench.nominal(), schedule, seed=seed)
+
+
+def frame(states: StateArray) -> pd.DataFrame:
+    """A run as a table: the time and all fields."""
+    return pd.DataFrame({"time": states["time"], **{field: states[field] for field in STATE_FIELDS}})
+
+
+def problem_in(*runs: StateArray, **options: Any) -> Problem:
+    """What recordings of a bench that is believed to be the nominal one ask."""
+    return Problem([segment(run) for run in runs], Bench.nominal(), **options)
+
+
+def problem_of(**values: Any) -> Problem:
+    """The same of two recordings of the nominal bench with other values."""
+    truth = replace(Bench.nominal(), **values)
+    return problem_in(record(truth, 3), record(truth, 4, waveform=Waveform.SINE))
 
 
 def segment(states: StateArray, name: str = "run") -> Segment:

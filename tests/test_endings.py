@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import time
+from itertools import cycle
 from pathlib import Path
 
 import pytest
@@ -48,17 +49,14 @@ def answers(process: subprocess.Popen[str], number: int) -> bool:
     return bool(int(caught.split()[1], 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize(("package", "executable"), EXECUTABLES, ids=[name for _, name in EXECUTABLES])
-def test_ended_while_it_imports_an_executable_says_so_in_a_sentence_and_leaves_nothing(
-    package: str, executable: str, tmp_path: Path
-) -> None:
-    for number in SIGNALS:
-        process = started(package, executable, tmp_path, *EXECUTABLES[package, executable])
+def test_ended_while_it_imports_an_executable_says_so_in_a_sentence_and_leaves_nothing(tmp_path: Path) -> None:
+    for number, ((package, executable), words) in zip(cycle(SIGNALS), EXECUTABLES.items(), strict=False):
+        process = started(package, executable, tmp_path, *words)
         while not answers(process, signal.SIGHUP):  # from then on it imports; before, it was Python that started
             assert process.poll() is None
             time.sleep(1e-3)
         process.send_signal(number)
         _, said = process.communicate(timeout=10.0)
-        assert process.returncode == 128 + number
+        assert process.returncode == 128 + number, executable
         assert said == f"ended by {signal.Signals(number).name} while starting: nothing had begun\n"
     assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_filter.metric.design import MetricDesign, rest_loop
 from hydro_filter.model.loop import SUBSTEPS, loop_of, memories
 from hydro_filter.model.observer import follow, settle
@@ -24,6 +24,7 @@ from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensitivities import Sensitivities
 from hydro_sim.simulation.offline import Schedule, simulate
+from tests.segments import record
 
 BENCH = Bench.nominal()
 NOISE: FloatArray = np.array([0.6, 0.6, 6e3, 6e3, 3e-7])
@@ -69,21 +70,12 @@ def moved(bench: Bench, factor: float) -> Bench:
     return replace(bench, effects=tuple(effects))
 
 
-def driven(bench: Bench, seconds: float, *, noise: float, seed: int = 0) -> StateArray:
-    """A closed-loop run."""
-    reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
-    return simulate(
-        AnalyticPlant(bench, noise=noise), BENCH, Schedule(reference=reference, gains=(60.0, 10.0), seconds=seconds),
-        seed=seed,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("label", CATALOGUE)
 def test_predictions_have_the_slopes_by_its_parameters_that_differences_have(label: str) -> None:
     model = BenchModel(having(label), substeps=10)
     exact = Sensitivities(model)
     k, dk = exact.coefficients(model.values)
-    current = driven(having(label), 0.5, noise=0.0)["valve_current"].copy()
+    current = record(having(label), 0, 0.5, noise=0.0)["valve_current"].copy()
     _, start, _ = model.begin(model.values)
     model.rollout(k, start, current[:137])
     count = sum(len(kind_of(effect)[0].parameters) for effect in model.bench.effects)
@@ -105,7 +97,7 @@ def test_predictions_have_the_slopes_by_its_parameters_that_differences_have(lab
 def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
     """On the bench file's own simulation, with sensors' noise: within 5 % or the interval, which must be narrow."""
     truth = having(label)
-    data = recordings.split({"run": driven(truth, 10.0, noise=1.0, seed=1)})
+    data = recordings.split({"run": record(truth)})
     result = learn(moved(truth, 1.2), data)
     values = [value for effect in truth.effects for value in kind_of(effect)[1]]
     for found, value in zip(result.parameters, values, strict=True):

@@ -21,7 +21,8 @@ from hydro_policy.sac import header as policy_header
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, observe
 from hydro_sim.model.bench import Bench
-from tests.firmware_filter import hostile
+from tests.checks import status_of
+from tests.test_firmware_loop_filter import hostile
 
 ROOT = Path(__file__).resolve().parent.parent
 POLICIES = ROOT / "src" / "hydro_policy" / "hydro_policy" / "data"
@@ -101,27 +102,17 @@ def test_hostile_samples_raise_no_exception_in_the_policy(
     assert np.ptp(found[-1000:, :2], axis=0).min() > 0.1, "it goes on"
 
 
-def test_the_command_writes_what_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shipped = str(POLICIES / "pretrained_paper" / "policy.safetensors")
-    monkeypatch.setattr("sys.argv", ["header", "--policy", shipped, "--out", str(tmp_path / "policy_weights.h")])
-    with pytest.raises(SystemExit) as ended:
-        policy_header.main()
-    assert ended.value.code == 0
+def test_the_command_writes_what_compiles(tmp_path: Path) -> None:
+    shipped = POLICIES / "pretrained_paper" / "policy.safetensors"
+    assert status_of(policy_header.main, "--policy", shipped, "--out", tmp_path / "policy_weights.h") == 0
     assert np.isfinite(many(tmp_path, "single", POLICY, np.ones((1, 14)), 4)).all()
 
 
 @pytest.mark.parametrize("change", [{"stroke": 2.0}, {"piston_area": 0.02}])
 def test_a_bench_beyond_what_the_filter_in_c_takes_is_refused(
-    change: dict[str, float],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    change: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "bench.yaml").write_text(yaml.safe_dump(replace(Bench.nominal(), **change).to_mapping()))
-    words = ["--bench", str(tmp_path / "bench.yaml"), "--out", str(tmp_path / "filter_config.h")]
-    monkeypatch.setattr("sys.argv", ["header", *words])
-    with pytest.raises(SystemExit) as ended:
-        filter_header.main()
-    assert ended.value.code not in (0, None)
+    assert status_of(filter_header.main, "--bench", tmp_path / "bench.yaml", "--out", tmp_path / "filter_config.h")
     assert "it would correct nothing" in capsys.readouterr().err
     assert not (tmp_path / "filter_config.h").exists()

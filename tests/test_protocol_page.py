@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worked byte examples of protocol.md are what the codec makes and reads."""
+"""The worked byte examples of protocol.md are what the codec makes and reads; hostile frames are refused."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ from hydro_bridge.signals import Command, Flag, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY
 from hydro_sim.model.bench import Bench
+from tests.fuzz_link import DAMAGES, fuzz
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "manual" / "reference" / "protocol.md"
@@ -148,8 +149,24 @@ def test_the_ranges_of_the_page_are_those_of_the_box() -> None:
     assert record["high"] == pytest.approx(wanted)
     assert record["low"] == pytest.approx([-force, -rate, -force, -rate, low * 1e6, low * 1e6, near * 1e-3, -velocity])
 
+    record = BoxConfig().constants(Bench.nominal())[0]
+    force, low, high, near, far, rate, velocity = stated(
+        r"force_range \((\d+) N\). Pressures: (\S+) to (\S+) MPa. Position: .*?, (\S+) to (\S+) mm. "
+        r"Rates of the forces: \+- (\S+) N/s; rate of the position: \+- (\S+) m/s"
+    )
+    wanted = [force, rate, force, rate, high * 1e6, high * 1e6, far * 1e-3, velocity]
+    assert record["high"] == pytest.approx(wanted)
+    assert record["low"] == pytest.approx([-force, -rate, -force, -rate, low * 1e6, low * 1e6, near * 1e-3, -velocity])
+
 
 def test_the_digest_is_that_of_the_line_that_the_page_describes() -> None:
+    numbers = {key: value for key, value in Bench.nominal().to_mapping().items() if isinstance(value, float)}
+    line = "{" + ", ".join(f'"{key}": {numbers[key]!r}' for key in sorted(numbers)) + "}"
+    said = r"`(\{[^`]*), \.\.\., ([^`]*\})`.* nominal bench has (\w{12})\."
+    ((begin, end, digest),) = re.findall(said, PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert line.startswith(begin) and line.endswith(end)
+    assert sha256(line.encode()).hexdigest()[:12] == digest == Bench.nominal().digest
+
     numbers = {key: value for key, value in Bench.nominal().to_mapping().items() if isinstance(value, float)}
     line = "{" + ", ".join(f'"{key}": {numbers[key]!r}' for key in sorted(numbers)) + "}"
     said = r"`(\{[^`]*), \.\.\., ([^`]*\})`.* nominal bench has (\w{12})\."
@@ -180,3 +197,10 @@ def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
     assert stated(r"by default 0 to (\S+) 1/s, 0 to (\S+) 1/s\^2, (\S+) A") == [
         narrow.delta_kp_max, narrow.delta_ki_max, narrow.delta_u_max,
     ]  # fmt: skip
+
+
+def test_hostile_frames_break_no_rule():
+    table, violations = fuzz(20_000, seed=1)
+    assert violations == 0
+    assert {row["damage"] for row in table.rows} == set(DAMAGES)
+    assert all(row["frames"] > 1000 for row in table.rows)

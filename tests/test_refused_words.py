@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_sim.model.bench import Bench
+from tests.checks import each
 
 SINE = "{seconds: 1.0, amplitude: 200}"
 SCHEDULES = {
@@ -118,7 +119,5 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("command", REFUSED)
-def test_it_is_refused_in_one_sentence(
-    command: str, files: Path, refused: Callable[..., None], each: Callable[..., None]
-) -> None:
+def test_it_is_refused_in_one_sentence(command: str, files: Path, refused: Callable[..., None]) -> None:
     each(REFUSED[command], lambda row: refused(command, *row, files))

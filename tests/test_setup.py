@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parts of the set-up; nothing here installs anything."""
+"""The parts of the set-up, its stand-in for `ros2` among them; nothing here installs anything."""
 
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -42,57 +43,30 @@ def test_stand_in_is_not_taken_for_a_sourced_ros(tmp_path: Path) -> None:
     assert host.sourced_ros({"PATH": "/usr/bin"}, tmp_path / ".venv") is None
 
 
-def make_package(source: Path) -> Path:
-    package = source / "rig"
-    (package / "msg").mkdir(parents=True)
-    (package / "launch").mkdir()
-    (package / "rig").mkdir()
-    for name in ("package.xml", "setup.py", "msg/State.msg", "launch/rig.launch.py", "rig/core.py"):
-        (package / name).write_text("one")
-    return package
-
-
-@pytest.mark.parametrize(
-    ("file", "rebuilds"),
-    [
-        ("package.xml", True),
-        ("msg/State.msg", True),
-        ("launch/rig.launch.py", False),
-        ("rig/core.py", False),
-    ],
-)
-def test_only_what_a_build_reads_calls_for_one(tmp_path: Path, file: str, rebuilds: bool) -> None:
-    package = make_package(tmp_path)
-    contents, names = stamp.package_inputs(tmp_path)
-    before = stamp.digest(["same"], contents, names)
-    (package / file).write_text("two")
-    contents, names = stamp.package_inputs(tmp_path)
-    assert (stamp.digest(["same"], contents, names) != before) is rebuilds
-
-
-def compiled_checkout(root: Path) -> tuple[Layout, Path, Path]:
-    """A layout whose one kernel was compiled: source and cache."""
-    layout, source, cache = Layout(root=root), root / "kernel.py", root / "kernel.nbi"
-    source.write_text("one")
-    cache.touch()
-    stat = source.stat()
-    layout.kernels_stamp.parent.mkdir(parents=True)
-    content = {"machine": "this", "sources": {str(source): [stat.st_mtime_ns, stat.st_size]}, "caches": [str(cache)]}
-    layout.kernels_stamp.write_text(json.dumps(content))
-    return layout, source, cache
+def test_only_what_a_build_reads_calls_for_one(tmp_path: Path) -> None:
+    files = {"package.xml": True, "msg/State.msg": True, "launch/rig.launch.py": False, "rig/core.py": False}
+    for name in files:
+        (tmp_path / "rig" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "rig" / name).write_text("one")
+    for name, rebuilds in files.items():
+        before = stamp.digest(["same"], *stamp.package_inputs(tmp_path))
+        (tmp_path / "rig" / name).write_text("two")
+        assert (stamp.digest(["same"], *stamp.package_inputs(tmp_path)) != before) is rebuilds, name
 
 
 def test_kernels_are_compiled_anew_where_a_source_a_cache_or_the_machine_changed(tmp_path: Path) -> None:
-    layout, source, cache = compiled_checkout(tmp_path)
+    layout, source, cache = Layout(root=tmp_path), tmp_path / "kernel.py", tmp_path / "kernel.nbi"
+    source.write_text("one")
+    cache.touch()
+    stat = source.stat()
+    content = {"machine": "this", "sources": {str(source): [stat.st_mtime_ns, stat.st_size]}, "caches": [str(cache)]}
+    layout.kernels_stamp.parent.mkdir(parents=True)
+    layout.kernels_stamp.write_text(json.dumps(content))
     assert kernels.are_current(layout, "this") and not kernels.are_current(layout, "that")
     cache.unlink()
     assert not kernels.are_current(layout, "this")
     cache.touch()
     source.write_text("another")
-    assert not kernels.are_current(layout, "this")
-    source.unlink()
-    assert not kernels.are_current(layout, "this")
-    layout.kernels_stamp.write_text("{")
     assert not kernels.are_current(layout, "this")
 
 
@@ -113,3 +87,42 @@ def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture
     )
     assert (answer.returncode, answer.stdout, answer.stderr) == (0, "", "")
     assert plan.HERE.root == ROOT
+
+
+ROS2 = Path(__file__).resolve().parent.parent / "setup" / "ros2.py"
+ARM = ("service", "call", "/hydro/arm", "std_srvs/srv/SetBool")
+REFUSED = (
+    (("run", "nothing", "echo"), "package 'nothing' not found"),
+    (("run", "hydro_sim", "si"), "no executable 'si'; it has: collect, "),
+    (("doctor",), "`ros2 doctor` needs a full ROS 2 Jazzy"),
+    ((*ARM, "{dat: 1}"), "has no field dat; it has: data"),
+    ((*ARM, "{data: 1}"), "data: 1 is no boolean"),
+    (("bag", "info", "/nothing"), "/nothing does not exist"),
+    (("launch", "hydro_bridge", "bridge.launch.py"), "port:= is needed: serial device of the box"),
+    (("launch", "hydro_policy", "train.launch.py", "plant:=moon"), "sim, emulator, bench can be chosen"),
+)
+
+
+def test_run_hands_over_arguments_process_and_exit_status(tmp_path: Path) -> None:
+    """On an ament prefix with one package, `rig`."""
+    for folder in ("share/ament_index/resource_index/packages", "lib/rig"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "share/ament_index/resource_index/packages/rig").touch()
+    (tmp_path / "lib/rig/echo").write_text('#!/bin/sh\necho "$$: $@"; exit 7\n')
+    (tmp_path / "lib/rig/echo").chmod(0o755)
+    command = [sys.executable, str(ROS2), "run", "rig", "echo", "--ros-args", "-p", "speed:=0", "two words"]
+    environment = {**os.environ, "AMENT_PREFIX_PATH": str(tmp_path)}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        out, _ = process.communicate(timeout=60)
+    assert out == f"{process.pid}: --ros-args -p speed:=0 two words\n"
+    assert process.returncode == 7
+    listed = [sys.executable, str(ROS2), "pkg", "executables", "rig"]
+    assert subprocess.run(listed, env=environment, capture_output=True, text=True, check=True).stdout == "rig echo\n"
+
+
+def test_what_it_cannot_do_it_says_in_a_sentence() -> None:
+    for words, sentence in REFUSED:
+        command = [sys.executable, str(ROS2), *words]
+        answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        assert (answer.returncode, answer.stdout) == (2, ""), words
+        assert sentence in answer.stderr and answer.stderr.count("\n") == 1, answer.stderr

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,13 @@ from benchmarks.beyond_the_table.cases import Case, drawn, simulated
 from benchmarks.beyond_the_table.form import right_form
 from benchmarks.beyond_the_table.kinds import KINDS, Kind
 from benchmarks.beyond_the_table.score import scored, summary
+from tests.checks import each
 
 pytestmark = pytest.mark.study
 KIND = {kind.name: kind for kind in KINDS}
 
 
-def test_each_kind_shows(each: Callable[..., None]) -> None:
+def test_each_kind_shows() -> None:
     each(KINDS, shows, lambda kind: kind.name)
 
 

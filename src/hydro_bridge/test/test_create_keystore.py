@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
@@ -43,6 +42,7 @@ from hydro_bridge.ros.topics import (
     STATE,
 )
 from hydro_bridge.settings import SettingsError
+from tests.checks import status_of
 
 ENCLAVES = [enclave_of(executable) for executable in RIGHTS]
 SERVICES = (ARM_SERVICE, CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE)
@@ -82,13 +82,9 @@ def test_a_person_who_watches_reads_all_of_the_graph_and_commands_nothing() -> N
 
 @pytest.mark.skipif(find_spec("sros2") is not None, reason="sros2 is here")
 def test_without_sros2_one_sentence_says_the_way_on_and_the_policy_is_written_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["create_keystore", str(tmp_path / "keys"), "--policy", str(tmp_path / "policy.xml")]
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit) as ended:
-        create_keystore.main()
-    assert ended.value.code == 2
+    assert status_of(create_keystore.main, tmp_path / "keys", "--policy", tmp_path / "policy.xml") == 2
     assert "apt install ros-jazzy-sros2" in capsys.readouterr().err
     assert (tmp_path / "policy.xml").read_bytes() == policy_xml()
     assert not (tmp_path / "keys").exists()

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rosbags.typesys import get_types_from_msg
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
-from hydro_bridge.bags.types import definition
 from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, Thinner
+from hydro_bridge.ros.topics import GRAPH
 from hydro_bridge.signals import STATE_DTYPE, Flag
 from hydro_bridge.viewer.runs import ORDERS, list_runs, refresh_index, write_index
 from hydro_bridge.viewer.view import main, read_recorded, rendered
 from tests import browser
+from tests.checks import status_of
 
 ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
 
@@ -77,13 +77,11 @@ def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:
     return folder / "report.json"
 
 
-def test_windows_of_a_diagnosis_are_marked_where_its_report_lies_beside(
-    bag: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_windows_of_a_diagnosis_are_marked_where_its_report_lies_beside(bag: Path) -> None:
     found = report(bag.parent, {"run": [[2.5, 3.0]], "another": [[1.0, 2.0]]})
     marks = [mark for mark in read_recorded(bag, report=found).marks if mark.kind == "window"]
     assert [(mark.time, mark.text) for mark in marks] == [(pytest.approx(2.5), "motion, for 0.50 s: friction")]
-    assert run(monkeypatch, str(bag)) == 0
+    assert status_of(main, bag, "--no-open") == 0
     assert "motion, for 0.50 s: friction" in (bag.parent / "run.html").read_text()
 
 
@@ -103,14 +101,6 @@ def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_pat
     cut.write_bytes(next((tmp_path / "run").glob("*.mcap")).read_bytes()[:40])
     with pytest.raises(RecordingError, match="it was cut off before the end of its first block"):
         read_recorded(cut)
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    """Exit status of the command."""
-    monkeypatch.setattr("sys.argv", ["view", *words, "--no-open"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    return int(ended.value.code or 0)
 
 
 START = 1_000_000 * SLOT
@@ -201,21 +191,11 @@ def test_a_page_of_somebody_else_is_left_alone(runs: Path) -> None:
 
 
 LAYOUTS = Path(__file__).parents[1] / "layouts"
-TYPES = {
-    "/hydro/state": "hydro_msgs/msg/BenchState",
-    "/hydro/correction": "hydro_msgs/msg/Correction",
-    "/hydro/training": "hydro_msgs/msg/TrainingStatus",
-    "/hydro/authority": "hydro_msgs/msg/Authority",
-    "/hydro/box": "hydro_msgs/msg/BoxInfo",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-}
 
 
 def fields(topic: str) -> set[str]:
     """Of the topic's message."""
-    name = TYPES[topic]
-    _, members = get_types_from_msg(definition(name).text, name)[name]
-    return {member for member, _ in members}
+    return set(GRAPH[topic][0].get_fields_and_field_types())
 
 
 def placed(layout: str | dict[str, Any]) -> list[str]:
@@ -232,7 +212,7 @@ def test_what_foxglove_plots_is_in_the_messages_and_each_panel_has_one_place() -
         topic, field = path.rsplit(".", 1)
         assert field in fields(topic), path
     whole = [panel.get("topicPath") or panel.get("topicToRender") for panel in content["configById"].values()]
-    assert all(topic in TYPES for topic in whole if topic)
+    assert all(topic in GRAPH for topic in whole if topic)
 
 
 def test_what_plotjuggler_plots_is_in_the_messages() -> None:

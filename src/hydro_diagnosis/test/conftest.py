@@ -1,38 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import pandas as pd
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import StateArray, Waveform
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.offline import Schedule, simulate
-from tests.segments import segment
-
-
-def record(
-    truth: Bench,
-    seed: int = 1,
-    seconds: float = 10.0,
-    waveform: Waveform = Waveform.MULTISINE,
-    amplitude: float = 260.0,
-) -> StateArray:
-    """A run of the analytic plant, which shares no code with the diagnosis; the box believes the nominal bench."""
-    reference = ReferenceSignal(waveform=waveform, amplitude=amplitude, frequency=0.7)
-    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=seconds)
-    return simulate(AnalyticPlant(truth), Bench.nominal(), schedule, seed=seed)
-
-
-def frame(states: StateArray) -> pd.DataFrame:
-    return pd.DataFrame({"time": states["time"], **{field: states[field] for field in STATE_FIELDS}})
+from tests.segments import frame, problem_in, record
 
 
 @pytest.fixture(scope="session")
@@ -42,17 +20,7 @@ def nominal() -> StateArray:
 
 @pytest.fixture(scope="session")
 def problem(nominal: StateArray) -> Problem:
-    return Problem([segment(nominal)], Bench.nominal())
-
-
-@pytest.fixture(scope="session")
-def problem_of() -> Callable[..., Problem]:
-    def build(**values: Any) -> Problem:
-        truth = replace(Bench.nominal(), **values)
-        runs = [record(truth, 3), record(truth, 4, waveform=Waveform.SINE)]
-        return Problem([segment(run) for run in runs], Bench.nominal())
-
-    return build
+    return problem_in(nominal)
 
 
 @pytest.fixture(scope="session")
@@ -80,13 +48,3 @@ def written(worn: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("written")
     assert run([str(worn[0]), str(worn[1]), "--holdout", str(worn[2]), "--out", str(folder), "--quiet"]) == 0
     return folder
-
-
-@pytest.fixture(scope="session", name="record")
-def record_fixture() -> Callable[..., StateArray]:
-    return record
-
-
-@pytest.fixture(scope="session", name="frame")
-def frame_fixture() -> Callable[[StateArray], pd.DataFrame]:
-    return frame

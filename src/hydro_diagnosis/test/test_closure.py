@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure import admission
@@ -31,7 +29,7 @@ from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.grammar.composition import divided
-from tests.segments import segment
+from tests.segments import frame, problem_in, problem_of, record
 
 BENCH = Bench.nominal()
 
@@ -42,6 +40,8 @@ def test_a_clean_recording_has_no_closure(problem: Problem) -> None:
 
 
 def held(**errors: float) -> dict[str, object]:
+    return {"holdout": {name: {"rmse_after": one, "noise_floor": 1.0} for name, one in errors.items()}}
+
     return {"holdout": {name: {"rmse_after": one, "noise_floor": 1.0} for name, one in errors.items()}}
 
 
@@ -68,9 +68,7 @@ def test_the_threshold_pays_for_the_number_of_columns_and_a_coefficient_has_the_
     assert divided("m3/s", "m3/s", "-") == "-" and divided("-", "A2", "-") == "1/A2"
 
 
-def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_bench(
-    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path
-) -> None:
+def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_bench(tmp_path: Path) -> None:
     truth = replace(BENCH, closures=(entry("motion", "quadratic drag", coefficient=400.0),))
     files = [tmp_path / f"{seed}.csv" for seed in (1, 2, 3)]
     for seed, file in enumerate(files, 1):
@@ -130,7 +128,7 @@ def values_of(found: Fit) -> dict[str, Mapping[str, float]]:
     return {claim.effect.label: claim.values for claim in found.claims}
 
 
-def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers(problem_of: Callable[..., Problem]) -> None:
+def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers() -> None:
     """A motor that saturates behind a weaker valve: an overlap that opens softly beside the same law fits as well."""
     rounded = entry("actuation", "rounded gain", coefficient=-1.0, level=0.015)
     problem = problem_of(effects=(WEAKER,), closures=(rounded,))
@@ -144,7 +142,7 @@ def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers(proble
     assert values_of(better)["valve_gain"]["ratio"] == pytest.approx(0.94, abs=2e-3)
 
 
-def test_edges_that_pass_less_are_a_weaker_valve(problem_of: Callable[..., Problem]) -> None:
+def test_edges_that_pass_less_are_a_weaker_valve() -> None:
     """A law that does what a cause of the table does gives way to it where several laws stand."""
     problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC,))
     closed = closed_by(problem, {}, ("motion", "quadratic drag"), ("actuation", "narrowed flow"))
@@ -154,7 +152,7 @@ def test_edges_that_pass_less_are_a_weaker_valve(problem_of: Callable[..., Probl
     assert renamed(closed, [name for name in NAMES.values() if name.id != "valve_gain"]) is closed
 
 
-def test_friction_and_a_stiffness_that_creeps_are_drag_that_fades(problem_of: Callable[..., Problem]) -> None:
+def test_friction_and_a_stiffness_that_creeps_are_drag_that_fades() -> None:
     """c (v - w), w' = (v - w) / T is c v - c / T (x - w), w' = (x - w) / T; another cause stays."""
     problem = problem_of(effects=(HARDER,), closures=(entry("motion", "fading drag", coefficient=300.0, time=0.03),))
     names: dict[str, Mapping[str, float]] = {"friction_viscous": {}, "spring_hardening": {}}
@@ -167,7 +165,7 @@ def test_friction_and_a_stiffness_that_creeps_are_drag_that_fades(problem_of: Ca
     assert found["closure:motion:fading drag"]["coefficient"] == pytest.approx(300.0, rel=0.03)
 
 
-def test_a_cause_and_a_law_that_are_both_there_stay(problem_of: Callable[..., Problem]) -> None:
+def test_a_cause_and_a_law_that_are_both_there_stay() -> None:
     problem = problem_of(effects=(DRY,), closures=(QUADRATIC,))
     closed = closed_by(problem, {"friction_coulomb": {}}, ("motion", "quadratic drag"), screened=True)
     assert merged(closed) is closed
@@ -177,7 +175,7 @@ LIKELY = [NAMES[label] for label in ("valve_offset", "valve_gain", "leakage_inte
                                      "bulk_modulus")]  # fmt: skip
 
 
-def test_the_name_beside_which_a_law_leaves_nothing_opens(problem_of: Callable[..., Problem]) -> None:
+def test_the_name_beside_which_a_law_leaves_nothing_opens() -> None:
     problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
     nothing = fit(problem, ())
     screen = Screen(problem, nothing, laws(problem))
@@ -189,7 +187,7 @@ def test_the_name_beside_which_a_law_leaves_nothing_opens(problem_of: Callable[.
 
 
 @pytest.mark.study
-def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(problem_of: Callable[..., Problem]) -> None:
+def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name() -> None:
     problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
     nothing = fit(problem, ())
     found = next(closures(problem, assess(problem, nothing, nothing), LIKELY))
@@ -201,14 +199,14 @@ def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(proble
     assert not noticeable(found.problem, found.fit.residual)
 
 
-def test_a_law_that_leaves_nothing_alone_gets_no_name(problem_of: Callable[..., Problem]) -> None:
+def test_a_law_that_leaves_nothing_alone_gets_no_name() -> None:
     problem = problem_of(closures=(RELIEF,))
     nothing = fit(problem, ())
     found = next(closures(problem, assess(problem, nothing, nothing), LIKELY))
     assert set(values_of(found.fit)) == {"closure:pressure_a:relief"}
 
 
-def test_a_name_that_the_held_out_recordings_do_not_have_goes(problem_of: Callable[..., Problem]) -> None:
+def test_a_name_that_the_held_out_recordings_do_not_have_goes() -> None:
     problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC, RING))
     closed = closed_by(problem, {"valve_gain": {"ratio": 0.95}}, ("motion", "quadratic drag"))
     assert noticeable(closed.problem, closed.fit.residual)
@@ -216,7 +214,7 @@ def test_a_name_that_the_held_out_recordings_do_not_have_goes(problem_of: Callab
     assert set(values_of(without_harmful_names(closed, problem_of(closures=(QUADRATIC, RING))).fit)) == {FORM}
 
 
-def test_where_nothing_remains_all_names_stay(problem_of: Callable[..., Problem]) -> None:
+def test_where_nothing_remains_all_names_stay() -> None:
     problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC,))
     closed = closed_by(problem, {"valve_gain": {"ratio": 0.95}}, ("motion", "quadratic drag"))
     assert not noticeable(closed.problem, closed.fit.residual)
@@ -227,19 +225,19 @@ LEAK = "closure:pressure:leak along the stroke"
 
 
 @pytest.fixture(scope="module")
-def rubbed(record: Callable[..., StateArray]) -> Problem:
+def rubbed() -> Problem:
     """A bench with 600 N s2/m2 of quadratic drag and 8 N of dry friction."""
     drag = entry("motion", "quadratic drag", coefficient=600.0)
-    return Problem([segment(record(replace(BENCH, closures=(drag,), effects=(DRY,)), 3))], BENCH)
+    return problem_in(record(replace(BENCH, closures=(drag,), effects=(DRY,)), 3))
 
 
-def test_a_large_law_of_the_forces_hides_none_of_the_flows(record: Callable[..., StateArray]) -> None:
+def test_a_large_law_of_the_forces_hides_none_of_the_flows() -> None:
     """The leak gains less than the drag's form may be off by, and the cell's gain remains once both are found."""
     drag = entry("motion", "quadratic drag", coefficient=5000.0)
     leak = entry("pressure", "leak along the stroke", coefficient=1.5e-14)
     gain = {"id": "load_cell_gain", "cell": "load_force", "parameters": {"ratio": 1.003}}
     states = record(replace(BENCH, closures=(drag, leak), effects=(gain,)), 3)
-    problem = Problem([segment(states)], BENCH)
+    problem = problem_in(states)
     names = [NAMES[label] for label in ("friction_viscous", "load_cell_gain:load_force")]
     _, found = together(problem, names, [closure(law, BENCH) for law in grammar.LAWS])
     values = {claim.effect.label: claim.values for claim in found.claims}

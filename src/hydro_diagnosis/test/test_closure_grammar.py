@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +22,7 @@ from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
-from tests.segments import segment
+from tests.segments import problem_in, record
 
 BENCH = Bench.nominal()
 
@@ -36,7 +35,7 @@ def law(equation: str, form: str) -> Law:
 
 def problem_of(states: StateArray, *ruled_out: str) -> Problem:
     causes = [effect.adapted(BENCH) for effect in CANDIDATES if effect.label in ruled_out]
-    return Problem([segment(states)], BENCH, ruled_out=causes)
+    return problem_in(states, ruled_out=causes)
 
 
 def integrated(signal: FloatArray, now: float, rate: float) -> FloatArray:
@@ -222,7 +221,7 @@ FOUND = [
     [pytest.param(*one, marks=[pytest.mark.study] if k % 2 else []) for k, one in enumerate(FOUND)],
 )
 def test_a_law_is_found_with_all_of_its_numbers(
-    record: Callable[..., StateArray], equation: str, form: str, numbers: dict[str, float], tolerance: float
+    equation: str, form: str, numbers: dict[str, float], tolerance: float
 ) -> None:
     truth = replace(BENCH, closures=({"equation": equation, "form": form, "parameters": numbers},))
     problem = problem_of(record(truth, 3))
@@ -234,7 +233,7 @@ def test_a_law_is_found_with_all_of_its_numbers(
         assert bound.value == pytest.approx(value, rel=tolerance)
 
 
-def test_a_number_that_no_sample_shows_is_not_known(record: Callable[..., StateArray]) -> None:
+def test_a_number_that_no_sample_shows_is_not_known() -> None:
     """A rate that the spool never reaches, of which not even the square of a slope is left."""
     problem = problem_of(record(BENCH, 3))
     slow = closure(law("actuation", "rate limit"), BENCH)
@@ -246,7 +245,7 @@ def test_a_number_that_no_sample_shows_is_not_known(record: Callable[..., StateA
         assert np.isfinite(HeldOutBlocks(problem, found, ()).deviance(()))
 
 
-def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., StateArray]) -> None:
+def test_a_law_that_is_a_name_in_disguise_is_not_definite() -> None:
     """Friction that warms over an endless path is dry friction; that which warms over a short one is not."""
     dry = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
     problem = problem_of(record(replace(BENCH, effects=(dry,)), 3))
@@ -258,7 +257,7 @@ def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., 
     assert has_identified_shapes(problem, named, named.claims[0])
 
 
-def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: Callable[..., StateArray]) -> None:
+def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause() -> None:
     """Drag in one direction alone is friction that depends on the direction; a leak is another thing."""
     entry = {"equation": "motion", "form": "drag, outwards", "parameters": {"coefficient": 150.0}}
     states = record(replace(BENCH, closures=(entry,)), 3)
@@ -272,7 +271,7 @@ def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: C
     ("form", "coefficient", "wanted"), [("drag, outwards", 150.0, {"motion"}), ("quadratic drag", 800.0, set())]
 )
 def test_no_law_is_looked_for_where_a_ruled_out_cause_would_take_what_remains(
-    record: Callable[..., StateArray], form: str, coefficient: float, wanted: set[str]
+    form: str, coefficient: float, wanted: set[str]
 ) -> None:
     entry = {"equation": "motion", "form": form, "parameters": {"coefficient": coefficient}}
     states = record(replace(BENCH, closures=(entry,)), 3)

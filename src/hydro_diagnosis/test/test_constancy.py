@@ -20,6 +20,7 @@ from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import assess, without_varying
 from hydro_sim.model.bench import Bench
+from tests.segments import problem_of
 
 BENCH = Bench.nominal()
 EFFECTS = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}
@@ -71,7 +72,7 @@ def hoses(compliance: float) -> dict[str, float]:
     return {"dead_volume_a": BENCH.dead_volume_a + more, "dead_volume_b": BENCH.dead_volume_b + more}
 
 
-def test_hoses_that_widen_are_no_wrong_bulk_modulus(problem_of: Callable[..., Problem]) -> None:
+def test_hoses_that_widen_are_no_wrong_bulk_modulus() -> None:
     problem = problem_of(**hoses(1.1e-14))
     outcome = searched(problem)
     assert [one.effect.label for one in outcome.fit.claims] == [HOSES]
@@ -82,7 +83,7 @@ def test_hoses_that_widen_are_no_wrong_bulk_modulus(problem_of: Callable[..., Pr
     assert {place.equation for place in found.remainder} <= {"pressure_a", "pressure_b"}
 
 
-def test_wrong_bulk_modulus_is_no_hoses(problem_of: Callable[..., Problem]) -> None:
+def test_wrong_bulk_modulus_is_no_hoses() -> None:
     problem = problem_of(bulk_modulus=0.93 * BENCH.bulk_modulus)
     outcome = searched(problem)
     assert [one.effect.label for one in outcome.fit.claims] == [BULK]
@@ -98,7 +99,7 @@ def test_wrong_bulk_modulus_is_no_hoses(problem_of: Callable[..., Problem]) -> N
 
 
 @pytest.mark.study
-def test_other_causes_beside_hoses_keep_name_and_size(problem_of: Callable[..., Problem]) -> None:
+def test_other_causes_beside_hoses_keep_name_and_size() -> None:
     problem = problem_of(**hoses(3e-14), spring_stiffness=19000.0)
     outcome = searched(problem)
     found = assess(problem, outcome.fit, outcome.nothing)

@@ -13,12 +13,11 @@ from typing import Any
 
 import fastjsonschema
 import numpy as np
-import pandas as pd
 import pytest
 
 import hydro_diagnosis
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.signals import STATE_DTYPE, StateArray
+from hydro_bridge.signals import STATE_DTYPE
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
@@ -30,9 +29,8 @@ from hydro_diagnosis.stages.reading import recording_entry
 from hydro_diagnosis.stages.reporting import confirmed
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
+from tests.segments import frame, record
 
-Record = Callable[..., StateArray]
-Frame = Callable[[StateArray], pd.DataFrame]
 CONTRACT = {
     "verdict", "location", "effects", "fit", "next_recording", "checked", "not_checked", "data_quality", "baseline",
     "versions", "seconds",
@@ -107,9 +105,7 @@ def claim(identifier: str, value: float) -> Claim:
     return Claim(effect, {effect.parameters[0].name: value})
 
 
-def test_recording_without_pressures_is_diagnosed_for_what_it_shows(
-    tmp_path: Path, record: Record, frame: Frame
-) -> None:
+def test_recording_without_pressures_is_diagnosed_for_what_it_shows(tmp_path: Path) -> None:
     truth = replace(Bench.nominal(), viscous_friction=110.0)
     path = tmp_path / "bare.csv"
     frame(record(truth, 31))[["time", "hydraulic_force", "piston_position"]].to_csv(path, index=False)
@@ -119,16 +115,14 @@ def test_recording_without_pressures_is_diagnosed_for_what_it_shows(
     assert any("pressure_a" in name for name in report.not_checked)
 
 
-def test_recordings_with_which_no_equation_can_be_checked_are_a_sentence(
-    tmp_path: Path, record: Record, frame: Frame
-) -> None:
+def test_recordings_with_which_no_equation_can_be_checked_are_a_sentence(tmp_path: Path) -> None:
     path = tmp_path / "bare.csv"
     frame(record(Bench.nominal(), 31))[["time", "valve_current", "piston_position"]].to_csv(path, index=False)
     with pytest.raises(InputError, match=r"no equation can be checked with .*: both pressures or a force are needed"):
         diagnose([path])
 
 
-def test_equation_errors_do_not_contradict_the_verdict(tmp_path: Path, record: Record, frame: Frame) -> None:
+def test_equation_errors_do_not_contradict_the_verdict(tmp_path: Path) -> None:
     """Near reversals dry friction may have either sign: counted in full, they would leave ten times the noise."""
     friction = Claim(next(one for one in LIBRARY if one.label == "friction_coulomb"), {"force": 15.0})
     paths = [tmp_path / f"dry{k}.csv" for k in range(2)]
@@ -211,8 +205,6 @@ def test_a_bag_is_known_by_the_stamp_of_its_first_sample(tmp_path: Path) -> None
 
 def test_something_left_that_nobody_knows(
     valid: Callable[[Any], Any],
-    record: Callable[..., StateArray],
-    frame: Callable[[StateArray], pd.DataFrame],
     tmp_path: Path,
 ) -> None:
     """A cell that is struck twice a second, and no current, no pressures: nothing can be simulated forward."""

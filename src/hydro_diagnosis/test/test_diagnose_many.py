@@ -5,43 +5,38 @@ from __future__ import annotations
 
 import json
 import re
-import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.signals import FloatArray, StateArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis import diagnose_many, trends
 from hydro_diagnosis.change_points import course
 from hydro_diagnosis.diagnose_many import write_study
 from hydro_sim.model.bench import Bench
-
-
-def ran(monkeypatch: pytest.MonkeyPatch, command: ModuleType, *words: object) -> int:
-    """Exit status of a command."""
-    monkeypatch.setattr(sys, "argv", ["command", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        command.main()
-    return int(ended.value.code or 0)
+from tests.checks import status_of
+from tests.segments import record
 
 
 def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
-    worn: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    worn: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     folder, study = tmp_path / "monday", tmp_path / "study"
     (folder / "late").mkdir(parents=True)
-    for path, name in zip(worn[:2], ("a.csv", "late/b.csv"), strict=True):
-        (folder / name).write_bytes(path.read_bytes())
+    (folder / "a.csv").write_bytes(worn[0].read_bytes())
     (folder / "broken.csv").write_text("<html></html>", encoding="utf-8")
     (folder / "notes.docx").write_text("no recording", encoding="utf-8")
-    assert ran(monkeypatch, diagnose_many, folder, "--out", study, "--jobs", 1) == 0
+    assert status_of(diagnose_many.main, folder, "--out", study, "--jobs", 1) == 0
     assert "broken.csv: refused" in capfd.readouterr().err
+    before = (study / "reports/a.csv/report.html").stat().st_mtime_ns
+    (folder / "late/b.csv").write_bytes(worn[1].read_bytes())
+    assert status_of(diagnose_many.main, folder, "--out", study, "--jobs", 1) == 0
+    assert (study / "reports/a.csv/report.html").stat().st_mtime_ns == before
+    assert (study / "reports/late/b.csv/report.html").is_file()
     diagnoses = pd.read_parquet(study / "diagnoses.parquet").set_index("recording")
     parameters = pd.read_parquet(study / "parameters.parquet")
     assert list(diagnoses.index) == ["a.csv", "broken.csv", "late/b.csv"]
@@ -49,33 +44,21 @@ def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
     springs = parameters[parameters.cause == "spring_stiffness"]
     assert sorted(springs.recording) == ["a.csv", "late/b.csv"]
     assert (springs.low < 0.925).all() and (springs.high > 0.925).all() and set(springs.parameter) == {"ratio"}
-    reports = [study / "reports" / name / "report.html" for name in ("a.csv", "late/b.csv")]
-    before = [path.stat().st_mtime_ns for path in reports]
-    (folder / "c.csv").write_bytes(worn[2].read_bytes())
-    assert ran(monkeypatch, diagnose_many, folder, "--out", study, "--jobs", 1) == 0
-    assert [path.stat().st_mtime_ns for path in reports] == before
-    assert len(pd.read_parquet(study / "diagnoses.parquet")) == 4
 
 
-def test_where_nothing_is_a_sentence_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert ran(monkeypatch, diagnose_many, tmp_path / "*.csv", "--out", tmp_path / "study") == 2
+def test_where_nothing_is_a_sentence_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert status_of(diagnose_many.main, tmp_path / "*.csv", "--out", tmp_path / "study") == 2
     assert "there is no recording" in capfd.readouterr().err
     assert not (tmp_path / "study").exists()
 
 
-def test_each_part_of_a_long_bag_is_diagnosed_by_itself(
-    tmp_path: Path, record: Callable[..., StateArray], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_part_of_a_long_bag_is_diagnosed_by_itself(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "day") as writer:
         for k, stiffness in enumerate((20000.0, 18500.0)):
             states = record(replace(Bench.nominal(), spring_stiffness=stiffness), seed=k, seconds=11.0)
             states["time"] += 12.0 * k
             writer.write_states(states)
-    assert (
-        ran(monkeypatch, diagnose_many, tmp_path / "day", "--every", 12, "--out", tmp_path / "study", "--jobs", 1) == 0
-    )
+    assert status_of(diagnose_many.main, tmp_path / "day", "--every", 12, "--out", tmp_path / "study", "--jobs", 1) == 0
     diagnoses = pd.read_parquet(tmp_path / "study/diagnoses.parquet")
     assert list(diagnoses.recording) == ["day#t=0,12", "day#t=12,"]
     assert list(map(list, diagnoses.causes)) == [[], ["spring_stiffness"]]
@@ -104,30 +87,30 @@ def study(folder: Path, leak: FloatArray, seed: int = 0, sd: float = 2e-14) -> P
     return folder
 
 
-def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path) -> None:
     leak = 2e-14 * np.maximum(np.arange(DAYS) - 30.0, 0.0)
     worn, well, table = (
         study(tmp_path / "worn", leak),
         study(tmp_path / "well", 0.0 * leak + 1e-13),
         tmp_path / "t.json",
     )
-    assert ran(monkeypatch, trends, well, "--new", 40) == 0
+    assert status_of(trends.main, well, "--new", 40) == 0
     assert (
-        ran(monkeypatch, trends, well, worn, "--new", 40, "--json", table, "--page", tmp_path / "all.html")
+        status_of(trends.main, well, worn, "--new", 40, "--json", table, "--page", tmp_path / "all.html")
         == trends.ALARM
     )
-    assert ran(monkeypatch, trends, worn, "--new", 1) == 0  # it was known the day before
+    assert status_of(trends.main, worn, "--new", 1) == 0  # it was known the day before
     first, second = json.loads(table.read_text(encoding="utf-8"))["rows"]
     assert (first["bench"], second["since"]) == (str(worn), None)
     assert first["from"] <= str(np.datetime64(20030, "D")) <= first["to"]
     assert abs((np.datetime64(first["since"]) - np.datetime64(20030, "D")).astype(int)) <= 5
     assert "worn" in (page := (tmp_path / "all.html").read_text(encoding="utf-8")) and page.count("<svg") == 2
     limit = ("--limit", "leakage_internal.coefficient=8e-13", "--json", table)  # reached on day 70
-    assert ran(monkeypatch, trends, worn, *limit, "--horizon", 5) == 0
-    assert ran(monkeypatch, trends, worn, *limit, "--horizon", 30) == trends.ALARM
+    assert status_of(trends.main, worn, *limit, "--horizon", 5) == 0
+    assert status_of(trends.main, worn, *limit, "--horizon", 30) == trends.ALARM
     (row,) = json.loads(table.read_text(encoding="utf-8"))["rows"]
     assert row["limit_first"] < str(np.datetime64(20070, "D")) < row["limit_last"]
-    assert ran(monkeypatch, trends, worn, "--limit", "leek.coefficient=1") == 2
+    assert status_of(trends.main, worn, "--limit", "leek.coefficient=1") == 2
 
 
 def test_a_cause_that_is_not_claimed_counts_as_absent(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,8 @@ from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment as Drive
 from hydro_sim.model.bench import Bench
-from tests.segments import segment
+from tests.checks import each
+from tests.segments import problem_in
 
 ADAPTED = [effect.adapted(Bench.nominal()) for effect in CANDIDATES]
 
@@ -30,7 +30,7 @@ def values_at(effect: Effect, which: str) -> dict[str, float]:
     return {one.name: one.neutral if which == "neutral" else one.probes[0] for one in effect.parameters}
 
 
-def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(problem: Problem, each: Callable[..., None]) -> None:
+def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(problem: Problem) -> None:
     nothing = problem.residual([])
 
     def check(effect: Effect) -> None:
@@ -139,8 +139,7 @@ def test_intervals_of_a_stribeck_rise_hold_whatever_its_exponent(exponent: float
     effects = {"friction_coulomb": {"force": 10.0}, "friction_stribeck": {**sizes, "exponent": exponent}}
     drive = Drive(seconds=20, waveform="multisine", amplitude=260, frequency=0.7, kp=60, ki=10)
     states = record_offline(truth_from_mapping({"profile": "nominal", "effects": effects}), [drive], seed=3).states
-    problem, claims = Problem([segment(states)], BENCH), (claim("friction_coulomb", force=10.0),
-                                                          claim("friction_stribeck", **sizes))  # fmt: skip
+    problem, claims = problem_in(states), (claim("friction_coulomb", force=10.0), claim("friction_stribeck", **sizes))
     for _ in range(3):
         problem = problem.weighed(claims)
         found = fit(problem, claims)

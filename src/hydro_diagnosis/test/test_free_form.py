@@ -1,23 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from hydro_bridge.signals import FloatArray, StateArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.free_form import free_forms
-from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, Layout
 from hydro_diagnosis.stages.reporting import line_of
 from hydro_sim.model.bench import Bench
+from tests.segments import frame, problem_of, record
 
 
-def test_free_form_of_viscous_friction_has_its_place_and_slope(problem_of: Callable[..., Problem]) -> None:
+def test_free_form_of_viscous_friction_has_its_place_and_slope() -> None:
     problem = problem_of(viscous_friction=90.0)
     best = free_forms(problem, fit(problem, ()))[0]
     assert (best.equation, best.variable) == ("motion", "velocity")
@@ -26,9 +25,7 @@ def test_free_form_of_viscous_friction_has_its_place_and_slope(problem_of: Calla
     assert abs(slope) == pytest.approx(90.0 - Bench.nominal().viscous_friction, rel=0.05)
 
 
-def test_ripple_that_no_cause_makes_is_called_unknown(
-    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path
-) -> None:
+def test_ripple_that_no_cause_makes_is_called_unknown(tmp_path: Path) -> None:
     paths = []
     for seed in (5, 6):
         states = record(Bench.nominal(), seed, seconds=8.0)

@@ -7,7 +7,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.growing.sightings import agreements, sightings
 from hydro_sim.model import grammar
 from hydro_sim.model.laws import Law
+from tests.checks import each
 
 DRAG = ("motion", "quadratic drag")
 Numbers = Mapping[str, tuple[float, float, float]]
@@ -68,7 +69,7 @@ def title(law: Law) -> str:
     return f"{law.equation} {law.form}"
 
 
-def test_a_report_says_which_law_it_holds(each: Callable[..., None], tmp_path: Path) -> None:
+def test_a_report_says_which_law_it_holds(tmp_path: Path) -> None:
     def check(number_and_law: tuple[int, Law]) -> None:
         number, law = number_and_law
         numbers = {name: around(0.1 * (k + 1)) for k, name in enumerate(law.names)}
@@ -148,29 +149,21 @@ import json, sys
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
-import pandas as pd
-from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
+from hydro_bridge.signals import Waveform
 from hydro_diagnosis import diagnose
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.offline import Schedule, simulate
+from tests.segments import driven, frame, record
 
-values, folder, bench = json.loads(sys.argv[1]), Path(sys.argv[2]), Bench.nominal()
+def truth(values):
+    return replace(Bench.nominal(), effects=({"id": "grown_one", "parameters": values},))
 
-def driven(values, seed, waveform, noise=1.0):
-    truth = replace(bench, effects=({"id": "grown_one", "parameters": values},)) if values else bench
-    reference = ReferenceSignal(waveform=waveform, amplitude=260.0, frequency=0.7)
-    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=10.0)
-    return simulate(AnalyticPlant(truth, noise=noise), bench, schedule, seed=seed)
-
-still, plain = (driven(one, 1, Waveform.SINE, 0.0) for one in ({**values, "coefficient": 0.0}, None))
-np.testing.assert_allclose(still["load_force"], plain["load_force"], rtol=1e-9, atol=1e-6)
-files = []
+values, folder, files = json.loads(sys.argv[1]), Path(sys.argv[2]), []
+nothing = truth({**values, "coefficient": 0.0})
+still, plain = (driven(one)[0].channels["load_force"] for one in (nothing, Bench.nominal()))
+np.testing.assert_allclose(still, plain, rtol=1e-9, atol=1e-6)
 for seed, waveform in enumerate((Waveform.MULTISINE, Waveform.SINE, Waveform.SMOOTH_STEP), 1):
-    states = driven(values, seed, waveform)
     files.append(folder / f"run{seed}.csv")
-    columns = {name: states[name] for name in STATE_FIELDS}
-    pd.DataFrame({"time": states["time"], **columns}).to_csv(files[-1], index=False)
+    frame(record(truth(values), seed, waveform=waveform)).to_csv(files[-1], index=False)
 report = diagnose(files[:2], holdout=files[2:]).report
 (found,) = report.effects
 print(json.dumps([report.verdict, found.id, {name: one.value for name, one in found.parameters.items()}]))
@@ -187,6 +180,7 @@ def test_a_grown_effect_of_size_0_is_nothing_and_else_is_found_again(
     folder = grow(tmp_path, which, values)
     done = subprocess.run(
         [sys.executable, "-c", FOUND_AGAIN, json.dumps(values), str(tmp_path)], capture_output=True, text=True,
+        cwd=Path(__file__).parents[3],
         env={**os.environ, "HYDRO_EFFECTS": str(folder)}, timeout=280, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
-from tests.segments import segment
+from tests.segments import problem_in, problem_of
 
 BENCH = Bench.nominal()
 EFFECTS = {effect.label: effect.adapted(BENCH) for effect in LIBRARY}
@@ -69,10 +68,6 @@ def driven(reference: ReferenceSignal, seed: int) -> StateArray:
     return simulate(AnalyticPlant(DRAGGED), BENCH, schedule, seed=seed)
 
 
-def problem_of(*runs: StateArray) -> Problem:
-    return Problem([segment(run) for run in runs], BENCH)
-
-
 def sine(amplitude: float) -> ReferenceSignal:
     return ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=0.7)
 
@@ -83,12 +78,12 @@ def law(form: str, coefficient: float) -> Claim:
 
 def laws_apart(reference: ReferenceSignal, found: Fit, rival: Fit) -> float:
     """BIC by which 6 s of a bench with the drag tell the law from the rival."""
-    problem = problem_of(driven(reference, 11))
+    problem = problem_in(driven(reference, 11))
     return score(problem, fit(problem, rival.claims)) - score(problem, fit(problem, found.claims))
 
 
 def test_the_proposed_recording_tells_the_two_best_laws_apart_better_than_most() -> None:
-    narrow = problem_of(driven(sine(260.0), 3))
+    narrow = problem_in(driven(sine(260.0), 3))
     found = fit(narrow, [law("quadratic drag", DRAG)])
     proposed = next_for_law(narrow, found)
     assert proposed is not None
@@ -114,7 +109,7 @@ PULLS = {
 """Two pulls to a place that all but cancel."""
 
 
-def test_an_interval_holds_no_value_that_the_recordings_rule_out(problem_of: Callable[..., Problem]) -> None:
+def test_an_interval_holds_no_value_that_the_recordings_rule_out() -> None:
     closures = tuple({"equation": "motion", "form": form, "parameters": values} for form, values in PULLS.items())
     pulled = problem_of(closures=closures)
     effects = {one.effect.label: one.effect for one in laws(pulled)}

@@ -4,23 +4,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
-from hydro_bridge.signals import StateArray, Waveform
+from hydro_bridge.signals import Waveform
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.problem import Problem, sensor_noise
+from hydro_diagnosis.estimation.problem import sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.selection.effect_summary import not_predicted
 from hydro_diagnosis.validation import HORIZON, MOST, Comparison, compare
 from hydro_sim.model.bench import Bench
-from tests.segments import segment
+from tests.segments import frame, problem_in, record, segment
 
 BENCH = Bench.nominal()
 RISE = {"breakaway_force": 8.0, "velocity": 0.012}
@@ -32,7 +31,7 @@ def stribeck(**values: float) -> Claim:
 
 
 @pytest.fixture(scope="module")
-def held(record: Callable[..., StateArray]) -> SegmentModel:
+def held() -> SegmentModel:
     truth = replace(BENCH, effects=({"id": "friction_stribeck", "parameters": RISE},))
     states = record(truth, 11, seconds=25.0, waveform=Waveform.SMOOTH_STEP)
     return SegmentModel(segment(states), BENCH)
@@ -63,10 +62,6 @@ SLOW, FAST = 60.0, 300.0
 """Amplitudes of the reference [N]."""
 
 
-def problem_of(states: StateArray) -> Problem:
-    return Problem([segment(states)], BENCH)
-
-
 def claims(*names: str) -> list[Claim]:
     effects = [next(one for one in LIBRARY if one.label == name).adapted(BENCH) for name in names]
     return [Claim(one, {number.name: number.probes[0] for number in one.parameters}) for one in effects]
@@ -82,10 +77,10 @@ def claims(*names: str) -> list[Claim]:
     ],
 )  # fmt: skip
 def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_predict(
-    record: Callable[..., StateArray], truth: dict[str, Sequence[object]], named: list[str], predicted: bool
+    truth: dict[str, Sequence[object]], named: list[str], predicted: bool
 ) -> None:
     bench = replace(BENCH, **truth)
-    fitted, unseen = (problem_of(record(bench, seed, amplitude=size)) for seed, size in ((1, SLOW), (2, FAST)))
+    fitted, unseen = (problem_in(record(bench, seed, amplitude=size)) for seed, size in ((1, SLOW), (2, FAST)))
     found = fit(fitted, claims(*named))
     unseen = unseen.weighed(found.claims)
     note = not_predicted(unseen, found.claims)
@@ -95,7 +90,7 @@ def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_pre
 
 @pytest.mark.study
 def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_are_not_claimed(
-    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     """A drag that was there in one recording and not in the other; what is estimated in any case stays."""

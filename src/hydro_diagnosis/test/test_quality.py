@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit, mean_squares
 from hydro_diagnosis.estimation.intervals import without_insignificant
@@ -27,11 +27,9 @@ from hydro_diagnosis.stages import naming, reading
 from hydro_diagnosis.stages.reading import Question
 from hydro_diagnosis.stages.reporting import undetectable_causes
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.offline import Schedule, simulate
+from tests.segments import frame, record
 
 BENCH = Bench.nominal()
-Frame = Callable[[StateArray], pd.DataFrame]
 
 
 def read(data: pd.DataFrame, folder: Path) -> Recording:
@@ -40,18 +38,18 @@ def read(data: pd.DataFrame, folder: Path) -> Recording:
     return checked(read_table(path), BENCH)
 
 
-def test_short_gap_is_bridged_and_listed(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+def test_short_gap_is_bridged_and_listed(tmp_path: Path, nominal: StateArray) -> None:
     recording = read(frame(nominal).drop(index=[3000, 3001]), tmp_path)
     assert len(recording.segments) == 1
     assert any("2 missing samples were bridged" in note for note in recording.quality)
 
 
-def test_long_gap_cuts_the_recording(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+def test_long_gap_cuts_the_recording(tmp_path: Path, nominal: StateArray) -> None:
     recording = read(frame(nominal).drop(index=range(5000, 5200)), tmp_path)
     assert len(recording.segments) == 2
 
 
-def test_nan_run_is_cut_out_and_listed(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+def test_nan_run_is_cut_out_and_listed(tmp_path: Path, nominal: StateArray) -> None:
     data = frame(nominal)
     data.loc[4000:4400, "pressure_a"] = np.nan
     recording = read(data, tmp_path)
@@ -59,7 +57,7 @@ def test_nan_run_is_cut_out_and_listed(tmp_path: Path, nominal: StateArray, fram
     assert any("no number of pressure_a in 401 samples from 4." in note for note in recording.quality)
 
 
-def test_frozen_sensor_is_left_out_and_listed(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+def test_frozen_sensor_is_left_out_and_listed(tmp_path: Path, nominal: StateArray) -> None:
     recording = read(frame(nominal).assign(pressure_b=5e6), tmp_path)
     assert "pressure_b" not in recording.segments[0].channels
     assert any("pressure_b is frozen throughout" in note for note in recording.quality)
@@ -74,7 +72,7 @@ UNUSABLE: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 }
 
 
-def test_what_cannot_be_used_is_refused_with_its_reason(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+def test_what_cannot_be_used_is_refused_with_its_reason(tmp_path: Path, nominal: StateArray) -> None:
     for said, change in UNUSABLE.items():
         with pytest.raises(InputError, match=said):
             read(change(frame(nominal)), tmp_path)
@@ -87,9 +85,7 @@ def frozen(data: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("without", [[], ["load_force"], ["piston_velocity"], ["load_force", "piston_velocity"]])
-def test_frozen_encoder_is_cut_out_and_listed(
-    tmp_path: Path, nominal: StateArray, frame: Frame, without: list[str]
-) -> None:
+def test_frozen_encoder_is_cut_out_and_listed(tmp_path: Path, nominal: StateArray, without: list[str]) -> None:
     """Whatever else tells it: the load's force, the velocity, or where the position comes back."""
     recording = read(frozen(frame(nominal), 5000, 8000).drop(columns=without), tmp_path)
     assert len(recording.segments) == 2
@@ -113,9 +109,7 @@ def test_piston_that_stands_is_no_frozen_encoder(waveform: Waveform, amplitude: 
 @cache
 def stuck(waveform: Waveform, amplitude: float) -> StateArray:
     dry = Claim(next(one for one in LIBRARY if one.label == "friction_coulomb"), {"force": 25.0})
-    reference = ReferenceSignal(waveform=waveform, amplitude=amplitude, offset=20.0, frequency=0.5)
-    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=6.0)
-    return simulate(AnalyticPlant(corrected_bench(BENCH, [dry])), BENCH, schedule, seed=5)
+    return record(corrected_bench(BENCH, [dry]), 5, 6.0, waveform, amplitude, offset=20.0, frequency=0.5)
 
 
 MASS = next(effect for effect in CANDIDATES if effect.id == "moving_mass")
@@ -156,7 +150,7 @@ def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) 
 
 @pytest.mark.parametrize(("spacing", "shown"), [(1, True), (5, True), (10, False)])
 def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
-    spacing: int, shown: bool, tmp_path: Path, nominal: StateArray, frame: Frame, monkeypatch: pytest.MonkeyPatch
+    spacing: int, shown: bool, tmp_path: Path, nominal: StateArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The mass rings at 87 Hz: 200 rows a second show it; in 100 it is as slow as 13 Hz, and so it is in 50."""
     tried: list[Problem] = []

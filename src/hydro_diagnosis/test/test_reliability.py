@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from hydro_diagnosis.bench_numbers import completed
@@ -22,6 +20,7 @@ from hydro_diagnosis.selection.reliability import contradicted, differing, doubt
 from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
 from hydro_diagnosis.selection.verdict import seen_at_steady_speed
 from hydro_sim.model.bench import Bench
+from tests.segments import frame
 
 DRY = next(effect for effect in LIBRARY if effect.label == "friction_coulomb")
 BENCH = completed({"moving_mass": 1.0}, frozenset())
@@ -142,9 +141,7 @@ def test_a_point_is_missed_beyond_chance_alone() -> None:
 
 
 @pytest.mark.parametrize("noise, level, cut", [(2e5, 5e5, False), (2e5, 0.0, True), (1e3, 2e4, True)])
-def test_cavitation_is_what_noise_does_not_make(
-    noise: float, level: float, cut: bool, frame: Callable[[Any], pd.DataFrame], nominal: Any
-) -> None:
+def test_cavitation_is_what_noise_does_not_make(noise: float, level: float, cut: bool, nominal: Any) -> None:
     """A return line at 5 bar whose sensor has 2 bar of noise does not cavitate."""
     columns = {name: frame(nominal)[name].to_numpy().copy() for name in ("piston_position", "pressure_a")}
     columns["pressure_a"][:] = 5e5

@@ -2,14 +2,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import StateArray
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FitParameter
@@ -23,6 +21,7 @@ from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search, is_significant
 from hydro_sim.model.bench import Bench
+from tests.segments import problem_of, record
 
 NOMINAL = Bench.nominal()
 
@@ -56,7 +55,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("key", [pytest.param(one, marks=[pytest.mark.study] * (k > 2)) for k, one in enumerate(WRONG)])
-def test_wrong_value_of_the_bench_is_named_and_sized(problem_of: Callable[..., Problem], key: str) -> None:
+def test_wrong_value_of_the_bench_is_named_and_sized(key: str) -> None:
     factor, effect, expected, tolerance = WRONG[key]
     (claim,) = search(problem_of(**{key: getattr(NOMINAL, key) * factor})).fit.claims
     assert claim.effect.id == effect and [*claim.values.values()] == pytest.approx([expected], rel=tolerance)
@@ -70,7 +69,7 @@ def claim_of(label: str, *sizes: float) -> Claim:
     return Claim(effect, {one.name: size for one, size in zip(effect.parameters, sizes, strict=True)})
 
 
-def problem_with(record: Callable[..., StateArray], *claims: Claim) -> Problem:
+def problem_with(*claims: Claim) -> Problem:
     states = record(corrected_bench(NOMINAL, claims), 3, seconds=8.0)
     table = RawTable("dry", states["time"].copy(), None, {name: states[name].copy() for name in SENSED})
     return Problem(checked(table, NOMINAL).segments, NOMINAL)
@@ -79,9 +78,9 @@ def problem_with(record: Callable[..., StateArray], *claims: Claim) -> Problem:
 SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position", "valve_current")
 
 
-def test_richer_form_must_pay_for_its_parameter(record: Callable[..., StateArray]) -> None:
+def test_richer_form_must_pay_for_its_parameter() -> None:
     """15.0 and 15.1 N: the second number gains 14 of BIC, which errors of the residuals' own reach."""
-    problem = problem_with(record, claim_of(DIRECTED, 15.0, 15.1))
+    problem = problem_with(claim_of(DIRECTED, 15.0, 15.1))
     outcome = search(problem)
     problem, found = outcome.problem, outcome.fit
     assert [claim.effect.label for claim in found.claims] == [DRY]
@@ -89,16 +88,16 @@ def test_richer_form_must_pay_for_its_parameter(record: Callable[..., StateArray
     assert 2.0 < richer < SearchSettings().threshold  # else this shows nothing
 
 
-def test_richer_form_that_pays_is_named(record: Callable[..., StateArray]) -> None:
-    found = search(problem_with(record, claim_of(DIRECTED, 15.0, 15.3))).fit
+def test_richer_form_that_pays_is_named() -> None:
+    found = search(problem_with(claim_of(DIRECTED, 15.0, 15.3))).fit
     assert [claim.effect.label for claim in found.claims] == [DIRECTED]
     assert found.claims[0].values["force_negative"] == pytest.approx(15.3, abs=0.1)
 
 
-def test_hard_dead_band_beside_a_gain_is_no_soft_one(record: Callable[..., StateArray]) -> None:
+def test_hard_dead_band_beside_a_gain_is_no_soft_one() -> None:
     """A soft dead band comes first, as it takes the form of both; beside it neither a leak nor the gain is left."""
     sizes = {"valve_deadband": 8e-4, "valve_gain": 0.9, "leakage_external:a": 3e-14}
-    found = search(problem_with(record, *(claim_of(label, size) for label, size in sizes.items()))).fit
+    found = search(problem_with(*(claim_of(label, size) for label, size in sizes.items()))).fit
     assert {one.effect.label: next(iter(one.values.values())) for one in found.claims} == pytest.approx(sizes, rel=0.02)
 
 
@@ -111,7 +110,7 @@ def test_what_remains_is_judged_by_how_many_residuals_tell(problem: Problem, squ
 
 
 @pytest.fixture(scope="module")
-def worn_out(problem_of: Callable[..., Problem]) -> Problem:
+def worn_out() -> Problem:
     return problem_of(
         moving_mass=1.6, viscous_friction=90.0, spring_stiffness=18500.0, spring_rest_position=0.0405,
         bulk_modulus=1.2e9, supply_pressure=15.2e6, dead_volume_a=2.2e-4, area_ratio=0.58,
@@ -182,8 +181,8 @@ def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none() -> None:
             assert is_significant(claim(effect, **sizes)) == claimed, effect.label
 
 
-def test_a_dead_time_and_a_simple_lag_become_a_lag_of_second_order(record: Callable[..., StateArray]) -> None:
-    problem = problem_with(record, claim_of("valve_lag", 90.0, 0.9))
+def test_a_dead_time_and_a_simple_lag_become_a_lag_of_second_order() -> None:
+    problem = problem_with(claim_of("valve_lag", 90.0, 0.9))
     looking = Search(problem, ADAPTED)
     imitated = fit(problem, (claim_of("transport_delay", 1e-3), claim_of("valve_lag:first_order", 80.0)))
     found = Outcome(problem, imitated, fit(problem, ()))
@@ -192,18 +191,18 @@ def test_a_dead_time_and_a_simple_lag_become_a_lag_of_second_order(record: Calla
     assert list(found.fit.claims[0].values.values()) == pytest.approx([90.0, 0.9], rel=0.05)
 
 
-def test_what_only_mends_a_form_hides_no_cause_elsewhere(record: Callable[..., StateArray]) -> None:
+def test_what_only_mends_a_form_hides_no_cause_elsewhere() -> None:
     """The lag is a small part of a wide overlap's effect, and pays in full only beside the leak."""
     causes = {"valve_deadband": (3e-3,), "supply_pressure": (0.75,), "valve_lag": (90.0, 0.9),
               "leakage_internal": (2e-12,), "friction_coulomb": (20.0,)}  # fmt: skip
-    found = search(problem_with(record, *(claim_of(label, *sizes) for label, sizes in causes.items())))
+    found = search(problem_with(*(claim_of(label, *sizes) for label, sizes in causes.items())))
     assert {claim.effect.id for claim in found.fit.claims} == set(causes)
 
 
-def test_a_number_that_was_given_is_estimated_beside_the_causes(record: Callable[..., StateArray]) -> None:
+def test_a_number_that_was_given_is_estimated_beside_the_causes() -> None:
     """Seen: what 0.4 mA of overlap do was taken for oil ten times as stiff, and the overlap not named."""
     causes = {"valve_deadband": (2e-3,), "valve_lag": (70.0, 0.8), "leakage_internal": (1e-12,)}
-    problem = problem_with(record, *(claim_of(label, *sizes) for label, sizes in causes.items()))
+    problem = problem_with(*(claim_of(label, *sizes) for label, sizes in causes.items()))
     problem.estimated = estimated_claims(NOMINAL, ["bulk_modulus"])
     found = Search(problem, ADAPTED, given=True).run().fit
     assert {claim.effect.id for claim in found.judged} == set(causes)

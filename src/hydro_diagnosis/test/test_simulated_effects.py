@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import CATALOGUE, label
 from hydro_sim.model.laws import Law, Signals
 from hydro_sim.model.tables import Table
+from tests.checks import each
 from tests.segments import apart, driven
 
 BENCH = Bench.nominal()
@@ -63,42 +65,37 @@ SHARES = {"saturation": -1.0, "curve": -0.1, "gain, as the coil": -0.01, "null b
 """Of the typical size: a valve that opens further makes this loop swing."""
 
 
-def every_part() -> list[Law]:
-    """Compositions in which each carrier and each modulation of an equation stands at least once."""
-    seen: set[tuple[str, str, str]] = set()
+def covering(terms: Sequence[Any], words: Callable[[Any], set[tuple[str, ...]]]) -> list[Any]:
+    """Those of the terms that say something for the first time."""
+    seen: set[tuple[str, ...]] = set()
     chosen = []
-    for law in sorted(grammar.COMPOSITIONS, key=lambda one: zlib.crc32(one.form.encode())):
-        carrier, _, modulation = law.form.partition(", ")
-        place = (
-            law.where
-            if law.where.startswith("load")
-            else ""
-            if law.where.startswith("h")
-            else law.equation[:8] + law.where
-        )
-        new = {(place, carrier, ""), (place, "", modulation)} - seen
-        if new:
+    for term in terms:
+        if new := words(term) - seen:
             seen |= new
-            chosen.append(law)
+            chosen.append(term)
     return chosen
 
 
-def every_table() -> list[Table]:
-    """Tables in which each variable and each factor of an equation stands at least once."""
-    seen: set[tuple[str, str]] = set()
-    chosen = []
-    for table in grammar.TABLES:
-        place = "of the load" if table.where == "load_force" else table.equation[:8]
-        new = {(place, table.variable), (place, table.factor.text if table.factor else "")} - seen
-        if new:
-            seen |= new
-            chosen.append(table)
-    return chosen
+def parts(law: Law) -> set[tuple[str, ...]]:
+    """Carrier and modulation of a composition, with the equation in which they stand."""
+    carrier, _, modulation = law.form.partition(", ")
+    place = law.where if law.where.startswith("load") else law.equation[:8] + law.where
+    place = "" if law.where.startswith("h") else place
+    return {(place, carrier, ""), (place, "", modulation)}
+
+
+def ways(table: Table) -> set[tuple[str, ...]]:
+    """Variable and factor of a table, with the equation in which they stand."""
+    place = "of the load" if table.where == "load_force" else table.equation[:8]
+    return {(place, table.variable), (place, table.factor.text if table.factor else "")}
 
 
 WIDE = [next(law for law in grammar.ROUNDED if law.equation == equation and law.element is None)
         for equation in ("motion", "load", "pressure", "pressure_a")]  # fmt: skip
-TERMS: tuple[Law | Table, ...] = (*grammar.LAWS, *every_part(), *WIDE, *every_table())
+MIXED = sorted(grammar.COMPOSITIONS, key=lambda one: zlib.crc32(one.form.encode()))
+TERMS: tuple[Law | Table, ...] = (
+    *grammar.LAWS, *covering(MIXED, parts), *WIDE, *covering(grammar.TABLES, ways),
+)  # fmt: skip
 
 
 def claimed(law: Law | Table) -> Claim:
@@ -125,7 +122,7 @@ def title(law: Law | Table) -> str:
 
 
 @pytest.mark.parametrize("every", [14, pytest.param(1, marks=pytest.mark.study)])
-def test_simulation_and_diagnosis_mean_the_same_term(every: int, each: Callable[..., None]) -> None:
+def test_simulation_and_diagnosis_mean_the_same_term(every: int) -> None:
     each(TERMS[::every], same_in_simulation_and_diagnosis, title)
 
 

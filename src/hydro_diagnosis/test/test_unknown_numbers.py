@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ import pandas as pd
 import pytest
 import yaml
 
-from hydro_bridge.signals import StateArray
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.cli import run
 from hydro_sim.model.bench import Bench
+from tests.segments import frame, record
 
 MASS, DRY, VISCOUS, REST = 37.0, 9.0, 40.0, 0.08
 
@@ -104,16 +104,12 @@ def test_number_without_an_effect_is_refused_with_those_that_have_one(name: str,
         diagnose([tmp_path / "none.csv"], estimate=[name])
 
 
-Record = Callable[..., StateArray]
-Frame = Callable[[StateArray], pd.DataFrame]
-
-
 def without(bench: Bench, *names: str) -> Mapping[str, Any]:
     return {key: value for key, value in bench.to_mapping().items() if key not in names}
 
 
 @pytest.mark.slow
-def test_unknown_numbers_of_a_cylinder_beside_a_hidden_leak(record: Record, frame: Frame, tmp_path: Path) -> None:
+def test_unknown_numbers_of_a_cylinder_beside_a_hidden_leak(tmp_path: Path) -> None:
     leak = {"id": "leakage_internal", "parameters": {"coefficient": 1e-12}}
     truth = replace(Bench.nominal(), dead_volume_a=2.6e-4, moving_mass=1.5, effects=(leak,))
     frame(record(truth, 7)).to_csv(tmp_path / "run.csv", index=False)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.column_proposal import proposed
@@ -29,12 +29,10 @@ from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.offline import Schedule, simulate
+from tests.segments import record
 
 BENCH = Bench.nominal()
 Channels = dict[str, npt.NDArray[np.float64]]
-Record = Callable[..., StateArray]
 
 
 def scaled(*fields: str, by: float, plus: float = 0.0) -> Callable[[Channels], Channels]:
@@ -100,7 +98,7 @@ def read(recordings: list[Path], **options: Any) -> Case:
 
 
 @pytest.fixture(scope="module")
-def runs(record: Record) -> list[Channels]:
+def runs() -> list[Channels]:
     """Of a bench with much that is wrong with it."""
     worn = replace(BENCH, spring_stiffness=18500.0, viscous_friction=110.0, bulk_modulus=1.0e9)
     return [fields(record(worn, 31, 6.0)), fields(record(worn, 32, 6.0, waveform=Waveform.SMOOTH_STEP))]
@@ -151,9 +149,7 @@ def test_zero_within_the_stroke_is_told_from_a_spring_that_rests_elsewhere(tmp_p
         change = scaled("piston_position", by=1.0, plus=moved)
         paths = []
         for k, waveform in enumerate((Waveform.MULTISINE, Waveform.SINE)):
-            reference = ReferenceSignal(waveform=waveform, amplitude=260.0, frequency=0.7)
-            schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=6.0)
-            states = simulate(AnalyticPlant(truth), short, schedule, seed=k)
+            states = record(truth, k, 6.0, waveform, believed=short)
             paths.append(written(change(fields(states)), tmp_path / f"run{k}.csv"))
         found = diagnose(paths[:1], holdout=paths[1:], bench=short)
         said = " ".join(found.report.data_quality)

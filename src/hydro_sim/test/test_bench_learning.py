@@ -21,6 +21,7 @@ from hydro_sim.identification import bench_learning, learn, validate
 from hydro_sim.identification.bench_states import noise_of
 from hydro_sim.identification.validate import BenchPrediction
 from hydro_sim.model.bench import Bench
+from tests.checks import status_of
 
 TRUTH = {
     "profile": "nominal", "bench": {"spring_stiffness": 32000.0}, "effects": {"valve_deadband": {"half_width": 3e-4}},
@@ -54,24 +55,17 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
 
 
 def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
-    states: StateArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    states: StateArray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By the command, from a recording to the file: it is written, and says itself that nothing may rely on it."""
     with BagWriter(tmp_path / "bag") as bag:
         bag.write_states(states)
     mapping = replace(Bench.nominal(), effects=(DEADBAND,)).to_mapping()
     (tmp_path / "bench.yaml").write_text(yaml.safe_dump(mapping))
-    words = ["learn", str(tmp_path / "bag"), "--bench", str(tmp_path / "bench.yaml")]
-    words += ["--windows", "20", "--out", str(tmp_path / "out.yaml"), "--json", str(tmp_path / "table.json")]
-    monkeypatch.setattr("sys.argv", words)
-    with pytest.raises(SystemExit) as ended:
-        learn.main()
-    assert ended.value.code == 0
+    words = ["--windows", 20, "--out", tmp_path / "out.yaml", "--json", tmp_path / "table.json"]
+    assert status_of(learn.main, tmp_path / "bag", "--bench", tmp_path / "bench.yaml", *words) == 0
     assert "NOT fit for the filter" in capsys.readouterr().out
-    monkeypatch.setattr("sys.argv", ["validate", str(tmp_path / "bag"), "--model", str(tmp_path / "out.yaml")])
-    with pytest.raises(SystemExit) as ended:
-        validate.main()
-    assert ended.value.code == 0
+    assert status_of(validate.main, tmp_path / "bag", "--model", tmp_path / "out.yaml") == 0
     printed = capsys.readouterr().out
     assert "NOT fit for the filter" in printed.splitlines()[-1] and "load_force" in printed
     found = Bench.load(tmp_path / "out.yaml")
