@@ -28,8 +28,6 @@ FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
 WIDTH = len(STATE_FIELDS)
 READ = WIDTH - 1
 """Columns that a decision rests on: all of STATE but integral_gain."""
-
-
 KINDS = {"double": np.float64, "single": np.float32}
 WORDS = {"double": (), "single": ("-DHYDRO_SINGLE",)}
 STRICT = ("-std=c99", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")

@@ -68,6 +68,10 @@ def test_kernels_are_compiled_anew_where_a_source_a_cache_or_the_machine_changed
     cache.touch()
     source.write_text("another")
     assert not kernels.are_current(layout, "this")
+    source.unlink()
+    assert not kernels.are_current(layout, "this")
+    layout.kernels_stamp.write_text("{")
+    assert not kernels.are_current(layout, "this")
 
 
 def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
@@ -89,7 +93,7 @@ def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture
     assert plan.HERE.root == ROOT
 
 
-ROS2 = Path(__file__).resolve().parent.parent / "setup" / "ros2.py"
+ROS2 = ROOT / "setup" / "ros2.py"
 ARM = ("service", "call", "/hydro/arm", "std_srvs/srv/SetBool")
 REFUSED = (
     (("run", "nothing", "echo"), "package 'nothing' not found"),

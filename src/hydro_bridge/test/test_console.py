@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from hydro_bridge.cli.console import UserError, command, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.files.tensors import UnsoundError, check_numbers
 
 
 def test_a_file_that_the_system_refuses_is_one_sentence_without_a_number(tmp_path, capsys):
@@ -77,9 +75,3 @@ def test_where_there_is_no_room_the_old_file_stays_and_nothing_is_left_beside_it
     assert refused.value.filename == str(tmp_path / "file"), "the system does not say which"
     assert (tmp_path / "file").read_bytes() == b"whole"
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e31])
-def test_numbers_that_are_none_are_found_and_counted(number: float) -> None:
-    with pytest.raises(UnsoundError, match=r"weights holds 2 of 12 values"):
-        check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})

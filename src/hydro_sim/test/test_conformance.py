@@ -334,18 +334,14 @@ def broken(copy: Path, memory: Any, monkeypatch: pytest.MonkeyPatch) -> Callable
     return build
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", list(BROKEN)[::5])
-def test_a_broken_box_fails_where_it_is_broken(broken: Callable[[str], InStep], name: str) -> None:
-    found = only(broken(name), *BROKEN[name][1])
-    assert {result.case.id for result in found if result.outcome == FAIL} == BROKEN[name][1]
+TRIED = [*(pytest.param(one, False, marks=pytest.mark.slow) for one in list(BROKEN)[::5]),
+         *(pytest.param(one, True, marks=pytest.mark.study) for one in BROKEN)]  # fmt: skip
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_box_fails_nowhere_else(broken: Callable[[str], InStep], name: str) -> None:
-    found = {case: why for case, (outcome, why) in outcomes(broken(name)).items() if outcome == FAIL}
-    assert set(found) == BROKEN[name][1], found
+@pytest.mark.parametrize(("name", "all_cases"), TRIED)
+def test_a_broken_box_fails_where_it_is_broken(broken: Callable[[str], InStep], name: str, all_cases: bool) -> None:
+    found = only(broken(name), *(() if all_cases else BROKEN[name][1]))
+    assert {result.case.id for result in found if result.outcome == FAIL} == BROKEN[name][1], found
 
 
 @pytest.mark.slow

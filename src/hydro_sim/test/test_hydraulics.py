@@ -79,19 +79,6 @@ def test_energy_is_conserved_with_a_closed_valve_and_no_friction(bench: Bench) -
     np.testing.assert_allclose([energy(y) for y in states], energy(start), rtol=1e-5)
 
 
-def test_integration_is_of_fourth_order(bench: Bench) -> None:
-    def end(steps: int) -> FloatArray:
-        y = hydraulics.rest_state(bench.constants()[0])
-        y[3] = 0.05
-        textbook.advance(bench.constants()[0], y, 5e-3, 0.02, steps)
-        return y
-
-    exact = end(12800)
-    errors = [abs((end(steps) - exact) / exact)[2] for steps in (100, 200, 400)]
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)
-    assert errors[1] / errors[2] == pytest.approx(16.0, rel=0.2)
-
-
 def test_load_cell_amplifier_answers_a_step_as_a_butterworth_filter(bench: Bench) -> None:
     record = bench.constants()[0]
     y = hydraulics.rest_state(record)
