@@ -24,9 +24,8 @@ from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.signals import Flag
 from hydro_bridge.size import Size
-from hydro_sim.excitation import Playback, Segment
+from hydro_sim.excitation import WORKING_RANGE, Playback, Segment, working_range
 from hydro_sim.model.bench import NOMINAL, Bench
-from hydro_sim.nodes.collect import WORKING_RANGE, working_range
 from tests.graph_probe import Probe
 
 

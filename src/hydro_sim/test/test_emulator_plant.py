@@ -11,6 +11,7 @@ from scipy import signal
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth import dynamics
+from hydro_sim.emulator.truth import plant as truth_plant
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS, TruthPlant
 from hydro_sim.model.bench import Bench
@@ -37,8 +38,18 @@ def column(log: FloatArray, name: str) -> FloatArray:
     return log[:, TRUTH_FIELDS.index(name)]
 
 
+def run(plant: TruthPlant, currents: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """After each sample: the measurement, shape (n, 8); it without noise; `TRUTH_FIELDS`, shape (n, 12)."""
+    noisy, clean = np.empty((2, len(currents), len(PLANT_FIELDS)))
+    log = np.empty((len(currents), len(TRUTH_FIELDS)))
+    for k, current in enumerate(currents):
+        noisy[k], clean[k] = plant.step(float(current)), plant.chain["clean"][0]
+        truth_plant.physical(plant.state, log[k])
+    return noisy, clean, log
+
+
 def held(plant: TruthPlant, current: float, seconds: float) -> FloatArray:
-    return plant.run(np.full(round(seconds * 1000), current))[2]
+    return run(plant, np.full(round(seconds * 1000), current))[2]
 
 
 def first_rate(plant: TruthPlant, current: float, chamber: str, skip: int = 0) -> tuple[float, float]:
@@ -62,7 +73,7 @@ def test_nominal_truth_agrees_with_the_independent_analytic_plant(bench: Bench) 
     p, y = plant.parameters[0], plant.state["y"][0]
     _, _, _, _, y[0], y[1], _, _ = other.reset(0)  # the same pressures to start from
     y[0], y[1] = dynamics.content_of(p, y[0], VOLUME_A), dynamics.content_of(p, y[1], VOLUME_B)
-    _, clean, _ = plant.run(currents)
+    _, clean, _ = run(plant, currents)
     expected = np.array([other.step(float(current)) for current in currents])
     scale = np.ptp(expected, axis=0)
     assert np.max(np.abs(clean - expected) / scale, axis=0) == pytest.approx(np.zeros(8), abs=1e-4)
@@ -282,7 +293,7 @@ def test_moving_slowly_takes_more_force_than_moving_fast(form: str, current: flo
 
 def test_friction_takes_energy_out_at_every_instant() -> None:
     plant = truth(friction_coulomb={"force": 12.0, "form": "static"}, outside={"friction_rib": {"force": 20.0}})
-    log = plant.run(0.003 * np.sin(2 * np.pi * 2.0 * np.arange(1000) * 1e-3))[2]
+    log = run(plant, 0.003 * np.sin(2 * np.pi * 2.0 * np.arange(1000) * 1e-3))[2]
     power = column(log, "friction_force") * column(log, "piston_velocity")
     assert power.min() > -1e-6
 
@@ -316,7 +327,7 @@ def test_play_drags_the_springs_end_and_loses_its_width_at_each_reversal() -> No
 
 def test_bouc_wen_spring_saturates_and_loses_energy_round_a_cycle() -> None:
     plant = truth(outside={"spring_hysteresis": {"force": 40.0, "deflection": 1e-3}})
-    log = plant.run(0.002 * np.sin(2 * np.pi * 2.0 * np.arange(2000) * 1e-3))[2][1000:]
+    log = run(plant, 0.002 * np.sin(2 * np.pi * 2.0 * np.arange(2000) * 1e-3))[2][1000:]
     extra = column(log, "load_force") - STIFFNESS * (column(log, "piston_position") - REST)
     assert np.abs(extra).max() == pytest.approx(40.0, rel=0.05)
     lost = np.sum(0.5 * (extra[1:] + extra[:-1]) * np.diff(column(log, "piston_position")))
@@ -353,8 +364,8 @@ def logs(
         "effects": effects,
         "outside": outside or {},
     }
-    noisy, clean, physical = TruthPlant(truth_from_mapping(config)).run(MOVING)
-    return {name: (noisy[:, i], clean[:, i], physical[:, i]) for i, name in enumerate(PLANT_FIELDS)}
+    noisy, clean, log = run(TruthPlant(truth_from_mapping(config)), MOVING)
+    return {name: (noisy[:, i], clean[:, i], log[:, i]) for i, name in enumerate(PLANT_FIELDS)}
 
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 4.0])

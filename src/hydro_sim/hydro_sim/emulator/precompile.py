@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from hydro_sim import excitation
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
@@ -18,7 +16,6 @@ def _emulator() -> None:
     machine = Machine(truth)
     machine.warm_up()
     machine.plant.step(0.0)
-    machine.plant.run(np.zeros(1))
     record_offline(truth, excitation.draw(0.1, 0))
 
 

@@ -55,16 +55,6 @@ class Errors:
         return np.asarray(np.sqrt(np.mean(self.by_time**2, axis=0)))
 
 
-def errors(predictor: Predictor, states: FloatArray, run: Run, truth: FloatArray, horizon: int, stride: int) -> Errors:
-    """Errors of predictions from `states` at the starts of windows against `truth`, shape (n, 8)."""
-    starts = np.arange(SETTLED, len(run) - horizon - 1, stride)
-    squares = np.zeros((horizon, 8))
-    for part in np.array_split(starts, max(len(starts) * horizon // 500_000, 1)):
-        rows = part[:, None] + np.arange(horizon)
-        squares += ((predictor.predict(states[part], run.u[rows]) - truth[rows + 1]) ** 2).sum(axis=0)
-    return Errors(by_time=np.sqrt(squares / len(starts)), windows=len(starts))
-
-
 @dataclass(frozen=True, kw_only=True)
 class Scored:
     """One recorded run with its reference."""
@@ -79,24 +69,24 @@ class Scored:
         return self.run.x if self.truth is None else self.truth
 
 
-def pooled(parts: list[Errors]) -> Errors:
-    """Errors of several runs together, each window counting once."""
-    counts = np.array([part.windows for part in parts], float)
-    weights = counts / counts.sum()
-    by_time = np.sqrt(sum(w * part.by_time**2 for w, part in zip(weights, parts, strict=True)))
-    return Errors(by_time=by_time, windows=sum(part.windows for part in parts))
-
-
 def prediction_errors(
     predictor: Predictor, states: list[FloatArray], scored: list[Scored], *, recorded: bool, horizon: int, stride: int
 ) -> Errors:
-    """Pooled errors on several runs, against the recordings themselves or against the noise-free logs."""
-    truths = [item.run.x if recorded else item.reference for item in scored]
-    parts = [
-        errors(predictor, start, item.run, truth, horizon, stride)
-        for start, item, truth in zip(states, scored, truths, strict=True)
-    ]
-    return pooled(parts)
+    """Errors of predictions from `states` at the starts of windows, each window of all runs counting once.
+
+    Against the recordings themselves if `recorded`, else against the noise-free logs.
+    """
+    squares, windows = np.zeros((horizon, 8)), 0
+    for begins, item in zip(states, scored, strict=True):
+        truth, starts = (
+            item.run.x if recorded else item.reference,
+            np.arange(SETTLED, len(item.run) - horizon - 1, stride),
+        )
+        windows += len(starts)
+        for part in np.array_split(starts, max(len(starts) * horizon // 500_000, 1)):
+            rows = part[:, None] + np.arange(horizon)
+            squares += ((predictor.predict(begins[part], item.run.u[rows]) - truth[rows + 1]) ** 2).sum(axis=0)
+    return Errors(by_time=np.sqrt(squares / windows), windows=windows)
 
 
 def noise_floor(scored: list[Scored]) -> FloatArray | None:
@@ -213,25 +203,26 @@ def main() -> None:
     if omitted_terms(bench):
         print(omitted_terms(bench), file=sys.stderr)
     runs = [item.run for item in scored]
-    learned = BenchPrediction(model, runs)
-    states = [learned.estimate(item.run) for item in scored]
-    analytic = AnalyticModel(bench)
-    analytic_states = [analytic.estimate(item.run) for item in scored]
-    table = table_of(learned, states, analytic, analytic_states, scored)
-    table.show(options.json)
-    _long(learned, states, analytic, analytic_states, scored)
+    learned, analytic = BenchPrediction(model, runs), AnalyticModel(bench)
+    both: tuple[Started, Started] = (
+        (learned, [*map(learned.estimate, runs)]),
+        (analytic, [*map(analytic.estimate, runs)]),
+    )
+    table_of(*both, scored).show(options.json)
+    _long(*both, scored)
     print(f"{options.model or learned_bench.shipped().name}: {learned.quality.sentence()}")
 
 
-def table_of(
-    learned: Predictor, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
-    scored: list[Scored],
-) -> ConsoleTable:  # fmt: skip
+Started = tuple[Predictor, list[FloatArray]]
+"""A model, and its states at the samples of each run."""
+
+
+def table_of(learned: Started, analytic: Started, scored: list[Scored]) -> ConsoleTable:
     """Table rmse_model, a row per state."""
     how: dict[str, Any] = {"horizon": HORIZON, "stride": STRIDE}
-    clean = prediction_errors(learned, states, scored, recorded=False, **how)
-    noisy = prediction_errors(learned, states, scored, recorded=True, **how)
-    other = prediction_errors(analytic, analytic_states, scored, recorded=False, **how)
+    clean = prediction_errors(*learned, scored, recorded=False, **how)
+    noisy = prediction_errors(*learned, scored, recorded=True, **how)
+    other = prediction_errors(*analytic, scored, recorded=False, **how)
     references = np.concatenate([item.reference for item in scored])
     std, span = references.std(axis=0), np.ptp(references, axis=0)
     floor = noise_floor(scored)
@@ -248,29 +239,21 @@ def table_of(
     return table
 
 
-def _long(
-    learned: Predictor, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
-    scored: list[Scored],
-) -> None:  # fmt: skip
+def _long(learned: Started, analytic: Started, scored: list[Scored]) -> None:
     """Errors by the time predicted, and those of one free run."""
-    longest = min(LONGEST, _longest(scored))
+    longest = min(LONGEST, min(len(item.run) for item in scored) - SETTLED - 2)  # that fits into every run
     how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
-    mine = prediction_errors(learned, states, scored, **how)
-    theirs = prediction_errors(analytic, analytic_states, scored, **how)
+    mine = prediction_errors(*learned, scored, **how)
+    theirs = prediction_errors(*analytic, scored, **how)
     for horizon in (1, 10, 70, 200, 1000, longest):
         print(f"after {horizon / 1e3:g} s: f_l off by {mine.by_time[horizon - 1, 2]:.3g} N "
               f"(analytic {theirs.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
-    item, start = scored[0], states[0]
-    free = learned.predict(start[SETTLED : SETTLED + 1], item.run.u[None, SETTLED:-1])[0]
+    item, start = scored[0], learned[1][0]
+    free = learned[0].predict(start[SETTLED : SETTLED + 1], item.run.u[None, SETTLED:-1])[0]
     deviation = free[:, 2] - item.reference[SETTLED + 1 :, 2]
     print(f"free run of {len(free) / 1e3:g} s: f_l off by {np.sqrt(np.mean(deviation**2)):.3g} N RMS, "
           f"{np.abs(deviation).max():.3g} N at most; "
           f"{'finite throughout' if np.isfinite(free).all() else 'NOT finite'}")  # fmt: skip
-
-
-def _longest(scored: list[Scored]) -> int:
-    """Samples of the longest prediction that fits into every run."""
-    return min(len(item.run) for item in scored) - SETTLED - 2
 
 
 def _scored(bags: list[str], logs: list[str] | None) -> list[Scored]:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_sim.model import machine_code
+from hydro_sim.model import hydraulics, machine_code
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, grown, valve
 
@@ -107,7 +107,7 @@ class BenchModel:
         if sum(delays) > max(self.structure.past - 2, 0) * SAMPLE_PERIOD:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
         k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(READINGS)
-        y[:TEXTBOOK] = rest_state(self.bench)
+        y[:TEXTBOOK] = hydraulics.rest_state(self.bench.constants()[0])
         self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))
         return k, y, z
 
@@ -146,11 +146,6 @@ class BenchModel:
         """The code with derivatives: five times as long to compile, and not needed by a simulation."""
         return library(self.structure, "derivatives")
 
-    @property
-    def source(self) -> str:
-        """C source of the model, which a box can run."""
-        return _source(self.structure, "derivatives")
-
 
 @dataclass(frozen=True)
 class Structure:
@@ -170,13 +165,6 @@ def structure_of(bench: Bench, substeps: int = SUBSTEPS) -> Structure:
 
 def _made(bench: Bench, substeps: int) -> BenchModel:
     return BenchModel(bench, substeps=substeps)
-
-
-def rest_state(bench: Bench) -> FloatArray:
-    """Textbook states, shape (6,), of a still bench with a relaxed spring and p_a + p_b = p_s."""
-    numbers = bench.constants()[0]
-    pressure_b = numbers["supply_pressure"] / (1.0 + numbers["area_ratio"])
-    return np.array([numbers["area_ratio"] * pressure_b, pressure_b, numbers["spring_rest_position"], 0.0, 0.0, 0.0])
 
 
 _TEXTBOOK = (

@@ -3,92 +3,278 @@
 
 ros2 run hydro_sim collect --out BAG [--seconds S] [--seed N] [--schedule FILE] [--bench FILE] [--rearm auto|ask]
 ros2 run hydro_sim collect --write-schedule FILE [--seconds S] [--seed N]
+
+`CollectNode` plays it, and leaves the plant disarmed::
+
+    meet     which box is it, may this node command it, and arm it without a person (simulation, emulator)?
+    drive    wait for the recorder, record the still bench, arm, play, arm again after a trip; too many trips end it
+    leave    reference 0 N, and a disarm that the plant confirms
 """
 
 from __future__ import annotations
 
 import argparse
+import queue
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
+from math import inf
 from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory
+from typing import Any
 
-import numpy as np
 import rclpy
 import yaml
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
 
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, number, writable, writable_folder
-from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
-from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, start_ros
-from hydro_bridge.signals import Flag, StateArray
-from hydro_bridge.size import Size
-from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
+from hydro_bridge.cli.console import (
+    UserError,
+    add_json_argument,
+    command,
+    number,
+    print_above_progress,
+    progress,
+    typed_lines,
+    writable,
+    writable_folder,
+)
+from hydro_bridge.process import endings
+from hydro_bridge.ros.commander import Commander
+from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch, add_page_option, start_page
+from hydro_bridge.ros.diagnostics import publisher_conflicts
+from hydro_bridge.ros.messages import subscribe_to_box
+from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, spin, start_ros
+from hydro_bridge.ros.topics import COMMANDS, STATE, create_subscription
+from hydro_bridge.safety.arming import TOO_EARLY, Arming
+from hydro_bridge.safety.authority import BY_HAND
+from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
+from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
+from hydro_bridge.signals import Flag
+from hydro_bridge.signals import ReferenceSignal as Signal
+from hydro_msgs.msg import BenchState
+from hydro_sim.box.box import EMULATED_BOX
+from hydro_sim.excitation import Playback, Range, Segment, coverage, draw, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
-from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode
-from hydro_sim.plotting import UNITS
 
-WORKING_RANGE: dict[str, tuple[str, float, float]] = {
-    "load_force": ("force", -400.0, 400.0),
-    "load_force_rate": ("force", -3770.0, 3770.0),
-    "pressure_a": ("pressure", 4e6, 9e6),
-    "pressure_b": ("pressure", 5e6, 14e6),
-    "piston_position": ("length", 0.02, 0.06),
-    "piston_velocity": ("length", -0.19, 0.19),
-    "valve_current": ("current", -5e-3, 5e-3),
-    "proportional_gain": ("", 15.0, 75.0),
-    "integral_gain": ("", 5.0, 15.0),
-}
-"""Scale of `Size`, and working range of a model of the nominal bench: 300 N at 2 Hz with offsets (physics.md), SI."""
+NOT_YET = "not armed, still waiting for {}: you are asked once all is ready"
+TRIPS_IN_A_ROW = 3
+_PERIOD = 0.01  # s, of gains
+_REST = 1.0  # s recorded before arming: the still bench
+_AUTHORITY_WITHIN = 5.0  # s for the plant to give the authority: longer than it keeps that of one who was killed
+_PLANT_WITHIN = 600.0  # s without a sample
 
 
-def working_range(size: Size) -> dict[str, tuple[float, float]]:
-    """Return the working range of a model of a bench of this size, SI units."""
-    shares = {name: getattr(size, name) / getattr(NOMINAL, name) for name in vars(NOMINAL)} | {"": 1.0}
-    return {field: (shares[scale] * low, shares[scale] * high) for field, (scale, low, high) in WORKING_RANGE.items()}
+class CollectNode(Node):
+    """Call `meet`, then `drive`, and `leave` whatever happens.
 
-
-BINS = 20
-
-
-def coverage(states: StateArray, size: Size) -> Table:
-    """One row per quantity: its range, its spread, and how much of the bench's working range was visited while armed.
-
-    `visited` is the share of 20 bins of the working range with at least 0.1 % of the samples; the last row is the share
-    of cells of load force by velocity, 10 each way, within the ellipse that sines of 400 N and 3770 N/s fill (on the
-    nominal bench).
+    `schedule`: schedule to play. `rearm`: whether the plant may be armed without a person; None: if it is the
+    simulation or the emulator.
     """
-    armed = states[(states["flags"] & Flag.ARMED) != 0]
-    seconds = 1e-3 * len(armed)
-    columns = {
-        "quantity": "", "unit": "", "low": "0.1 % of samples are below", "high": "0.1 % of samples are above",
-        "std": "standard deviation", "visited": "share of the working range visited",
-    }  # fmt: skip
-    table = Table(columns, title=f"{seconds:g} s armed of {1e-3 * len(states):g} s")
-    ranges = working_range(size)
-    for field in ranges:
-        name, unit, factor = UNITS[field]
-        values = armed[field]
-        low, high = np.quantile(values, [0.001, 0.999])
-        counts, _ = np.histogram(values, BINS, ranges[field])
-        table.add(
-            quantity=name, unit=unit, low=float(factor * low), high=float(factor * high),
-            std=float(factor * values.std()),
-            visited=float((counts > 0.001 * len(values)).mean()),
-        )  # fmt: skip
-    table.add(quantity="force by velocity", unit="", low=np.nan, high=np.nan, std=np.nan, visited=_plane(armed, size))
-    return table
+
+    def __init__(self, schedule: Sequence[Segment], rearm: bool | None) -> None:
+        super().__init__("collect")
+        self.plant = ""
+        """Name of the plant, once it is met: sim, or the box's own name; empty if unknown."""
+        self.ended = ""
+        """Reason for ending before the schedule did, if it ended by itself."""
+        self.playback = Playback(schedule)
+        self._rearm = rearm
+        self.box: KnownBox | None = None
+        """Box that the plant reports: schedules state total gains, and a box takes changes to its own."""
+        self._heard = self._asked = inf  # when the first sample came; when the authority was first asked for, s
+        self._readiness = Readiness([self._plant_needed(), box_info_requirement(lambda: self.box is not None)], _warn)
+        self._met, self._finished, self._driving = Future(), Future(), False
+        self._recorder: Companion | None = None
+        self._begun, self._still_since = False, inf  # whether it may be armed; since when it is not, s
+        self._changes = (0.0, 0.0)  # to K_p [1/s] and K_i [1/s^2] of the box
+        self._bar: Any = None
+        self._commander = Commander(self, self._on_authority, endings.ask)
+        self._arming = Arming(self, rearm=False)
+        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._refusals = {True: "", False: ""}  # the last one to arm, and to disarm
+        create_subscription(self, STATE, self._on_state)
+        subscribe_to_box(self, self._on_box)
+        self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def meet(self) -> bool:
+        """Wait for a plant and check it; return whether a signal ended the wait.
+
+        Raises UserError if another node commands the plant, no plant appears, or the box is unknown.
+        """
+        broken = spin(self, self._met)
+        if not broken and self.ended:
+            raise UserError(self.ended)
+        return broken
+
+    def drive(self, recorder: Companion, bag: Path) -> bool:
+        """Play while the recorder runs, once it has samples in `bag`; return whether a signal ended it."""
+        self._recorder, self._driving = recorder, True
+        self._readiness = Readiness([RecorderWatch(self, bag, recorder).requirement], _warn)
+        self._bar = progress(total=round(self.playback.seconds), label="collecting", unit="s")
+        self._arming.alone = bool(self._rearm)
+        if not self._rearm:
+            self._keys = typed_lines()
+        return spin(self, self._finished)
+
+    def leave(self) -> None:
+        """Leave the plant disarmed, with a reference of 0 N for whoever arms it next, and give back the authority."""
+        with endings.undisturbed():  # a second Ctrl-C waits
+            self._driving = False
+            self._commander.reference(Signal())
+            if unconfirmed := self._commander.give_back():
+                _warn(unconfirmed)
+            if self._bar is not None:  # after the plant: there may be no terminal any more
+                self._bar.close()
+
+    def _on_state(self, message: BenchState) -> None:
+        self._heard = min(self._heard, time.monotonic())
+        self.playback.on_sample(message.flags)
+
+    def _on_timer(self) -> None:
+        if self._driving:
+            self._drive_on()
+        elif not self._met.done():
+            self._look_around(time.monotonic())
+
+    def _look_around(self, now: float) -> None:
+        if not self._ready(now):
+            return
+        self._commander.seek(now)
+        self._asked = min(self._asked, now)
+        if not self._commander.held and now - self._asked < _AUTHORITY_WITHIN:
+            return
+        if not self._commander.held:
+            self.ended = self._commander.refusal or "the plant does not say who may command it (/hydro/claim)"
+        elif crowd := publisher_conflicts(self, *COMMANDS):
+            self.ended = crowd
+        if self._rearm is None:
+            self._rearm = self.plant in ("sim", EMULATED_BOX)
+        self._met.set_result(None)
+
+    def _on_box(self, box: KnownBox) -> None:
+        if self._driving and self.box is not None and box.base_gains != self.box.base_gains:
+            self._end("another box with other base gains has been connected: it is left disarmed")
+        self.box, self.plant = box, "sim" if box.plant == "sim" else box.info.name
+
+    def _drive_on(self) -> None:
+        now = time.monotonic()
+        if self._finished.done():
+            return
+        self._commander.seek(now)
+        if self._recorder is None or not self._recorder.running:  # nothing moves unrecorded
+            self._end("")
+            return
+        if not self._begun:
+            self._wait_to_begin(now, armed=bool(self.playback.flags & Flag.ARMED))
+            return
+        self._follow_schedule()
+        self._follow_arming(now)
+        self._commander.gains(*self._changes)
+
+    def _wait_to_begin(self, now: float, *, armed: bool) -> None:
+        """Wait until the recorder has a second of the bench at rest; if somebody arms it meanwhile, it is disarmed."""
+        ready = self._ready(now) and not armed
+        self._still_since = min(self._still_since, now) if ready else inf
+        if self._entered():
+            _warn(NOT_YET.format(self._readiness.awaited or "a second of the still bench"))
+        if armed:
+            self._arming.lower(now, TOO_EARLY)
+        else:
+            self._arming.seek(False, now)
+        self._begun = now - self._still_since >= _REST
+
+    def _ready(self, now: float) -> bool:
+        """Return whether what must be there is; what never comes is the end."""
+        try:
+            self._readiness.look(now)
+        except NotReadyError as error:
+            self._end(str(error))
+        return self._readiness.complete
+
+    def _plant_needed(self) -> Requirement:
+        return Requirement(
+            name="a plant",
+            ready=lambda: self._heard < inf,
+            hint=f"no samples on {STATE} yet: start a bridge or a simulation",
+            within=_PLANT_WITHIN,
+            missing=f"no samples on {STATE} for {_PLANT_WITHIN:g} s: there is nothing to record",
+        )
+
+    def _follow_schedule(self) -> None:
+        segment, playback = self.playback.next(), self.playback
+        if playback.trips_in_a_row >= TRIPS_IN_A_ROW:
+            self._end(f"the plant tripped {playback.trips_in_a_row} times in a row: it is left disarmed")
+        elif playback.finished:
+            self._end("")
+        if segment is not None and self.box is not None:
+            self._commander.reference(segment.signal)
+            self._changes = segment.kp - self.box.info.base_kp, segment.ki - self.box.info.base_ki
+        if self._bar is not None:
+            self._bar.update(int(playback.elapsed) - self._bar.n)
+
+    def _follow_arming(self, now: float) -> None:
+        if self._finished.done() or self.playback.flags & Flag.ARMED:
+            self._entered()  # consent given while it is armed is none for the next time
+            self._arming.rest()
+        elif trouble := publisher_conflicts(self, *COMMANDS):
+            self._end(f"{trouble}; the plant is left disarmed")
+        else:
+            if self._entered():
+                self._arming.arm(now)
+            self._arming.seek(True, now)
+            condition = "tripped" if self.playback.flags & Flag.TRIPPED else "disarmed"
+            if hint := self._arming.prompt(condition, True, now):
+                _warn(f"the plant is {condition}: {hint}" + " --off, then without it" * (condition == "tripped"))
+
+    def _entered(self) -> bool:
+        """Return whether a person has pressed Enter since the last call."""
+        entered = not self._keys.empty()
+        while not self._keys.empty():
+            self._keys.get()
+        return entered
+
+    def reference(self, signal: Signal) -> None:
+        """See `ArmingOutputs`."""
+        self._commander.reference(signal)
+
+    def arm(self, arm: bool) -> None:
+        """See `ArmingOutputs`; a refusal is reported once, one that a person caused each time."""
+        if (answer := self._commander.arm(arm)) is not None:
+            answer.add_done_callback(partial(self._on_answer, arm))
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        """See `ArmingOutputs`."""
+        _warn(sentence)
+
+    def _on_answer(self, arm: bool, answer: Future) -> None:
+        refusal = "" if answer.result() is None or answer.result().success else answer.result().message
+        if refusal == BY_HAND:
+            self._arming.leave_to_person(time.monotonic())
+        if refusal == BY_HAND or (refusal and refusal != self._refusals[arm]):
+            what = "was not armed" if arm else "did not confirm that it is disarmed"
+            _warn(f"the plant {what}: {refusal}")
+        self._refusals[arm] = refusal
+
+    def _on_authority(self, lost: str) -> None:
+        if lost:
+            self._end(f"{lost}; it goes on without this node")
+
+    def _end(self, why: str) -> None:
+        over = self._finished if self._driving else self._met
+        if not over.done():
+            self.ended = why
+            over.set_result(None)
 
 
-def _plane(armed: StateArray, size: Size) -> float:
-    ranges = [working_range(size)[field] for field in ("load_force", "piston_velocity")]
-    counts, force, velocity = np.histogram2d(armed["load_force"], armed["piston_velocity"], 10, ranges)
-    f, v = 0.5 * (force[1:] + force[:-1]) / ranges[0][1], 0.5 * (velocity[1:] + velocity[:-1]) / ranges[1][1]
-    inside = f[:, None] ** 2 + v[None, :] ** 2 <= 1.0
-    return float((counts[inside] >= 10).mean())
+def _warn(sentence: str) -> None:
+    print_above_progress(f"! {sentence}")
 
 
 TRIPPED = 3

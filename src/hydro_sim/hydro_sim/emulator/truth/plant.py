@@ -10,7 +10,7 @@ from hydro_sim.emulator.truth import dynamics, sensing
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.emulator.truth.parameters import SUBSTEPS, compile_parameters
 from hydro_sim.jit import njit
-from hydro_sim.model.sensors import Sensors
+from hydro_sim.model.sensors import Noise, Sensors
 
 NOISE_COLUMNS = 5  # f_h, f_l, p_a, p_b, random force
 
@@ -62,38 +62,6 @@ def physical(state, row):
     row[8], row[9], row[10], row[11] = s.y[4], s.friction_force, s.y[6], s.draw
 
 
-@njit
-def _run(p, box, state, chain, work, noise, currents, noisy, clean, truth):
-    for k in range(len(currents)):
-        advance(p, box, state, chain, work, noise[k], currents[k])
-        noisy[k], clean[k] = chain[0].measurement, chain[0].clean
-        physical(state, truth[k])
-
-
-class NoiseStream:
-    """Standard normal numbers by rows, independent of how many are taken at a time."""
-
-    BLOCK = 1024
-
-    def __init__(self, seed: int) -> None:
-        self._generator = np.random.default_rng(seed)
-        self._rows: FloatArray = np.empty((0, NOISE_COLUMNS))
-        self._next = 0
-
-    def row(self) -> FloatArray:
-        """Next row, shape (`NOISE_COLUMNS`,)."""
-        if self._next == len(self._rows):
-            self._rows, self._next = self._generator.standard_normal((self.BLOCK, NOISE_COLUMNS)), 0
-        self._next += 1
-        return self._rows[self._next - 1]
-
-    def rows(self, count: int) -> FloatArray:
-        """Next `count` rows, shape (count, `NOISE_COLUMNS`)."""
-        kept = self._rows[self._next : self._next + count]
-        self._next += len(kept)
-        return np.concatenate((kept, self._generator.standard_normal((count - len(kept), NOISE_COLUMNS))))
-
-
 class TruthPlant:
     """The emulated bench; implements `hydro_sim.model.plant.Plant`.
 
@@ -117,7 +85,7 @@ class TruthPlant:
 
     def reset(self, seed: int) -> FloatArray:
         """Reset to rest, with noise from `seed`; return the measurement x, shape (8,)."""
-        self.noise = NoiseStream(seed)
+        self.noise = Noise(seed)
         start(self.parameters, self.differentiation, self.state, self.chain, self.noise.row())
         return self.measurement()
 
@@ -128,35 +96,6 @@ class TruthPlant:
         )
         return self.measurement()
 
-    def run(self, currents: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Run many samples without a box, in one compiled loop.
-
-        Parameters
-        ----------
-        currents
-            Valve current [A] held over each sample, shape (n,).
-
-        Returns
-        -------
-        After each sample: the measurement, shape (n, 8); it without noise, shape (n, 8); `TRUTH_FIELDS`, shape (n, 12).
-        """
-        count = len(currents)
-        noisy, clean = np.empty((count, 8)), np.empty((count, 8))
-        truth = np.empty((count, len(TRUTH_FIELDS)))
-        records = (self.parameters, self.differentiation, self.state, self.chain, self.work)
-        _run(*records, self.noise.rows(count), np.asarray(currents, np.float64), noisy, clean, truth)
-        return noisy, clean, truth
-
     def measurement(self) -> FloatArray:
         """Present measurement x (eq. state_def), shape (8,), SI units; a copy."""
         return self.chain["measurement"][0].copy()
-
-    def noise_free(self) -> FloatArray:
-        """Present measurement without noise and quantisation, shape (8,); a copy."""
-        return self.chain["clean"][0].copy()
-
-    def physical(self) -> FloatArray:
-        """Present physical quantities, shape (len(`TRUTH_FIELDS`),), a copy. The rates are those of the last 25 us."""
-        row = np.empty(len(TRUTH_FIELDS))
-        physical(self.state, row)
-        return row
