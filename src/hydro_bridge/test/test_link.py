@@ -95,8 +95,8 @@ def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
     wait_until(lambda: any(frame.command.delta_u == 0.015625 for frame in it.box.commands))
     frame = next(frame for frame in it.box.commands if frame.command.delta_u == 0.015625)
     assert frame.command.corrects in corrected and frame.command.filter_fresh
-    assert 1 <= it.link.report.times.turnaround.count <= len(corrected)
-    wait_until(lambda: it.link.report.times.round_trip.count > 0)
+    assert 1 <= it.link.report.turnaround.count <= len(corrected)
+    wait_until(lambda: it.link.report.round_trip.count > 0)
 
 
 def test_arming_is_confirmed_by_the_box_and_so_is_disarming(bench):

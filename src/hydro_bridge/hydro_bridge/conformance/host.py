@@ -7,18 +7,17 @@ frames or garbage.
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from random import Random
 from typing import Any, Protocol
-from zlib import crc32
 
 from cobs import cobs
 
 from hydro_bridge.errors import UserError
-from hydro_bridge.serial.protocol import VERSION, BoxLaw, Details, Hello, LawFrame, State, encode_command, encode_hello
+from hydro_bridge.serial.frames import VERSION, BoxLaw, Details, Hello, LawFrame, State
+from hydro_bridge.serial.protocol import encode_command, encode_hello, wrap
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import Command, Law, ReferenceSignal, Waveform
 
@@ -230,11 +229,11 @@ def damaged(frame: bytes, how: str) -> bytes:
     """
     if how == "truncated":
         return frame[:-9] + b"\0"
-    body = bytearray(cobs.decode(frame[1:-1])[:-4])
+    raw = bytearray(cobs.decode(frame[1:-1]))
     if how == "bit flipped":
-        check = crc32(body)
-        body[_TIME] ^= 0x10
-        return _wrapped(bytes(body), check)
+        raw[_TIME] ^= 0x10
+        return b"\0" + cobs.encode(bytes(raw)) + b"\0"
+    body = raw[:-4]
     if how == "too long":
         body.append(1)
     elif how == "too short":
@@ -242,17 +241,7 @@ def damaged(frame: bytes, how: str) -> bytes:
     else:
         place, value = _CHANGED[how]
         body[place] = value
-    return sealed(bytes(body))
-
-
-def sealed(body: bytes) -> bytes:
-    """Return a frame around any body, with a valid check sum."""
-    return _wrapped(body, crc32(body))
-
-
-def _wrapped(body: bytes, check: int) -> bytes:
-    stuffed: bytes = cobs.encode(body + struct.pack("<I", check))
-    return b"\0" + stuffed + b"\0"
+    return wrap(bytes(body))
 
 
 ANSWER = 300
@@ -347,7 +336,7 @@ def _greet(host: Host, words: dict[str, Any]) -> None:
     body[14:16] = bytes((low, high))
     host.mark()
     host.details, host.law, host.greeted_at = None, None, len(host.states)
-    host.write(sealed(bytes(body)))
+    host.write(wrap(bytes(body)))
     for _ in range(ANSWER):
         if host.hellos and host.hellos[-1][0] >= host.greeted_at:
             host.mark()

@@ -195,49 +195,46 @@ class GrowingThinner:
     """
 
     def __init__(self, columns: int, begin: float, limit: int = LIMIT) -> None:
-        self._begin, self._last = begin, begin
+        self._begin = begin
+        self.end = begin
+        """Time of the latest sample, s, on the clock of the samples."""
         self._table = np.full((limit, columns, 2), np.nan, np.float32)
-        self._end = 0
+        self._count = 0
         self.slot = SLOT
         """s."""
         self.left_out = 0
         """Samples before `begin`, or more than `JUMP` after all previous ones."""
-
-    @property
-    def end(self) -> float:
-        """Time of the latest sample, s, on the clock of the samples."""
-        return self._last
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
         """Add samples.
 
         `times`: s, shape (n,). `values`: shape (n, columns). Non-finite values count as missing.
         """
-        good = (times >= self._begin) & (times < self._last + JUMP)
+        good = (times >= self._begin) & (times < self.end + JUMP)
         self.left_out += int(len(times) - np.count_nonzero(good))
         times, values = times[good], values[good]
         if not len(times):
             return
-        self._last = max(self._last, float(times.max()))
-        while self._last - self._begin >= self.slot * len(self._table):
+        self.end = max(self.end, float(times.max()))
+        while self.end - self._begin >= self.slot * len(self._table):
             self._merge()
         slots = np.floor((times - self._begin) / self.slot).astype(np.int64)
         order = np.argsort(slots, kind="stable")
         _reduce_into(self._table, slots[order], values[order])
-        self._end = max(self._end, int(slots.max()) + 1)
+        self._count = max(self._count, int(slots.max()) + 1)
 
     def values(self, slot: float) -> npt.NDArray[np.float32]:
         """Return minimum and maximum in slots of `slot` s, or this series' own if longer, shape (slots, columns, 2)."""
         while self.slot < slot:
             self._merge()
-        return self._table[: self._end]
+        return self._table[: self._count]
 
     def _merge(self) -> None:
         half = len(self._table) // 2
         self._table[:half, :, 0] = np.fmin(self._table[::2, :, 0], self._table[1::2, :, 0])
         self._table[:half, :, 1] = np.fmax(self._table[::2, :, 1], self._table[1::2, :, 1])
         self._table[half:] = np.nan
-        self._end = -(-self._end // 2)
+        self._count = -(-self._count // 2)
         self.slot *= 2.0
 
 

@@ -150,8 +150,10 @@ class PageServer:
 
     def __init__(self, act: Callable[[Message], Future[str]], host: str = "127.0.0.1", port: int | None = None) -> None:
         self._act, self._host = act, host
-        self._files = {path: (_file(name), kind) for path, (name, kind) in _FILES.items()}
-        self._files["/"] = (_page().encode(), "text/html; charset=utf-8")
+        folder, page = resources.files("hydro_bridge.dashboard") / "page", environment("hydro_bridge", "dashboard/page")
+        self._files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}
+        index = page.get_template("index.html").render(title="hydro")
+        self._files["/"] = (index.encode(), "text/html; charset=utf-8")
         self._viewers: set[ServerConnection] = set()
         self._new: set[ServerConnection] = set()
         self._lock = threading.Lock()
@@ -254,14 +256,6 @@ class PageServer:
         reading = [viewer for viewer in self._viewers if viewer.transport.get_write_buffer_size() < BEHIND]
         for message in frames:
             broadcast(reading, message)
-
-
-def _page() -> str:
-    return environment("hydro_bridge", "dashboard/page").get_template("index.html").render(title="hydro")
-
-
-def _file(name: str) -> bytes:
-    return (resources.files("hydro_bridge.dashboard") / "page" / name).read_bytes()
 
 
 def file_response(body: bytes, kind: str, policy: str) -> Response:

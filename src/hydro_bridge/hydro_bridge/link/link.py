@@ -87,10 +87,32 @@ _RECENT = 256  # number of samples and commands kept
 _WRAP = 0xFFFFFFFF
 
 
-@dataclass
-class LinkTimes:
-    """Two latencies, measured at every sample. Times are seconds of one monotonic clock."""
+_NOMINAL = STATE_FIELDS.index("nominal_valve_current")
+_HELLO_PERIOD = 0.1
+_READ_TIMEOUT = 0.02
+_GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no complaint; an emulator loads longer
 
+
+class LinkState(Enum):
+    """States of the connection."""
+
+    CLOSED = "closed"
+    OPEN = "open"
+    CONNECTED = "connected"
+
+
+@dataclass
+class LinkReport:
+    """Statistics of a link since its creation; `LinkCounts` has those of the byte stream.
+
+    Two latencies are measured at every sample, in seconds of one monotonic clock.
+    """
+
+    reconnects: int = 0
+    """Connections after the first."""
+    commands: int = 0
+    heartbeats: int = 0
+    """Commands sent because no correction arrived in time."""
     turnaround: Latency = field(default_factory=Latency)
     """From receiving a state frame to sending the command frame that corrects it: publishing, the filter, and back."""
     round_trip: Latency = field(default_factory=Latency)
@@ -118,32 +140,6 @@ class LinkTimes:
         """Discard pending measurements: sequence numbers restart."""
         self._arrived.clear()
         self._sent.clear()
-
-
-_NOMINAL = STATE_FIELDS.index("nominal_valve_current")
-_HELLO_PERIOD = 0.1
-_READ_TIMEOUT = 0.02
-_GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no complaint; an emulator loads longer
-
-
-class LinkState(Enum):
-    """States of the connection."""
-
-    CLOSED = "closed"
-    OPEN = "open"
-    CONNECTED = "connected"
-
-
-@dataclass
-class LinkReport:
-    """Statistics of a link since its creation; `LinkCounts` has those of the byte stream."""
-
-    reconnects: int = 0
-    """Connections after the first."""
-    commands: int = 0
-    heartbeats: int = 0
-    """Commands sent because no correction arrived in time."""
-    times: LinkTimes = field(default_factory=LinkTimes)
 
 
 class Link:
@@ -255,7 +251,7 @@ class Link:
             except PortLostError:
                 return  # the reading thread detects it as well, and reopens
             self.report.commands += 1
-            self.report.times.command_sent(self._sequence, corrects, time.monotonic())
+            self.report.command_sent(self._sequence, corrects, time.monotonic())
 
     def arm(self, arm: bool, timeout: float = 0.5) -> str:
         """Arm or disarm, await the box's confirmation and return why it failed, or nothing. Not for `run`'s thread."""
@@ -315,7 +311,7 @@ class Link:
             return
         missed, self._corrected = not self._corrected, False
         with self.lock:
-            self.report.times.state_arrived(frame.sequence, frame.last_command, now)
+            self.report.state_arrived(frame.sequence, frame.last_command, now)
             self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
         self._note_refused(frame)
         stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
@@ -415,7 +411,7 @@ class Link:
         with self.lock:
             self.guard.set_arm(False)
             self.guard.note_sample(None)
-            self.report.times.forget()
+            self.report.forget()
         self._note_flags(0)
         self._tracker.reset()
         self.clock.reset()

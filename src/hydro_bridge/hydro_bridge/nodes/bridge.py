@@ -49,8 +49,8 @@ class BridgeSide(Link):
             "dropped writes": self.port.dropped_writes,
             "commands sent": report.commands,
             "heartbeats": report.heartbeats,
-            "state in to correction out": report.times.turnaround.sentence(),
-            "command out to confirmation in": report.times.round_trip.sentence(),
+            "state in to correction out": report.turnaround.sentence(),
+            "command out to confirmation in": report.round_trip.sentence(),
             "low latency mode": self.port.low_latency,
         }
         if self.state is not LinkState.CONNECTED:

@@ -79,61 +79,6 @@ from hydro_msgs.msg import Gains, LawCommand
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import Claim
 
-
-class GateWords:
-    """Announces one authority.
-
-    `node`: node of the plant. `authority`: authority that is announced.
-    """
-
-    def __init__(self, node: Node, authority: Authority) -> None:
-        self._node, self._authority = node, authority
-        self._publisher = create_publisher(node, AUTHORITY)
-        self._told: Counter[str] = Counter()
-        self._corrected = False  # corrections were refused in the second before
-        self._last = ""
-        self._calls = node.get_logger().get_child(CALLS)
-
-    def tell(self) -> None:
-        """Publish the holder, and the epoch that commands must carry now."""
-        authority = self._authority
-        message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)
-        self._last = ""
-
-    def tell_refused(self) -> None:
-        """Log how many commands were refused since the last call, and the publishers of these topics.
-
-        The holder is announced again: messages of a restarted plant are ignored while its killed predecessor is still
-        in the graph, and the new plant cannot know that.
-        """
-        news = self._authority.refused - self._told
-        if news:
-            self.tell()
-        self._told = self._authority.refused.copy()
-        corrected, self._corrected = self._corrected, news[CORRECTION] > 0
-        if not corrected:  # those of a filter that has not received the epoch yet
-            del news[CORRECTION]
-        for topic, count in news.items():
-            names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
-            self._node.get_logger().warning(
-                f"refused: {count} of {topic} from nodes without authority ({', '.join(names) or 'gone'})"
-                ": the valve does not follow them; end what sends them, or wait until it has the authority"
-            )
-
-    def say(self, sentence: str) -> None:
-        """Log a sentence."""
-        self._node.get_logger().info(sentence)
-
-    def called(self, who: str, answer: str) -> None:
-        """Log a caller's request and the answer, once until either changes: some callers repeat their requests."""
-        sentence = f"{who}: {answer}"
-        if sentence != self._last:
-            self._calls.info(sentence)
-        self._last = sentence
-
-
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
 _LOOK = 0.1  # s between two checks of the publishers
 
@@ -185,13 +130,17 @@ class Gate:
         self._armed, self._crowd = False, ""
         self._disarmed_by_hand = 0  # claim of the holder at that time; 0: no person has
         self._heard: dict[str, Subscription] = {}
+        self._publisher = create_publisher(node, AUTHORITY)
+        self._told: Counter[str] = Counter()
+        self._corrected = False  # corrections were refused in the second before
+        self._last_call = ""
+        self._calls = node.get_logger().get_child(CALLS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._words = GateWords(node, self.authority)
-        self._words.tell()
+        self._tell()
         node.create_service(SetBool, ARM_SERVICE, self._on_arm)
         node.create_service(Claim, CLAIM_SERVICE, self._on_claim)
         node.create_timer(_LOOK, self._look, clock=steady)
-        node.create_timer(1.0, self._words.tell_refused, clock=steady)
+        node.create_timer(1.0, self._tell_refused, clock=steady)
 
     def listen(self, topic: str, subscription: Subscription) -> None:
         """Register `subscription` as the source of the commands of `topic`."""
@@ -239,19 +188,19 @@ class Gate:
             trouble, done = f"act {request.act} is not known", ""
         if self.authority.claim != held:
             self._begin_anew(succeeds=bool(held))
-            self._words.say(f"{self.authority.holder or 'nobody'} commands this plant")
-            self._words.tell()
+            self._node.get_logger().info(f"{self.authority.holder or 'nobody'} commands this plant")
+            self._tell()
         own = not trouble and (request.claim or request.act == Claim.Request.TAKE)
         response.success, response.message = not trouble, trouble or done
         response.claim, response.epoch = (self.authority.claim, self.authority.epoch) if own else (0, 0)
         if request.act != Claim.Request.TAKE:
-            self._words.called(request.name or "somebody", response.message)
+            self._called(request.name or "somebody", response.message)
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         trouble = BY_NAME if request.data else self._disarm(by_hand=True)
         response.success, response.message = not trouble, trouble or "disarmed"
-        self._words.called("somebody, by /hydro/arm", response.message)
+        self._called("somebody, by /hydro/arm", response.message)
         return response
 
     def _disarm(self, *, by_hand: bool) -> str:
@@ -296,21 +245,21 @@ class Gate:
         self._follow()
         before, self._crowd = self._crowd, self.crowd()
         if before and not self._crowd:
-            self._words.tell()  # corrects any false message about the authority
+            self._tell()  # corrects any false message about the authority
         if self._armed:
             if self._crowd:
                 self._give_up(STATE)
         elif self.authority.lapse(time.monotonic()):
             self._begin_anew(succeeds=False)
-            self._words.say("nobody commands this plant: its commander has stopped sending")
-            self._words.tell()
+            self._node.get_logger().info("nobody commands this plant: its commander has stopped sending")
+            self._tell()
 
     def _follow(self) -> None:
         """End the session on a disarm, whoever requested it, and on a trip."""
         before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
         if before and not self._armed:
             self.authority.end(time.monotonic())
-            self._words.tell()
+            self._tell()
 
     def _give_up(self, topic: str) -> None:
         if not self._plant.guard.armed:
@@ -320,6 +269,41 @@ class Gate:
             self._plant.guard.give_up(why)
         self._plant.send()
         self._follow()
+
+    def _tell(self) -> None:
+        """Publish the holder, and the epoch that commands must carry now."""
+        authority = self.authority
+        message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+        self._last_call = ""
+
+    def _tell_refused(self) -> None:
+        """Log how many commands were refused since the last call, and the publishers of these topics.
+
+        The holder is announced again: messages of a restarted plant are ignored while its killed predecessor is still
+        in the graph, and the new plant cannot know that.
+        """
+        news = self.authority.refused - self._told
+        if news:
+            self._tell()
+        self._told = self.authority.refused.copy()
+        corrected, self._corrected = self._corrected, news[CORRECTION] > 0
+        if not corrected:  # those of a filter that has not received the epoch yet
+            del news[CORRECTION]
+        for topic, count in news.items():
+            names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
+            self._node.get_logger().warning(
+                f"refused: {count} of {topic} from nodes without authority ({', '.join(names) or 'gone'})"
+                ": the valve does not follow them; end what sends them, or wait until it has the authority"
+            )
+
+    def _called(self, who: str, answer: str) -> None:
+        """Log a caller's request and the answer, once until either changes: some callers repeat their requests."""
+        sentence = f"{who}: {answer}"
+        if sentence != self._last_call:
+            self._calls.info(sentence)
+        self._last_call = sentence
 
 
 class PlantNode(Node):

@@ -44,22 +44,17 @@ class Latency:
 
     def percentile(self, percent: float) -> float:
         """Return the duration [s] that `percent` of all do not exceed, to 1 us; NaN without data."""
-        return self._percentiles(percent)[0]
-
-    def _percentiles(self, *percents: float) -> list[float]:
         if not self.count:
-            return [float("nan")] * len(percents)
+            return float("nan")
         below = np.cumsum(np.frombuffer(self._bins, np.int64))
-        places = np.searchsorted(below, np.array(percents) / 100 * self.count)
-        return [self.longest if place >= _BINS - 1 else (int(place) + 1) * 1e-6 for place in places]
+        place = int(np.searchsorted(below, percent / 100 * self.count))
+        return self.longest if place >= _BINS - 1 else (place + 1) * 1e-6
 
     def sentence(self) -> str:
         """Return the percentiles in ms as text."""
         if not self.count:
             return "none"
-        named = (50.0, 99.0, 99.9)
-        pairs = zip(named, self._percentiles(*named), strict=True)
-        shown = "  ".join(f"p{percent:g} {1e3 * value:.3f}" for percent, value in pairs)
+        shown = "  ".join(f"p{percent:g} {1e3 * self.percentile(percent):.3f}" for percent in (50.0, 99.0, 99.9))
         return f"{shown}  max {1e3 * self.longest:.3f} ms"
 
 

@@ -59,15 +59,16 @@ class Commander:
         self._end_service: Service | None = None
         self._claims = node.create_client(Claim, CLAIM_SERVICE)
         self._said = Authority()  # the plant's last message about the authority
-        self._claim = self._epoch = self._known = 0  # the last: the epoch at the last request
+        self._claim = self._known = 0  # the second: the epoch at the last request
+        self.epoch = 0
+        """Epoch of the session if this node commands the plant, else 0."""
+        self.refusal = ""
+        """Reason of the plant's last refusal of the authority; empty: granted, or not answered yet."""
         self._answer: Future | None = None
-        self._asked, self._refusal = -inf, ""
+        self._asked = -inf
         self._reference: ReferenceSignal | None = None
-        self._gains = Gains()
-        self._gains_publisher: Publisher | None = None
-        self._reference_publisher: Publisher | None = None
-        self._law = LawMessage()
-        self._law_publisher: Publisher | None = None  # from the first command of a law on
+        self._gains, self._law = Gains(), LawMessage()
+        self._publishers: dict[str, Publisher] = {}  # that of a law from its first command on
         self._words = create_subscription(node, AUTHORITY, self._on_authority)
 
     @property
@@ -75,22 +76,12 @@ class Commander:
         """Whether this node commands the plant."""
         return bool(self._claim)
 
-    @property
-    def epoch(self) -> int:
-        """Epoch of the session if this node commands the plant, else 0."""
-        return self._epoch
-
-    @property
-    def refusal(self) -> str:
-        """Reason of the plant's last refusal of the authority; empty: granted, or not answered yet."""
-        return self._refusal
-
     def seek(self, now: float) -> None:
         """Take or keep the authority; call several times a second, `now` by the monotonic clock [s]."""
         waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_WITHIN
         if waiting or now < self._asked + _AGAIN or not self._claims.service_is_ready():
             return
-        self._asked, self._known = now, self._epoch
+        self._asked, self._known = now, self.epoch
         self._answer = self._ask(Claim.Request.TAKE)
         self._answer.add_done_callback(self._on_taken)
 
@@ -98,27 +89,27 @@ class Commander:
         """Publish gains [1/s], [1/s^2] if this node may; returns the message with its stamp."""
         message = self._gains
         message.header.stamp = self._node.get_clock().now().to_msg()
-        message.delta_kp, message.delta_ki, message.step, message.epoch = delta_kp, delta_ki, step, self._epoch
-        if self._gains_publisher is not None:
-            self._gains_publisher.publish(message)
+        message.delta_kp, message.delta_ki, message.step, message.epoch = delta_kp, delta_ki, step, self.epoch
+        if GAINS in self._publishers:
+            self._publishers[GAINS].publish(message)
         return message
 
     def law(self, command: LawCommand, step: int = 0) -> None:
         """Publish the force law to run if this node may; without this, it is the paper's."""
         if not self.held:
             return
-        if self._law_publisher is None:
-            self._law_publisher = create_publisher(self._node, LAW)
+        if LAW not in self._publishers:
+            self._publishers[LAW] = create_publisher(self._node, LAW)
         message = fill_law_command(self._law, command)
         message.header.stamp = self._node.get_clock().now().to_msg()
-        message.step, message.epoch = step, self._epoch
-        self._law_publisher.publish(message)
+        message.step, message.epoch = step, self.epoch
+        self._publishers[LAW].publish(message)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track; without the authority, as soon as it is granted."""
         self._reference = signal
-        if self._reference_publisher is not None:
-            self._reference_publisher.publish(reference_to_message(signal, self._epoch))
+        if REFERENCE in self._publishers:
+            self._publishers[REFERENCE].publish(reference_to_message(signal, self.epoch))
 
     def arm(self, arm: bool) -> Future | None:
         """Request arming or disarming if this node may and the plant is present; returns the plant's answer."""
@@ -157,22 +148,21 @@ class Commander:
         response = answer.result()
         if response is None or answer is not self._answer:
             return
-        self._refusal = "" if response.success else response.message
+        self.refusal = "" if response.success else response.message
         if not response.success:
             if self.held:
                 self._lose(response.message)
         elif response.claim != self._claim:
-            self._claim, self._epoch = response.claim, response.epoch
+            self._claim, self.epoch = response.claim, response.epoch
             self._on_authority(self._said)  # the message about this claim may arrive before its answer
             self._begin()
-        elif self._epoch == self._known:  # no other holder was announced meanwhile; a message may have been lost
-            self._epoch = response.epoch
+        elif self.epoch == self._known:  # no other holder was announced meanwhile; a message may have been lost
+            self.epoch = response.epoch
 
     def _begin(self) -> None:
-        first = self._gains_publisher is None
+        first = not self._publishers
         if first:
-            self._gains_publisher = create_publisher(self._node, GAINS)
-            self._reference_publisher = create_publisher(self._node, REFERENCE)
+            self._publishers = {topic: create_publisher(self._node, topic) for topic in (GAINS, REFERENCE)}
         if self._reference is not None:
             self.reference(self._reference)
         if first:
@@ -181,12 +171,11 @@ class Commander:
             self._changed("")
 
     def _lose(self, why: str) -> None:
-        self._claim = self._epoch = 0
+        self._claim = self.epoch = 0
         self._answer = self._reference = None
-        for publisher in (self._gains_publisher, self._reference_publisher, self._law_publisher):
-            if publisher is not None:
-                self._node.destroy_publisher(publisher)
-        self._gains_publisher = self._reference_publisher = self._law_publisher = None
+        for publisher in self._publishers.values():
+            self._node.destroy_publisher(publisher)
+        self._publishers = {}
         if self._end_service is not None:
             self._node.destroy_service(self._end_service)
         self._end_service = None
@@ -204,4 +193,4 @@ class Commander:
             return  # the plant repeats it once it is alone
         self._said = message
         if self._claim and message.claim == self._claim:
-            self._epoch = message.epoch
+            self.epoch = message.epoch

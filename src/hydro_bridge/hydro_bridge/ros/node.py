@@ -258,16 +258,12 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
     try:
         node = make()
         refuse_unknown_parameters(node)
-        getattr(node, "begin", _nothing)()
+        getattr(node, "begin", lambda: None)()
         spin(node, getattr(node, "done", None))
         return node
     finally:
         if node is not None:
             with endings.undisturbed():
-                getattr(node, "close", _nothing)()
+                getattr(node, "close", lambda: None)()
                 node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _nothing() -> None:
-    """Do nothing, for a node without `begin` or `close`."""

@@ -124,7 +124,7 @@ class Mailbox:
 
     def subscribe(self, topic: str, kind: type[Any], qos: QoSProfile) -> Subscription:
         """Subscribe to the serialized messages of a topic; the depth of `qos` is that of the queue."""
-        return self._node.create_subscription(kind, topic, _never, qos, raw=True)
+        return self._node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
 
     @staticmethod
     def fetch(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
@@ -138,10 +138,6 @@ class Mailbox:
     def close(self) -> None:
         """Leave the graph."""
         self._node.destroy_node()
-
-
-def _never(_: object) -> None:
-    """Callback of a node that is not spun."""
 
 
 COMMANDS = (GAINS, REFERENCE, CORRECTION, LAW)

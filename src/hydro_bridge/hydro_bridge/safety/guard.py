@@ -108,6 +108,10 @@ class CommandGuard:
     """A, valve limit of the box: no correction demands more, since no certificate does."""
     offered: BoxLaw | None = None
     """The box's compensated law; None: it has the paper's alone."""
+    armed: bool = False
+    """Whether the last `set_arm` requested arming."""
+    given_up: str = ""
+    """Reason why the guard last disarmed the plant; empty once it is armed again."""
     _law: LawCommand = field(default_factory=LawCommand)
     _law_at: float = -inf
     _gains: tuple[float, float] = (0.0, 0.0)
@@ -123,40 +127,23 @@ class CommandGuard:
     _nominal: dict[int, tuple[int, float]] = field(default_factory=dict)
     """The last samples and their nominal currents [A], by sequence modulo `_KEPT`."""
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
-    _arm: bool = False
     _gained: bool = False
     """Whether gains arrived since the arming: from then on they are expected to continue."""
-    _given_up: str = ""
     _troubles: set[str] = field(default_factory=set)
     _events: dict[str, bool] = field(default_factory=dict)
 
-    @property
-    def armed(self) -> bool:
-        """Whether the last `set_arm` requested arming."""
-        return self._arm
-
-    @property
-    def reference(self) -> ReferenceSignal:
-        """Reference that is sent to the box."""
-        return self._reference
-
-    @property
-    def given_up(self) -> str:
-        """Reason why the guard last disarmed the plant; empty once it is armed again."""
-        return self._given_up
-
     def set_arm(self, arm: bool) -> None:
         """Request arming or disarming; a lost connection calls this with False."""
-        if arm and not self._arm:
-            self._gained, self._given_up = False, ""
-        self._arm = bool(arm)
+        if arm and not self.armed:
+            self._gained, self.given_up = False, ""
+        self.armed = bool(arm)
 
     def give_up(self, reason: str) -> None:
         """Disarm, with base gains and a reference of 0 N, until armed on purpose; `reason` is reported."""
-        self._arm, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
-        self._given_up = f"{reason}; reference 0 N, disarmed until it is armed again"
+        self.armed, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
+        self.given_up = f"{reason}; reference 0 N, disarmed until it is armed again"
         self.counts.given_up += 1
-        self._events[self._given_up] = True
+        self._events[self.given_up] = True
 
     def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
         """Set new gain changes [1/s], [1/s^2]; non-finite ones are dropped, and the last ones keep ageing."""
@@ -185,8 +172,8 @@ class CommandGuard:
         changes = wanted.law is not self._law.law
         missing = wanted.law is Law.COMPENSATED and self.offered is None
         self._tell("law offered", missing, NOT_OFFERED, "the force law is one that the box offers again")
-        self._tell("law armed", changes and self._arm, KEPT_WHILE_ARMED, "the present force law is commanded again")
-        if missing or (changes and self._arm):
+        self._tell("law armed", changes and self.armed, KEPT_WHILE_ARMED, "the present force law is commanded again")
+        if missing or (changes and self.armed):
             self.counts.laws_refused += 1
             return
         numbers = (*wanted.coefficients, wanted.velocity_compensation, wanted.valve_gain_scale)
@@ -322,7 +309,7 @@ class CommandGuard:
 
     def command(self, now: float) -> Command:
         """Return the command that may be sent at time `now`."""
-        if self._arm and self._gained and now - self._gains_at > self.settings.gains_timeout:
+        if self.armed and self._gained and now - self._gains_at > self.settings.gains_timeout:
             self.give_up(f"no gains for {self.settings.gains_timeout:g} s, whoever chose them is gone")
         if self.compensated:
             return self._compensated_command(now)
@@ -330,9 +317,9 @@ class CommandGuard:
         self.counts.commands += 1
         self.counts.stale_correction += not answered
         self.counts.stale_gains += not gained
-        if answered or (self._arm and self._correction_at > -inf):  # before its first one the filter is not running yet
+        if answered or (self.armed and self._correction_at > -inf):  # before its first one the filter does not run yet
             self._tell("stale correction", not answered, self._stale_sentence(), "corrections are fresh again")
-        if self._arm and self._gained:
+        if self.armed and self._gained:
             missed = f"no gains for {1e3 * self.settings.gains_age_max:g} ms: base gains are in force"
             self._tell("stale gains", not gained, missed, "gains are fresh again")
         self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
@@ -340,7 +327,7 @@ class CommandGuard:
         delta_kp, delta_ki = within_narrow(passed) if self._mismatched else passed
         self.counts.narrowed += (delta_kp, delta_ki) != passed
         return Command(
-            arm=self._arm,
+            arm=self.armed,
             delta_kp=delta_kp,
             delta_ki=delta_ki,
             delta_u=self._delta_u if self._acts(now) else 0.0,
@@ -358,7 +345,7 @@ class CommandGuard:
         self.counts.stale_law += not (gained and fresh)
         self._tell(
             "stale law",
-            self._arm and self._gained and not (gained and fresh),
+            self.armed and self._gained and not (gained and fresh),
             STALE_LAW,
             "the compensated law is commanded",
         )
@@ -368,7 +355,7 @@ class CommandGuard:
         if not (gained and fresh):
             gains, shaping = (0.0, 0.0), safe_command(safe)
         return Command(
-            arm=self._arm,
+            arm=self.armed,
             delta_kp=gains[0],
             delta_ki=gains[1],
             delta_u=self._delta_u if self._acts(now) else 0.0,

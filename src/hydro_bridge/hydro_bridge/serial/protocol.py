@@ -45,7 +45,7 @@ __all__ = [
     "HANDSHAKE", "MAX_ENCODED", "VERSION", "VERSION_MIN", "BoxDetails", "BoxInfo", "BoxLaw", "CheckSumError",
     "CommandFrame", "Details", "Frame", "FrameType", "Hello", "LawFrame", "LawState", "MalformedError", "State",
     "UnknownFrameError", "WrongVersionError", "decode", "encode_command", "encode_details", "encode_hello",
-    "encode_law", "encode_state", "negotiate",
+    "encode_law", "encode_state", "negotiate", "wrap",
 ]  # fmt: skip
 
 HANDSHAKE = 0
@@ -127,14 +127,14 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, versi
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
     who = (VERSION_MIN, version_max, info is not None, INTEGRAL_FORMS.index(integral))
     head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
-    return _wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
+    return wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
 
 
 def encode_details(sequence: int, time_us: int, details: BoxDetails, version: int = VERSION) -> bytes:
     """Encode the frame that follows each HELLO of a box from version 2 on."""
     epoch, digest, feedback, laws, *numbers = astuple(details)
     who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws if version > 2 else 0, 0, 0)
-    return _wrap(_DETAILS.pack(version, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
+    return wrap(_DETAILS.pack(version, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
 
 
 def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
@@ -180,7 +180,8 @@ def negotiate(hello: Hello) -> int:
     raise WrongVersionError(hello.version_max)
 
 
-def _wrap(body: bytes) -> bytes:
+def wrap(body: bytes) -> bytes:
+    """Return the frame around a body, with its check sum."""
     stuffed: bytes = cobs.encode(body + _CRC.pack(crc32(body)))
     return b"\0" + stuffed + b"\0"
 
@@ -188,9 +189,9 @@ def _wrap(body: bytes) -> bytes:
 def _pack(layout: Struct, *values: float) -> bytes:
     """A whole frame; numbers beyond the range of float32 become infinite."""
     try:
-        return _wrap(layout.pack(*values))
+        return wrap(layout.pack(*values))
     except OverflowError:
-        return _wrap(layout.pack(*map(_single, values)))
+        return wrap(layout.pack(*map(_single, values)))
 
 
 def _single(value: float) -> float:

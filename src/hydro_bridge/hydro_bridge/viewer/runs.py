@@ -55,8 +55,12 @@ class RunEntry:
 
 def list_runs(folder: Path) -> list[RunEntry]:
     """Return the runs in a folder, newest first; other entries are skipped."""
-    entries = (_readable(folder, run) for run in folder.iterdir() if not run.name.startswith("."))
-    return sorted(filter(None, entries), key=lambda entry: -entry.changed)
+    entries = []
+    for run in folder.iterdir():
+        with suppress(OSError):  # no permission, or removed meanwhile
+            if run.is_dir() and not run.name.startswith(".") and (entry := _entry(folder, run)) is not None:
+                entries.append(entry)
+    return sorted(entries, key=lambda entry: -entry.changed)
 
 
 def write_index(folder: Path) -> Path:
@@ -84,13 +88,6 @@ def refresh_index(run: Path) -> None:
     if folder.name == FOLDER:
         with suppress(Exception):
             write_index(folder)
-
-
-def _readable(folder: Path, run: Path) -> RunEntry | None:
-    try:
-        return _entry(folder, run) if run.is_dir() else None
-    except OSError:  # no permission, or removed meanwhile
-        return None
 
 
 def _entry(folder: Path, run: Path) -> RunEntry | None:

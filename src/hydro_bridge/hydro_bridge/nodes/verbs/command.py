@@ -51,8 +51,6 @@ def plain(value: Any) -> Any:
     """Convert a message, or a value in one, to YAML types."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
-    if isinstance(value, Mapping):
-        return {name: plain(entry) for name, entry in value.items()}
     if isinstance(value, bytes):
         return int.from_bytes(value, "little") if len(value) == 1 else list(value)
     if isinstance(value, Iterable) and not isinstance(value, _LONG):
