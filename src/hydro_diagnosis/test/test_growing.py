@@ -7,7 +7,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -90,25 +90,22 @@ def test_one_value_fits_benches_whose_intervals_overlap_and_not_others(tmp_path:
     assert not apart.one_for_all and "each bench has its own value" in apart.sentence
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["a"], "one report is one bench: a law must have been found on 2"),
-        (["a", "a"], "are one diagnosis"),
-        (["a", "clean"], "clean has no closure"),
-        (["a", "smooth"], "smooth function in load, not a law"),
-        (["a", "other"], "the reports hold different laws: .*quadratic drag.*cubic drag"),
-        (["both", "two"], "several laws in common: choose by --law one of 'quadratic drag', 'cubic drag'"),
-        (["both", "two", "--law", "root drag"], "do not share a law 'root drag'"),
-        (["a", "no_report"], "is not a report.json of a diagnosis"),
-        (["a", "two", "--id", "moving_mass"], "an effect of this id exists"),
-        (["a", "two", "--id", "closure"], "an effect of this id exists"),
-        (["a", "two", "--id", "Port Drag"], "lower-case words joined by _"),
-    ],
+REFUSED: tuple[tuple[list[str], str], ...] = (
+    (["a"], "one report is one bench: a law must have been found on 2"),
+    (["a", "a"], "are one diagnosis"),
+    (["a", "clean"], "clean has no closure"),
+    (["a", "smooth"], "smooth function in load, not a law"),
+    (["a", "other"], "the reports hold different laws: .*quadratic drag.*cubic drag"),
+    (["both", "two"], "several laws in common: choose by --law one of 'quadratic drag', 'cubic drag'"),
+    (["both", "two", "--law", "root drag"], "do not share a law 'root drag'"),
+    (["a", "no_report"], "is not a report.json of a diagnosis"),
+    (["a", "two", "--id", "moving_mass"], "an effect of this id exists"),
+    (["a", "two", "--id", "closure"], "an effect of this id exists"),
+    (["a", "two", "--id", "Port Drag"], "lower-case words joined by _"),
 )
-def test_what_is_no_law_of_several_benches_is_refused_in_a_sentence(
-    words: Sequence[str], sentence: str, tmp_path: Path
-) -> None:
+
+
+def test_what_is_no_law_of_several_benches_is_refused_in_a_sentence(tmp_path: Path) -> None:
     cubic = closure(law("motion", "cubic drag"), {"coefficient": around(2e3)})
     drag = closure(law(*DRAG), {"coefficient": around(880.0)})
     for name, closures in {"a": [drag], "clean": [], "smooth": [SMOOTH], "other": [cubic], "both": [drag, cubic],
@@ -116,12 +113,12 @@ def test_what_is_no_law_of_several_benches_is_refused_in_a_sentence(
         report(tmp_path / name, *closures)
     (tmp_path / "no_report").mkdir()
     (tmp_path / "no_report" / "report.json").write_text("[]")
-    given = [str(tmp_path / word) if (tmp_path / word).exists() else word for word in words]
-    options = given if "--id" in given else [*given, "--id", "port_drag"]
-    out = tmp_path / "out"
-    with pytest.raises(UserError, match=sentence):
-        run(["--grow", *options, "--out", str(out)])
-    assert not out.exists()
+    for words, sentence in REFUSED:
+        given = [str(tmp_path / word) if (tmp_path / word).exists() else word for word in words]
+        options = given if "--id" in given else [*given, "--id", "port_drag"]
+        with pytest.raises(UserError, match=sentence):
+            run(["--grow", *options, "--out", str(tmp_path / "out")])
+        assert not (tmp_path / "out").exists()
 
 
 GROWN = [

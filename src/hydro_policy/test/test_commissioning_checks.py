@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import Flag, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError
@@ -27,24 +27,14 @@ def recorded(amplitude: float) -> StateArray:
 REST, MOTION = recorded(0.0), recorded(60.0)
 
 
-def swapped(states: StateArray) -> None:
-    states["pressure_a"], states["pressure_b"] = states["pressure_b"].copy(), states["pressure_a"].copy()
-
-
-def stuck(states: StateArray) -> None:
-    states["load_force"] = states["load_force"][0]
-
-
-def in_bar(states: StateArray) -> None:
-    states["pressure_a"] *= 1e-5
-
-
-def reversed_force(states: StateArray) -> None:
-    states["load_force"] *= -1.0
-
-
-def reversed_velocity(states: StateArray) -> None:
-    states["piston_velocity"] *= -1.0
+MISTAKES: tuple[tuple[str, Callable[[StateArray], dict[str, FloatArray]]], ...] = (
+    ("differs from the pressures", lambda at: {"pressure_a": at["pressure_b"], "pressure_b": at["pressure_a"]}),
+    ("is stuck", lambda at: {"load_force": at["load_force"][0]}),
+    ("differs from the pressures", lambda at: {"pressure_a": 1e-5 * at["pressure_a"]}),
+    ("load force and its reference", lambda at: {"load_force": -at["load_force"]}),
+    ("velocity and position", lambda at: {"piston_velocity": -at["piston_velocity"]}),
+)
+"""What is said, and which readings are others: three at rest, two in motion."""
 
 
 def test_a_right_bench_passes() -> None:
@@ -56,26 +46,14 @@ def test_a_right_bench_passes() -> None:
     assert min(checks.signs(MOTION[1000:], BENCH).values()) > checks.FOLLOWS
 
 
-@pytest.mark.parametrize(
-    "mistake, sentence",
-    [(swapped, "differs from the pressures"), (stuck, "is stuck"), (in_bar, "differs from the pressures")],
-)
-def test_a_reading_at_rest_that_cannot_be_is_told(mistake: Callable[[StateArray], None], sentence: str) -> None:
-    states = REST.copy()
-    mistake(states)
-    with pytest.raises(GateError, match=sentence):
-        checks.sensors(states, BENCH)
-
-
-@pytest.mark.parametrize(
-    "mistake, sentence",
-    [(reversed_force, "load force and its reference"), (reversed_velocity, "velocity and position")],
-)
-def test_a_sign_is_told(mistake: Callable[[StateArray], None], sentence: str) -> None:
-    states = MOTION[1000:].copy()
-    mistake(states)
-    with pytest.raises(GateError, match=sentence):
-        checks.signs(states, BENCH)
+def test_a_reading_at_rest_that_cannot_be_and_a_sign_are_told() -> None:
+    for number, (sentence, mistake) in enumerate(MISTAKES):
+        right = REST if number < 3 else MOTION[1000:]
+        states = right.copy()
+        for name, values in mistake(right).items():
+            states[name] = values
+        with pytest.raises(GateError, match=sentence):
+            (checks.sensors if number < 3 else checks.signs)(states, BENCH)
 
 
 def test_a_force_that_an_overlap_holds_back_still_follows_and_a_valve_that_hangs_is_told() -> None:

@@ -24,24 +24,20 @@ def trained(updates: int) -> tuple[Sac, ReplayBuffer]:
     rows = np.random.default_rng(0).normal(size=(200, 30)).astype(np.float32)
     rows[:, -1] = 0.0
     replay.extend(rows)
-    advance(sac, replay, updates)
-    return sac, replay
-
-
-def advance(sac: Sac, replay: ReplayBuffer, updates: int) -> None:
     sac.learn(replay, updates)
+    return sac, replay
 
 
 def test_resumed_training_is_the_same_bit_for_bit(tmp_path: Path) -> None:
     sac, replay = trained(20)
     save_checkpoint(tmp_path / "latest", dump(sac), replay, {"episode": 3})
-    advance(sac, replay, 20)
+    sac.learn(replay, 20)
 
     checkpoint = load_checkpoint(tmp_path / "latest")
     again, memory = Sac(OBSERVATIONS, 2, settings_of(checkpoint.learner)), ReplayBuffer(OBSERVATIONS, 2, 300)
     restore(again, checkpoint.learner)
     memory.restore(checkpoint.replay, checkpoint.produced)
-    advance(again, memory, 20)
+    again.learn(memory, 20)
     assert again.updates == sac.updates == 40
     assert checkpoint.trainer == {"episode": 3}
     assert dump(again) == dump(sac)  # every network, moment, counter and the generator
