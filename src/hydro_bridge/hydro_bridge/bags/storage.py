@@ -166,7 +166,7 @@ class McapScan:
             elif opcode == Opcode.CHUNK:
                 yield self._chunk(stream.read(length), stream.tell() - length)
             elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
-                self._note(opcode, stream.read(length))
+                self._keep(opcode, stream.read(length))
             elif opcode == Opcode.DATA_END:
                 self.finished = True
                 break
@@ -191,15 +191,6 @@ class McapScan:
             ) from None
         return stream.read(size)
 
-    def _note(self, opcode: int, body: bytes) -> None:
-        stream = ReadDataStream(BytesIO(body))
-        if opcode == Opcode.METADATA:
-            record = Metadata.read(stream)
-            self.metadata[record.name] = record.metadata
-        else:
-            attachment = Attachment.read(stream)
-            self.attachments[attachment.name] = attachment.data
-
     def _split(self, block: bytes) -> dict[int, Span]:
         places: dict[int, list[tuple[int, int, int]]] = {}
         place, end = 0, len(block)
@@ -215,11 +206,12 @@ class McapScan:
                 else:
                     places[channel] = [entry]
             else:
-                self._declare(opcode, block[place : place + length])
+                self._keep(opcode, block[place : place + length])
             place += length
         return {channel: _span(entries) for channel, entries in places.items()}
 
-    def _declare(self, opcode: int, body: bytes) -> None:
+    def _keep(self, opcode: int, body: bytes) -> None:
+        """Keep a record that is no message; others than these say nothing."""
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
@@ -227,6 +219,12 @@ class McapScan:
         elif opcode == Opcode.CHANNEL:
             channel = Channel.read(stream)
             self.channels[channel.id] = channel
+        elif opcode == Opcode.METADATA:
+            record = Metadata.read(stream)
+            self.metadata[record.name] = record.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(stream)
+            self.attachments[attachment.name] = attachment.data
 
 
 def _span(entries: list[tuple[int, int, int]]) -> Span:

@@ -37,12 +37,11 @@ class TopicQos:
         """Parse the YAML list in a channel's metadata; missing or unknown entries take their defaults."""
         listed = yaml.safe_load(profiles) or [{}]
         first = listed[0]
-        numbers = {"reliability": {2: "best_effort"}, "durability": {1: "transient_local"}}  # before version 9
-        reliability = numbers["reliability"].get(first.get("reliability"), first.get("reliability"))
-        durability = numbers["durability"].get(first.get("durability"), first.get("durability"))
+        best_effort = first.get("reliability") in ("best_effort", 2)  # numbers before version 9
+        latched = first.get("durability") in ("transient_local", 1)
         return cls(
-            reliability="best_effort" if reliability == "best_effort" else "reliable",
-            durability="transient_local" if durability == "transient_local" else "volatile",
+            reliability="best_effort" if best_effort else "reliable",
+            durability="transient_local" if latched else "volatile",
             depth=int(first.get("depth") or 10),
         )
 

@@ -365,7 +365,7 @@ def law_told(host: Host, bench: Bench) -> str:
         number = getattr(law, entry.name)
         if not all(map(isfinite, number if isinstance(number, tuple) else (number,))):
             return f"{entry.name} is not finite"
-    for low, safe, high, rate in zip(*_shaping(law), strict=True):
+    for low, safe, high, rate in zip(*law.shaping, strict=True):
         if not (low <= safe <= high and rate > 0.0):
             return f"{safe:g} is safe, the limits are {low:g} and {high:g}, the fastest change is {rate:g} a second"
     if not (law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max):
@@ -393,7 +393,7 @@ def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
 
 def _compensation(host: Host, points: Sequence[Point | None], tolerance: float) -> str:
     law, commands = _record(host), {each.sequence: each.command for each in host.sent}
-    low, safe, high, rate = _shaping(law)
+    low, safe, high, rate = law.shaping
     room = [_CLOSE * max(abs(least), abs(most)) for least, most in zip(low, high, strict=True)]
     old, second, third = safe, 0.0, 0.0
     for state, point in zip(host.states, points, strict=True):
@@ -442,7 +442,7 @@ def _reference(
 
 def _wanted(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[float], tuple[float, float]]:
     """Shaping that a box goes to, and its gains."""
-    low, safe, high, _ = _shaping(law)
+    low, safe, high, _ = law.shaping
     if late or command is None or command.law is not Law.COMPENSATED:
         return safe, (law.base_kp, law.base_ki)
     asked = (*command.coefficients, command.velocity_compensation, command.valve_gain_scale)
@@ -453,14 +453,6 @@ def _wanted(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[f
 
 def _taken(number: float, safe: float, low: float, high: float) -> float:
     return min(max(number, low), high) if isfinite(number) else safe
-
-
-def _shaping(law: BoxLaw) -> tuple[list[float], list[float], list[float], list[float]]:
-    """Lowest, safe, highest, and fastest change of a_0 to a_3, C_1, C_2."""
-    low = [*law.coefficient_min, law.velocity_compensation_min, law.valve_gain_scale_min]
-    safe = [*NEUTRAL, law.velocity_compensation, law.valve_gain_scale]
-    high = [*law.coefficient_max, law.velocity_compensation_max, law.valve_gain_scale_max]
-    return low, safe, high, [*law.coefficient_rate, law.scale_rate, law.scale_rate]
 
 
 def _numbers(acting: LawState) -> list[float]:

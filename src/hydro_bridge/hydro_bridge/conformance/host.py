@@ -252,16 +252,12 @@ _APART = 1000
 
 def begin(host: Host) -> None:
     """Greet until the box answers, then send safe commands until it confirms one."""
-    host.greet()
-    for _ in range(3):
-        for _ in range(ANSWER):
-            host.listen(1)
-            if host.hello is not None:
-                break
-        else:
+    for n in range(3 * ANSWER):
+        if n % ANSWER == 0:
             host.greet()
-            continue
-        break
+        host.listen(1)
+        if host.hello is not None:
+            break
     else:
         raise SilentError(f"the box answered no HELLO within {3 * ANSWER} samples")
     host.listen(2)

@@ -16,7 +16,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
@@ -73,8 +73,6 @@ class RecorderNode(Node):
         )
 
     def _subscribe(self, topic: str, kind: type[Any], offered: QoSProfile) -> None:
-        reliable = offered.reliability == ReliabilityPolicy.RELIABLE
-        latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=_QUEUE,
@@ -82,8 +80,8 @@ class RecorderNode(Node):
             durability=offered.durability,
         )
         recorded = TopicQos(
-            reliability="reliable" if reliable else "best_effort",
-            durability="transient_local" if latched else "volatile",
+            reliability=offered.reliability.name.lower(),
+            durability=offered.durability.name.lower(),
             depth=offered.depth or 10,
         )
         package, name = kind.__module__.split(".")[0], kind.__name__

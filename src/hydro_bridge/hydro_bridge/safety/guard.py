@@ -20,7 +20,7 @@ import numpy as np
 
 from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
 from hydro_bridge.serial.frames import BoxLaw
-from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
+from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
 
@@ -32,6 +32,8 @@ MISMATCH that nothing may rely on it."""
 
 _KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
+
+_SHAPING = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
 
 NOT_OFFERED = (
     "the compensated law is refused: this box does not offer it, which needs protocol version 3, or its line is too "
@@ -52,11 +54,10 @@ MISMATCHED = "the filter says that its model is not this bench's: no correction,
 def _sound(law: BoxLaw) -> bool:
     """Return whether all numbers are finite, the limits in order, and the safe record is within them."""
     numbers = np.hstack(astuple(law))
-    low = (law.delta_kp_min, law.delta_ki_min, law.velocity_compensation_min, law.valve_gain_scale_min)
-    high = (law.delta_kp_max, law.delta_ki_max, law.velocity_compensation_max, law.valve_gain_scale_max)
-    safe = np.array((0.0, 0.0, law.velocity_compensation, law.valve_gain_scale, *NEUTRAL))
-    within = ((*low, *law.coefficient_min) <= safe) & (safe <= (*high, *law.coefficient_max))
-    return bool(np.isfinite(numbers).all() and within.all())
+    low, safe, high, _ = law.shaping
+    ordered = all(least <= number <= most for least, number, most in zip(low, safe, high, strict=True))
+    gains = law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
+    return bool(np.isfinite(numbers).all()) and ordered and gains
 
 
 def safe_command(law: BoxLaw) -> LawCommand:
@@ -202,17 +203,9 @@ class CommandGuard:
         limits = self.offered
         if wanted.law is Law.PAPER or limits is None:
             return LawCommand()
-        ranges = zip(wanted.coefficients, limits.coefficient_min, limits.coefficient_max, strict=True)
-        a_0, a_1, a_2, a_3 = (self._clamp(f"a_{i}", *entry) for i, entry in enumerate(ranges))
-        c_1, low, high = (
-            wanted.velocity_compensation,
-            limits.velocity_compensation_min,
-            limits.velocity_compensation_max,
-        )
-        c_1 = self._clamp("velocity_compensation", c_1, low, high)
-        c_2 = self._clamp(
-            "valve_gain_scale", wanted.valve_gain_scale, limits.valve_gain_scale_min, limits.valve_gain_scale_max
-        )
+        low, _, high, _ = limits.shaping
+        asked = (*wanted.coefficients, wanted.velocity_compensation, wanted.valve_gain_scale)
+        a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, _SHAPING, asked, low, high)
         coefficients = (a_0, a_1, a_2, a_3)
         return LawCommand(law=wanted.law, coefficients=coefficients, velocity_compensation=c_1, valve_gain_scale=c_2)
 

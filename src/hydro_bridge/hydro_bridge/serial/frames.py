@@ -170,6 +170,14 @@ class BoxLaw:
             numbers[name] = tuple(map(float, value)) if name.startswith("coefficient") else float(value)
         return cls(**numbers)
 
+    @property
+    def shaping(self) -> tuple[list[float], list[float], list[float], list[float]]:
+        """Lowest, safe and highest a_0 to a_3, C_1, C_2, and their fastest changes."""
+        low = [*self.coefficient_min, self.velocity_compensation_min, self.valve_gain_scale_min]
+        safe = [*NEUTRAL, self.velocity_compensation, self.valve_gain_scale]
+        high = [*self.coefficient_max, self.velocity_compensation_max, self.valve_gain_scale_max]
+        return low, safe, high, [*self.coefficient_rate, self.scale_rate, self.scale_rate]
+
     def enlarged(self, force: float, gain: float) -> BoxLaw:
         """Return the law of a box whose bench has forces, and needs gains, larger by these ratios."""
 

@@ -86,13 +86,13 @@ class Marks:
         for n in np.flatnonzero(flags != before):
             self._change(float(states["time"][n]), int(before[n]), int(flags[n]))
         if self._flags is None and flags[0] & Flag.ARMED:
-            self._add(float(states["time"][0]), "armed", "armed already when the recording begins")
+            self.add(float(states["time"][0]), "armed", "armed already when the recording begins")
         self._flags = int(flags[-1])
 
     def authority(self, time: float, holder: str) -> None:
         """Add the holder of the authority from `time` on; empty: none."""
         if holder != self._holder:
-            self._add(time, "authority", f"commanded by {holder}" if holder else "no node commands the plant")
+            self.add(time, "authority", f"commanded by {holder}" if holder else "no node commands the plant")
         self._holder = holder
 
     def training(self, message: Mapping[str, Any]) -> None:
@@ -103,9 +103,9 @@ class Marks:
         if episode != self._episode and self._episode >= 0:
             rmse, total = float(message["force_rmse"]), float(message["episode_return"])
             came_to = f"; the last one: RMSE {rmse:.1f} N, return {total:.0f}" if math.isfinite(rmse) else ""
-            self._add(time, "episode", f"episode {episode}{came_to}")
+            self.add(time, "episode", f"episode {episode}{came_to}")
         if bool(message["learner_alive"]) != self._learner:
-            self._add(time, "learner", "the learner runs again" if message["learner_alive"] else "the learner is down")
+            self.add(time, "learner", "the learner runs again" if message["learner_alive"] else "the learner is down")
         self._phase, self._episode, self._learner = phase, episode, bool(message["learner_alive"])
 
     def steps(self, steps: npt.NDArray[np.void]) -> None:
@@ -115,13 +115,13 @@ class Marks:
         times, weights = steps["time"], steps["weights"]
         if self._weights is None:
             self._weights_changed, self._weights = float(times[0]), int(weights[0])
-            self._add(self._weights_changed, "weights", f"weights {self._weights:012x}, the first to act")
+            self.add(self._weights_changed, "weights", f"weights {self._weights:012x}, the first to act")
         before = np.concatenate((np.array([self._weights], weights.dtype), weights[:-1]))
         for n in np.flatnonzero(weights != before):
             time, self._weight_changes = float(times[n]), self._weight_changes + 1
             if time - self._weights_changed >= STILL:
                 often = f"{plural(self._weight_changes, 'change')} since the mark before"
-                self._add(time, "weights", f"weights {int(weights[n]):012x}, {often}")
+                self.add(time, "weights", f"weights {int(weights[n]):012x}, {often}")
                 self._weight_changes = 0
             self._weights_changed = time
         self._weights = int(weights[-1])
@@ -136,40 +136,37 @@ class Marks:
             now, before = values[key], self._said.get(f"{name} {key}")
             self._said[f"{name} {key}"] = now
             if before is not None and now != before:
-                self._add(time, kind, _SENTENCES[kind](now))
+                self.add(time, kind, _SENTENCES[kind](now))
 
     def log(self, time: float, level: int, name: str, sentence: str) -> None:
         """Add a message of /rosout by its level, as numbered in rcl_interfaces/Log."""
         node, _, last = name.rpartition(".")
         if last == CALLS:
-            self._add(time, "call", f"{node} was asked: {sentence}")
+            self.add(time, "call", f"{node} was asked: {sentence}")
         elif level >= _WARN:
-            self._add(time, "log", f"{name}: {sentence}")
-
-    def add(self, mark: Mark) -> None:
-        """Add a finished mark."""
-        self._add(mark.time, mark.kind, mark.text)
+            self.add(time, "log", f"{name}: {sentence}")
 
     def _change(self, time: float, before: int, now: int) -> None:
         risen, fallen = now & ~before, before & ~now
         if risen & Flag.TRIPPED:
             others = ", ".join(flag_labels(risen & ~int(Flag.TRIPPED)))
-            self._add(time, "trip", f"tripped{f': {others}' if others else ''}")
+            self.add(time, "trip", f"tripped{f': {others}' if others else ''}")
         if risen & Flag.ARMED:
-            self._add(time, "armed", "armed")
+            self.add(time, "armed", "armed")
         elif fallen & Flag.ARMED and not risen & Flag.TRIPPED:
-            self._add(time, "armed", "disarmed")
+            self.add(time, "armed", "disarmed")
         if risen & Flag.WATCHDOG and now & Flag.ARMED:
-            self._add(time, "watchdog", "no commands for 50 ms: base gains")
+            self.add(time, "watchdog", "no commands for 50 ms: base gains")
 
     def _phased(self, time: float, before: int, now: int) -> None:
         if PHASES.index("evaluating") in (before, now):
             begins = now == PHASES.index("evaluating")
-            self._add(time, "examination", f"examination {'begins' if begins else 'ends'}")
+            self.add(time, "examination", f"examination {'begins' if begins else 'ends'}")
         elif now < len(PHASES):
-            self._add(time, "phase", PHASES[now])
+            self.add(time, "phase", PHASES[now])
 
-    def _add(self, time: float, kind: str, text: str) -> None:
+    def add(self, time: float, kind: str, text: str) -> None:
+        """Add a mark."""
         if len(self._marks) < MARKS:
             self._marks.append(Mark(time, kind, text))
         else:

@@ -218,7 +218,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
             except AttributeError:  # fields of another version
                 reading.foreign.add(topic)
     for mark in found.of(Path(path), reading.begin) if found else ():
-        reading.marks.add(Mark(reading.begin + mark.time, mark.kind, mark.text))
+        reading.marks.add(reading.begin + mark.time, mark.kind, mark.text)
     return _finished(source, reading, messages)
 
 
