@@ -25,7 +25,7 @@ from rclpy.task import Future
 
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.nodes.verbs.launch import add_group
+from hydro_bridge.nodes.verbs.launch import launch
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import spin, start_ros
 
@@ -212,7 +212,10 @@ def parser() -> argparse.ArgumentParser:
     call.add_argument("values", nargs="?", default="", help="fields as YAML, e.g. '{data: false}'")
     info = verb("bag", "info", "what a recording holds; of a recorder that was killed or still runs, too", _bag_info)
     info.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
-    add_group(groups)
+    launching = groups.add_parser("launch", help="start what a launch file describes", allow_abbrev=False)
+    launching.add_argument("package", help="or the path of a launch file")
+    launching.add_argument("rest", nargs="*", metavar="FILE NAME:=VALUE", help="launch file and its arguments")
+    launching.set_defaults(carry_out=lambda options: launch(options.package, options.rest))
     return result
 
 

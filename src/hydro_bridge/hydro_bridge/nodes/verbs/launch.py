@@ -8,7 +8,6 @@ stopped in reverse order, so that controllers end before the plant.
 # ruff: noqa: N802
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
@@ -322,17 +321,10 @@ def _follow(running: list[tuple[Companion, ExecuteProcess]]) -> int:
     return int(failed)
 
 
-def add_group(groups: Any) -> None:
-    """Add the command."""
-    parser = groups.add_parser("launch", help="start what a launch file describes", allow_abbrev=False)
-    parser.add_argument("package", help="or the path of a launch file")
-    parser.add_argument("rest", nargs="*", metavar="FILE NAME:=VALUE", help="launch file and its arguments")
-    parser.set_defaults(carry_out=_launch)
-
-
-def _launch(options: argparse.Namespace) -> int:
+def launch(package: str, rest: list[str]) -> int:
+    """Carry out `ros2 launch PACKAGE REST...`; returns and raises as `run`."""
     provide()
-    file, words = _file(options.package, options.rest)
+    file, words = _file(package, rest)
     return run(load(file), _values(words))
 
 
