@@ -8,15 +8,14 @@ import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 
-from hydro_bridge.cli.console import command, writable_folder
+from hydro_bridge.cli.console import command, writable, writable_folder
 from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_diagnosis.growing import command as growing
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.stage_bar import StageBar, silent
 
-PAGE = "--page"
+PAGE, GROW = "--page", "--grow"
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
 FOREIGN = (
     "note: no --bench was given, so these recordings are compared with the nominal bench (piston area 2 cm2, supply\n"
@@ -79,14 +78,39 @@ def parser() -> argparse.ArgumentParser:
     )
     options.add_argument("--quiet", action="store_true", help="no progress")
     group = options.add_argument_group("in place of recordings: diagnose --grow REPORT... --id NAME [--out FOLDER]")
-    growing.add_options(group, required=False)
+    _add_growing(group, required=False)
     return options
+
+
+def growing_parser() -> argparse.ArgumentParser:
+    """The command line of `diagnose --grow`."""
+    options = argparse.ArgumentParser(
+        prog="diagnose",
+        usage="diagnose --grow REPORT... --id NAME [--law FORM] [--out FOLDER] [--json FILE]",
+        description="A law that was found on several benches becomes a named effect.",
+    )
+    _add_growing(options, required=True)
+    options.add_argument("--out", type=writable_folder, metavar="FOLDER", help="where its file goes (default: the "
+                         "source tree in a checkout, else ~/.local/share/hydro/effects)")  # fmt: skip
+    return options
+
+
+def _add_growing(options: argparse.ArgumentParser | argparse._ArgumentGroup, *, required: bool) -> None:
+    """Add the options of `--grow`; the help of `diagnose` lists them too, where none is required."""
+    options.add_argument(GROW, nargs="+", required=required, metavar="REPORT", dest="reports",
+                         help="report.json of two benches or more, or the folders that hold them: the law that they "
+                         "share becomes a named effect")  # fmt: skip
+    options.add_argument("--id", required=required, metavar="NAME", help="of the effect, for instance port_drag")
+    options.add_argument("--law", metavar="FORM", help="which one, where the reports have several laws in common")
+    options.add_argument("--json", type=writable, metavar="FILE", help="also write the table of the law's numbers")
 
 
 def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
-    if growing.FLAG in arguments:
-        return growing.run(arguments)
+    if GROW in arguments:
+        from hydro_diagnosis.growing import grow
+
+        return grow(growing_parser().parse_args(arguments))
     if PAGE in arguments:
         from hydro_diagnosis import import_page
 

@@ -16,7 +16,7 @@ import pytest
 
 from hydro_bridge.errors import UserError
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.growing.sightings import agreements, sightings
+from hydro_diagnosis.growing import agreements, sightings
 from hydro_sim.model import grammar
 from hydro_sim.model.laws import Law
 from tests.checks import each
