@@ -104,8 +104,6 @@ class Course:
 
     changes: list[Change]
     lines: list[Line]
-    scatter: float
-    """Standard deviation between recordings on top of their own intervals."""
 
     @property
     def findings(self) -> int:
@@ -164,7 +162,7 @@ def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike
     signal = np.column_stack([time, value, 1.0 / (long**2 + 0.5 * np.square(bound))])
     changes = [_change(signal[a:c], each) for a, c, each in zip(edges, edges[2:], evidence, strict=False)]
     lines = [line(time[a:b], value[a:b], long[a:b]) for a, b in pairwise(edges)]
-    return Course(changes, lines, between, lines[-1].runs(edges[-1] - edges[-2]))
+    return Course(changes, lines, lines[-1].runs(edges[-1] - edges[-2]))
 
 
 class _Noise:

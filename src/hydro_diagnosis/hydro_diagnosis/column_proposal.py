@@ -21,7 +21,7 @@ import yaml
 
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
-from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward, without_unit
+from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, named_like_time, runs_forward, without_unit
 from hydro_diagnosis.io.table import base_of
 from hydro_diagnosis.wiring import LOOKED_AT, MEAN, line, means
 from hydro_sim.model.bench import Bench
@@ -116,7 +116,7 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
     """Add columns of a stated unit whose names say nothing; where several may be meant, by how they move together."""
     left: dict[str, list[str]] = {}
     for name, values in found.series.items():
-        unit = found.units.get(name) or in_name(name)
+        unit = found.unit(name)
         if unit and np.isfinite(values).all() and np.ptp(values) > 0.0 and not _NEVER.search(_own_name(name)):
             left.setdefault(QUANTITY[unit], []).append(name)
     for source in sources.values():
@@ -167,7 +167,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         name: values[:LOOKED_AT]
         for name, values in found.series.items()
         if name != clock and len(values) == len(found.series[clock]) and np.isfinite(values).all()
-        and np.ptp(values) > 0.0 and not (_NEVER.search(name) or found.units.get(name) or in_name(name))
+        and np.ptp(values) > 0.0 and not (_NEVER.search(name) or found.unit(name))
     }  # fmt: skip
     if len(free) > MOST or len(found.series[clock]) < 100 * MEAN:
         return
@@ -270,7 +270,7 @@ def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
     pattern = re.compile(_WORDS[field], re.IGNORECASE)
     if score == 0.0 and own:
         score += 2.5 if pattern.fullmatch(own) else 2.0 if any(map(pattern.fullmatch, words)) else 0.0
-    unit = found.units.get(name) or in_name(name)
+    unit = found.unit(name)
     if unit:
         score += 1.5 if QUANTITY[unit] == _QUANTITY_OF[field] else -3.0
     scale = UNITS.get(_unit(field, name, found, bench), 1.0)
@@ -278,7 +278,7 @@ def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
 
 
 def _is_force(name: str, found: Columns) -> bool:
-    unit = found.units.get(name) or in_name(name)
+    unit = found.unit(name)
     words = re.split(r"[\W_]+", _own_name(name))
     return QUANTITY[unit] == "force" if unit else any(_ANY_FORCE.fullmatch(word) for word in words)
 
@@ -302,7 +302,7 @@ def _own_name(name: str) -> str:
 def _unit(field: str, name: str, found: Columns, bench: Bench) -> str:
     """The unit that is stated, or the one in which the numbers are of the bench's size; empty for SI."""
     quantity = _QUANTITY_OF.get(field, "")
-    unit = found.units.get(name) or in_name(name)
+    unit = found.unit(name)
     if unit:
         return unit if QUANTITY[unit] == quantity and UNITS[unit] != 1.0 else ""
     candidates = ["", *_LIKELY.get(quantity, ())]
@@ -334,7 +334,7 @@ def _even(values: FloatArray) -> bool:
 
 def _time_unit(name: str, found: Columns) -> str:
     """The unit that is stated, or the one in which the rows follow each other within `_APART`; empty for seconds."""
-    unit = found.units.get(name) or in_name(name)
+    unit = found.unit(name)
     if unit:
         return unit if QUANTITY[unit] == "time" and UNITS[unit] != 1.0 else ""
     step = float(np.median(np.diff(found.series[name])))

@@ -34,7 +34,7 @@ from hydro_bridge.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import SUFFIXES, InputError
-from hydro_diagnosis.report_json import NumberEstimate, ParameterEstimate, Report
+from hydro_diagnosis.report_json import Report, row_of
 
 _OF = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
 DIAGNOSES = pa.schema(
@@ -123,11 +123,16 @@ def rows(report: Report) -> dict[str, Any]:
     begin = report.recordings[0]["begin"]
     shares = [share for share in report.checks.get("explained", {}).values() if share is not None]
     parameters = [
-        _number(effect.id, ",".join(f"{key}={one}" for key, one in effect.options.items()), name, number)
+        {
+            "cause": effect.id,
+            "options": ",".join(f"{key}={one}" for key, one in effect.options.items()),
+            "parameter": name,
+            **row_of(number),
+        }
         for effect in report.effects
         for name, number in effect.parameters.items()
     ]
-    estimated = [_number("", "", one.name, one) for one in report.estimated]
+    estimated = [{"cause": "", "options": "", "parameter": one.name, **row_of(one)} for one in report.estimated]
     diagnosis = {
         "verdict": report.verdict,
         "causes": [effect.id for effect in report.effects],
@@ -141,14 +146,6 @@ def rows(report: Report) -> dict[str, Any]:
         "diagnosis": {**beginning, **diagnosis},
         "parameters": [{**beginning, **one} for one in (*parameters, *estimated)],
     }
-
-
-def _number(cause: str, options: str, name: str, number: ParameterEstimate | NumberEstimate) -> dict[str, Any]:
-    low, high = number.ci95 or (None, None)
-    return {
-        "cause": cause, "options": options, "parameter": name, "value": number.value, "low": low, "high": high,
-        "unit": number.unit,
-    }  # fmt: skip
 
 
 def write_study(folder: Path, found: Mapping[str, Mapping[str, Any]]) -> None:

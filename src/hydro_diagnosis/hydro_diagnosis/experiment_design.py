@@ -22,7 +22,7 @@ from hydro_diagnosis.closure.evidence import has_identified_shapes
 from hydro_diagnosis.closure.screen import Screen, laws
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit, jacobian, score
+from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError, RawTable
 from hydro_diagnosis.preprocessing.quality import checked
@@ -93,7 +93,7 @@ def _nominal_catalog() -> Iterator[ReferenceSignal]:
 
 def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -> dict[str, Any] | None:
     """The recording that separates the closest pair of rivals; None if all are distinguished."""
-    pair = _closest(problem, outcome, assessment)
+    pair = _closest(outcome, assessment)
     if pair is None:
         return None
     label, rival = pair
@@ -129,11 +129,11 @@ def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, ri
     return float(left @ left) * PROPOSED / SECONDS
 
 
-def _closest(problem: Problem, outcome: Outcome, assessment: Assessment) -> tuple[str, Fit] | None:
+def _closest(outcome: Outcome, assessment: Assessment) -> tuple[str, Fit] | None:
     close = []
     for claim in assessment.fit.claims:
         for rival in outcome.rivals.get(claim.effect.label, []):
-            distance = score(problem, rival) - score(problem, assessment.fit)
+            distance = rival.score - assessment.fit.score
             other = rival.claims[-1].effect
             if distance < CLOSE and other.named and other.id != claim.effect.id:
                 close.append((distance, claim.effect.label, rival))
@@ -162,7 +162,7 @@ TRIED = 3
 def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
     """The recording that separates the weightiest law of a fit from its rival; None without a law or a rival."""
     fits = {
-        k: fit(problem, tuple(one for one in found.claims if one is not claim))
+        k: fit(problem, found.but(claim))
         for k, claim in enumerate(found.claims)
         if isinstance(claim.effect, Closure) and isinstance(claim.effect.law, Law)
     }

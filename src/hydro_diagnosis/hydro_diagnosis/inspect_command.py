@@ -18,7 +18,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.column_proposal import as_yaml, proposed
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, in_name, named_like_time, runs_forward
+from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, named_like_time, runs_forward
 from hydro_diagnosis.io.table import columns_of, read_table, table_of
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.wiring import inspect_table
@@ -163,7 +163,7 @@ def _advice(proposal: ColumnMap, bench: Path | None) -> str:
 def _spare_pressures(found: Columns, proposal: ColumnMap) -> list[str]:
     """A clause for each pressure that no field takes: it may be the supply's."""
     used = {source.column for source in proposal.sources.values()}
-    units = {name: found.units.get(name) or in_name(name) for name in found.series if name not in used}
+    units = {name: found.unit(name) for name in found.series if name not in used}
     return [
         f"{name} is a pressure that no field takes; if it is the supply's, the bench file's supply_pressure is "
         f"{UNITS[unit] * float(np.nanmedian(found.series[name])):.4g} Pa"

@@ -12,7 +12,6 @@ from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.fluid import LeakageInternal
 from hydro_diagnosis.effects.kernels import limited, opened, splined
 from hydro_diagnosis.effects.valve import ValveGain
-from hydro_diagnosis.model.chambers import fading_sums
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
@@ -29,9 +28,7 @@ def _memory() -> None:
     record.lag("w", path, 0.1, falling=0.2)
     record.asymmetric_lag(path, 0.1, 0.2)
     limited(path, 1e-3, 1.0, 0.1, 0.1)
-    fading_sums(path[None], 0.9)
     kernels.substep_mean(np.zeros((10, 4)))
-    kernels.substep_mean_beyond(np.zeros((10, 4)), 1.0)
     opened(np.zeros((10, 4)), 1e-3, 1e-4)
     splined(path, 0.0, 1.0, np.zeros(KNOTS))
 

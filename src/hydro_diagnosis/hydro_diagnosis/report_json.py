@@ -37,6 +37,12 @@ class ParameterEstimate:
     unit: str
 
 
+def row_of(estimate: ParameterEstimate | NumberEstimate) -> dict[str, Any]:
+    """An estimate as a row of a table: value, 95 % interval (None for none) and unit."""
+    low, high = estimate.ci95 or (None, None)
+    return {"value": estimate.value, "low": low, "high": high, "unit": estimate.unit}
+
+
 @dataclass(frozen=True, kw_only=True)
 class LookAlike:
     """Another cause in a claim's place for which the table has no id."""

@@ -22,7 +22,7 @@ from hydro_diagnosis.closure.model_selection import closures, merged, renamed, s
 from hydro_diagnosis.closure.screen import Screen, laws, threshold
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
+from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.verdict import assess
@@ -137,7 +137,7 @@ def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers() -> N
     found = fit(problem, [overlap, Claim(law, {"coefficient": -0.9, "level": 0.013})], iterations=24)
     screen = Screen(problem, fit(problem, ()), laws(problem))
     better = _exchanged(problem, found, ForwardSelection(screen), list(NAMES.values()))
-    assert not noticeable(problem, found.residual) and score(problem, better) < score(problem, found)
+    assert not noticeable(problem, found.residual) and better.score < found.score
     assert set(values_of(better)) == {"valve_gain", "closure:actuation:rounded gain"}
     assert values_of(better)["valve_gain"]["ratio"] == pytest.approx(0.94, abs=2e-3)
 

@@ -11,7 +11,7 @@ import pytest
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import CANDIDATES, Claim, Effect
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.estimation.fit import fit, score
+from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import Segment
@@ -88,7 +88,7 @@ def test_wrong_bulk_modulus_is_no_hoses() -> None:
     outcome = searched(problem)
     assert [one.effect.label for one in outcome.fit.claims] == [BULK]
     rival = fit(problem, [claim(HOSES)])
-    assert score(problem, rival) > score(problem, outcome.fit) + 100.0
+    assert rival.score > outcome.fit.score + 100.0
     assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals[BULK]]
     judgement = assess(problem, outcome.fit, outcome.nothing)
     (effect,) = describe(problem, problem, outcome, judgement, intervals(problem, judgement.fit))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
-from hydro_diagnosis.effects.bench_values import SupplyPressure, TankPressure
+from hydro_diagnosis.effects.bench_values import TankPressure
 from hydro_diagnosis.effects.fluid import EntrainedAir
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
@@ -65,7 +65,7 @@ def test_effects_stay_within_what_a_bench_allows() -> None:
     for effect in (one.adapted(light) for one in LIBRARY):
         for bound in ("low", "high"):
             effect.bench(light, {one.name: getattr(one, bound) for one in effect.parameters})
-    weak = SupplyPressure().bench(replace(light, supply_pressure=1e7, tank_pressure=2e5), {"ratio": 0.3})
+    weak = claim("supply_pressure").effect.bench(replace(light, supply_pressure=1e7, tank_pressure=2e5), {"ratio": 0.3})
     assert TankPressure().bench(weak, {"pressure": 5e6}).tank_pressure < weak.supply_pressure
 
 

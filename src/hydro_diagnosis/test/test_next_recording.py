@@ -10,7 +10,7 @@ from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.closure.screen import laws
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import Fit, fit, score
+from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.intervals import all_exclude_neutral, intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import catalog, expected_gain, next_for_law, rival_law, simulated_recording
@@ -37,7 +37,7 @@ def told_apart(reference: ReferenceSignal, seed: int) -> float:
     recording = simulated_recording(BENCH, reference, truth=TRUTH, seconds=6.0, seed=seed)
     problem = Problem(recording.segments, BENCH)
     true, rival = fits(problem)
-    return score(problem, rival) - score(problem, true)
+    return rival.score - true.score
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def law(form: str, coefficient: float) -> Claim:
 def laws_apart(reference: ReferenceSignal, found: Fit, rival: Fit) -> float:
     """BIC by which 6 s of a bench with the drag tell the law from the rival."""
     problem = problem_in(driven(reference, 11))
-    return score(problem, fit(problem, rival.claims)) - score(problem, fit(problem, found.claims))
+    return fit(problem, rival.claims).score - fit(problem, found.claims).score
 
 
 def test_the_proposed_recording_tells_the_two_best_laws_apart_better_than_most() -> None:

@@ -12,7 +12,7 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FitParameter
 from hydro_diagnosis.estimation.budget import Budget
-from hydro_diagnosis.estimation.fit import fit, mean_squares, noticeable, score
+from hydro_diagnosis.estimation.fit import fit, mean_squares, noticeable
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims
 from hydro_diagnosis.io.table import RawTable
@@ -84,7 +84,7 @@ def test_richer_form_must_pay_for_its_parameter() -> None:
     outcome = search(problem)
     problem, found = outcome.problem, outcome.fit
     assert [claim.effect.label for claim in found.claims] == [DRY]
-    richer = score(problem, found) - score(problem, fit(problem, [claim_of(DIRECTED, 15.0, 15.0)]))
+    richer = found.score - fit(problem, [claim_of(DIRECTED, 15.0, 15.0)]).score
     assert 2.0 < richer < SearchSettings().threshold  # else this shows nothing
 
 

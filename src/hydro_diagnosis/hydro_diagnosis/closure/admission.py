@@ -16,7 +16,7 @@ import numpy as np
 from hydro_diagnosis.closure.forward_selection import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, holdout_gain, noticeable
+from hydro_diagnosis.estimation.fit import by_claim, fit, holdout_gain, noticeable
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -33,16 +33,12 @@ def without_harmful_names(closed: ClosureFit, holdout: Problem) -> ClosureFit:
     problem = closed.problem
     while noticeable(problem, closed.fit.residual):
         names = [claim for claim in closed.fit.removable if not isinstance(claim.effect, Closure)]
-        fewer = [_without(problem, closed.fit, claim.effect.label) for claim in names]
+        fewer = [fit(problem, closed.fit.but(claim)) for claim in names]
         gains = [holdout_gain(holdout, one, closed.fit) for one in fewer]
         if not gains or min(gains) >= -HARMFUL_SHARE:
             break
         closed = replace(closed, fit=fewer[int(np.argmin(gains))])
     return closed
-
-
-def _without(problem: Problem, found: Fit, label: str) -> Fit:
-    return fit(problem, tuple(claim for claim in found.claims if claim.effect.label != label))
 
 
 WORSE_RATIO = 1.02

@@ -30,7 +30,6 @@ from hydro_diagnosis.estimation.fit import (
     noticeable,
     orthogonal,
     residual_variances,
-    score,
 )
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
@@ -43,28 +42,6 @@ VAGUE = 0.5
 """Half-width of a shape parameter's 95 % interval, over its size or range, from which it is not identified."""
 
 
-class Blocks:
-    """Residuals in folds of blocks of time, by channel."""
-
-    def __init__(self, problem: Problem) -> None:
-        layout = problem.layout
-        fold = layout.folds()
-        self._order = np.lexsort((fold, layout.channel))
-        group = (layout.channel * FOLDS + fold)[self._order]
-        self._edges = np.searchsorted(group, np.arange(len(CHANNELS) * FOLDS + 1))
-
-    def sorted(self, columns: FloatArray) -> FloatArray:
-        """Rows of an array, shape (n, columns), sorted by channel and fold."""
-        return columns[self._order]
-
-    def products(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Products of columns by fold and channel; shape (folds, channels, columns of one, columns of the other)."""
-        found = np.zeros((FOLDS, len(CHANNELS), one.shape[1], other.shape[1]))
-        for at, (begin, end) in enumerate(pairwise(self._edges)):
-            found[at % FOLDS, at // FOLDS] = one[begin:end].T @ other[begin:end]
-        return found
-
-
 class HeldOutBlocks:
     """Columns of candidates beside a fit, and how well any set of them predicts blocks that it was not fitted to.
 
@@ -72,31 +49,24 @@ class HeldOutBlocks:
     `columns`: by candidate: derivatives of the residual, shape (n, numbers).
     """
 
-    def __init__(self, problem: Problem, found: Fit, columns: Sequence[FloatArray]) -> None:
-        blocks, standing = Blocks(problem), np.column_stack([found.residual, found.jacobian])
-        table = [blocks.sorted(one) for one in (standing, *columns)]
-        self._take(problem, found, [[blocks.products(one, other) for other in table] for one in table])
-
-    @classmethod
-    def of_products(cls, problem: Problem, found: Fit, products: Sequence[Sequence[FloatArray]]) -> HeldOutBlocks:
-        """The same from `Blocks.products` of residual, Jacobian and candidates with each other."""
-        made = cls.__new__(cls)
-        made._take(problem, found, products)
-        return made
-
-    def _take(self, problem: Problem, found: Fit, products: Sequence[Sequence[FloatArray]]) -> None:
-        edges = np.cumsum([one[0].shape[-2] for one in products])
+    def __init__(self, problem: Problem, found: Fit, columns: Sequence[FloatArray] = ()) -> None:
+        layout, table = problem.layout, [np.column_stack([found.residual, found.jacobian]), *columns]
+        edges = np.cumsum([one.shape[1] for one in table])
         self._standing = list(range(1, int(edges[0])))
         self._places = [list(range(int(a), int(b))) for a, b in pairwise(edges)]
-        self._products = np.concatenate([np.concatenate(row, axis=-1) for row in products], axis=-2)
+        everything, group = np.column_stack(table), layout.channel * FOLDS + layout.folds()
+        order = np.argsort(group, kind="stable")
+        parts = np.split(everything[order], np.cumsum(np.bincount(group, minlength=len(CHANNELS) * FOLDS))[:-1])
+        products = np.stack([one.T @ one for one in parts]).reshape(len(CHANNELS), FOLDS, *[everything.shape[1]] * 2)
+        self._products = products.swapaxes(0, 1)  # by fold and channel
         squares = np.einsum("fcii->i", self._products)
         self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), SHORTEST)
-        self._products /= self._scale[:, None] * self._scale
+        self._products = self._products / (self._scale[:, None] * self._scale)
         weight = 1.0 / residual_variances(problem, found.residual)
         self._weighted = np.einsum("fcij,c->fij", self._products, weight)
-        self._count = problem.layout.count
+        self._count = layout.count
 
-    def deviance(self, chosen: Sequence[int]) -> float:
+    def deviance(self, chosen: Sequence[int] = ()) -> float:
         """-2 log likelihood of the held-out blocks with these candidates, up to a constant."""
         at = [*self._standing, *(place for one in chosen for place in self._places[one])]
         squares, together = np.zeros(len(CHANNELS)), self._weighted.sum(axis=0)
@@ -163,7 +133,7 @@ def equivalent_causes(
     """Yield the causes, at start values, whose signatures explain this claim's but for a share of 1 - `alike`."""
     if not causes:
         return
-    others = tuple(one for one in found.claims if one is not claim)
+    others = found.but(claim)
     before = problem.residual(others)
     shown = found.residual - before
     standing = np.delete(found.jacobian, found.columns(claim), axis=1)
@@ -204,19 +174,15 @@ def without_idle_terms(problem: Problem, found: Fit, names_stay: bool = False) -
     """
     while True:
         open_ = [one for one in found.removable if not (names_stay and one.effect.named)]
-        fewer = [(claim, fit(problem, _others(found, claim))) for claim in open_]
+        fewer = [(claim, fit(problem, found.but(claim))) for claim in open_]
         idle = [one for claim, one in fewer if not _pays(problem, one, found, claim)]
         if not idle:
             return found
-        found = min(idle, key=lambda one: score(problem, one))
-
-
-def _others(found: Fit, claim: Claim) -> tuple[Claim, ...]:
-    return tuple(one for one in found.claims if one is not claim)
+        found = min(idle, key=lambda one: one.score)
 
 
 def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
-    if score(problem, without) - score(problem, found) < THRESHOLD or within_form_error(problem, without, found):
+    if without.score - found.score < THRESHOLD or within_form_error(problem, without, found):
         return False
     if not isinstance(claim.effect, Closure):
         return True
@@ -227,7 +193,7 @@ def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
 
 def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
     """Return by how much the held-out deviance falls from one fit to another."""
-    return HeldOutBlocks(problem, before, ()).deviance(()) - HeldOutBlocks(problem, after, ()).deviance(())
+    return HeldOutBlocks(problem, before).deviance() - HeldOutBlocks(problem, after).deviance()
 
 
 def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:

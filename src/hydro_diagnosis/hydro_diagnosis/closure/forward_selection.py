@@ -22,7 +22,7 @@ from hydro_diagnosis.closure.evidence import (
 from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
 from hydro_diagnosis.effects.base import Claim, Effect, values_key
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
+from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import screen as screen_names
 from hydro_sim.model.effects.catalogue import CLOSURES
@@ -45,7 +45,7 @@ def with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit
     claims = list(found.claims)
     claims[place] = Claim(wider, {**claim.values, TURN.name: START})
     better = fit(problem, claims, iterations=ITERATIONS)
-    pays = score(problem, found) - score(problem, better) >= CHANCE
+    pays = found.score - better.score >= CHANCE
     return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
 
 
@@ -93,7 +93,7 @@ class ForwardSelection:
             if noticeable(problem, better.residual):
                 better = with_reversal_velocity(problem, better)
             tried.add(one.effect.label)
-            if score(problem, current) - score(problem, better) < toll or within_form_error(problem, current, better):
+            if current.score - better.score < toll or within_form_error(problem, current, better):
                 continue
             if not has_identified_shapes(problem, better, better.claims[-1]):
                 disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
@@ -159,7 +159,7 @@ def select_laws(problem: Problem, base: Fit, forward: ForwardSelection, names: S
             fits = [*fits, *_names_fitted(weighed, current, names)]
         if not fits:
             break
-        taken = _simplest(weighed, fits)
+        taken = _simplest(fits)
         tried -= {one.claims[-1].effect.label for one in fits if one is not taken}
         current = taken
         if not isinstance(taken.claims[-1].effect, Closure):
@@ -189,38 +189,36 @@ def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: S
             others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their numbers
             tried = {plain(one.effect.label) for one in found.claims}
             instead = forward.fits(problem, others, tried)[0] if law else _names_fitted(problem, others, names)
-            found = _simplest(problem, [found, *instead], claim) if law else _fewest(problem, [found, *instead])
+            found = _simplest([found, *instead], claim) if law else _fewest([found, *instead])
     for place in range(len(found.claims)):  # also if nothing remains: it moves a simulated piston at each reversal
         found = with_reversal_velocity(problem, found, place)
     return found
 
 
-def _fewest(problem: Problem, fits: Sequence[Fit]) -> Fit:
+def _fewest(fits: Sequence[Fit]) -> Fit:
     """Return the fit of the fewest parameters among those with nearly as much evidence as the best."""
-    best = min(score(problem, one) for one in fits)
-    return min(
-        (one for one in fits if score(problem, one) <= best + CHANCE), key=lambda one: (one.free, score(problem, one))
-    )
+    best = min(one.score for one in fits)
+    return min((one for one in fits if one.score <= best + CHANCE), key=lambda one: (one.free, one.score))
 
 
 def _names_fitted(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
     """Return fits with one more significant name."""
     fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:NAMES]]
-    enough = score(problem, current) - CHANCE
-    return [one for one in fits if score(problem, one) < enough and not within_form_error(problem, current, one)]
+    enough = current.score - CHANCE
+    return [one for one in fits if one.score < enough and not within_form_error(problem, current, one)]
 
 
-def _simplest(problem: Problem, fits: Sequence[Fit], last: Claim | None = None) -> Fit:
+def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
     """Return, of the fits with nearly the best evidence, a name, else the law of fewest parameters and signals.
 
     The claim in question is the newest, of the first fit `last`, if that is given.
     """
-    best = min(score(problem, one) for one in fits)
+    best = min(one.score for one in fits)
 
     def parts(one: Fit) -> tuple[int, int, float]:
         effect = (last if last and one is fits[0] else one.claims[-1]).effect
         if not isinstance(effect, Closure):
-            return 0, 0, score(problem, one)
-        return len(effect.parameters), len(effect.law.uses), score(problem, one)
+            return 0, 0, one.score
+        return len(effect.parameters), len(effect.law.uses), one.score
 
-    return min((one for one in fits if score(problem, one) <= best + CHANCE), key=parts)
+    return min((one for one in fits if one.score <= best + CHANCE), key=parts)

@@ -13,7 +13,6 @@ be another term in disguise. `starting_points`: the names that explain most need
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import replace
 from itertools import chain, combinations
 
@@ -21,7 +20,6 @@ import numpy as np
 
 from hydro_diagnosis.closure.evidence import (
     THRESHOLD,
-    Blocks,
     HeldOutBlocks,
     barred_equations,
     equals_ruled_out,
@@ -42,13 +40,13 @@ from hydro_diagnosis.closure.forward_selection import (
     select_laws,
     with_reversal_velocity,
 )
-from hydro_diagnosis.closure.responses import Responses, shown
-from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Prospect, Screen, laws, tables
+from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Prospect, Screen, laws, shown, tables, ways_beside
 from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit, noticeable, score
+from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import screen as screen_names
+from hydro_diagnosis.model.responses import Responses
 from hydro_diagnosis.selection.outcome import SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import MOST_OF_THE_GAP, Assessment, coincidence
@@ -57,46 +55,6 @@ from hydro_sim.model.tables import Table
 
 SETTINGS = SearchSettings(restarts=1, effort=1500)
 """Settings of the joint search: less effort than for names alone, since a missing law is found first."""
-
-
-class Candidates:
-    """Tables that may join a fit, and what each does to the residual there, to first order."""
-
-    def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
-        self.terms = list(terms)
-        ways = [Responses(problem, model, (*problem.baseline, *base.claims)) for model in problem.models]
-        self._blocks = Blocks(problem)
-        self._columns = [self._blocks.sorted(_columns(problem, base, ways, one)) for one in terms]
-        self._own = [self._blocks.products(one, one) for one in self._columns]
-
-    def without(self, label: str) -> Candidates:
-        """All but the terms of one law."""
-        kept, left = copy(self), [k for k, one in enumerate(self.terms) if one.effect.label != label]
-        kept.terms = [self.terms[k] for k in left]
-        kept._columns, kept._own = [self._columns[k] for k in left], [self._own[k] for k in left]
-        return kept
-
-    def gains(self, problem: Problem, base: Fit) -> tuple[FloatArray, float]:
-        """Held-out deviance that each term gains, and that which there is to gain."""
-        standing = self._blocks.sorted(np.column_stack([base.residual, base.jacobian]))
-        squares, after = self._blocks.products(standing, standing), []
-        for columns, own in zip(self._columns, self._own, strict=True):
-            beside = self._blocks.products(standing, columns)
-            products = [[squares, beside], [beside.swapaxes(-1, -2), own]]
-            after.append(HeldOutBlocks.of_products(problem, base, products).deviance((0,)))
-        before = HeldOutBlocks.of_products(problem, base, [[squares]]).deviance(())
-        there_is = before - float(np.sum(problem.layout.count))  # a residual that is noise alone leaves one each
-        return before - np.array(after), there_is
-
-
-def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
-    """Responses of the residual to a claim's amplitudes at neutral, in spans; shape (n, amplitudes)."""
-    probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
-              if one.smallest > 0.0]  # fmt: skip
-    columns = np.zeros((len(problem.layout.channel), len(probes)))
-    for channel, responses in shown(problem, base.claims, base.residual, ways, probes).items():
-        columns[problem.layout.channel == channel] = responses.T
-    return columns
 
 
 def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
@@ -200,7 +158,7 @@ def _by_table(below: ClosureFit, closed: frozenset[str]) -> ClosureFit:
     problem, before = below.problem, below.fit
     fitted = without_idle_terms(
         problem,
-        _grown_by_table(problem, before, Candidates(problem, before, _open(tables(problem), closed))),
+        _grown_by_table(problem, before, _open(tables(problem), closed)),
         names_stay=True,
     )
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
@@ -208,26 +166,38 @@ def _by_table(below: ClosureFit, closed: frozenset[str]) -> ClosureFit:
     return ClosureFit(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem, below.screen)
 
 
-def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
+def _grown_by_table(problem: Problem, base: Fit, terms: Sequence[Claim]) -> Fit:
     """Return the fit with the significant tables."""
-    current = base
+    current, taken, ways = base, 0, ways_beside(problem, base)
+    tried = [(one, _columns(problem, base, ways, one)) for one in terms]
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
-    taken = 0
-    while taken < room and tried.terms and noticeable(problem, current.residual) and not problem.budget.exhausted:
-        gains, there_is = tried.gains(problem, current)
+    while taken < room and tried and noticeable(problem, current.residual) and not problem.budget.exhausted:
+        before = HeldOutBlocks(problem, current).deviance()
+        there_is = before - float(np.sum(problem.layout.count))  # a residual that is noise alone leaves one each
+        gains = [before - HeldOutBlocks(problem, current, [columns]).deviance((0,)) for _, columns in tried]
         best = int(np.argmax(gains))
         if gains[best] < max(THRESHOLD, LEAST * there_is):
             break
-        start = tried.terms[best]
-        tried = tried.without(start.effect.label)
+        start, _ = tried[best]
+        tried = [one for one in tried if one[0].effect.label != start.effect.label]
         better = fit(problem, (*current.claims, start))
-        if score(problem, current) - score(problem, better) < THRESHOLD or within_form_error(problem, current, better):
+        if current.score - better.score < THRESHOLD or within_form_error(problem, current, better):
             continue
         if equals_ruled_out(problem, better, better.claims[-1]):
             continue
         taken += 1
         current = better
     return current
+
+
+def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
+    """Responses of the residual to a table's values at neutral, in spans; shape (n, values)."""
+    probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
+              if one.smallest > 0.0]  # fmt: skip
+    columns = np.zeros((len(problem.layout.channel), len(probes)))
+    for channel, responses in shown(problem, base, ways, probes).items():
+        columns[problem.layout.channel == channel] = responses.T
+    return columns
 
 
 _MECHANICAL = frozenset({MOTION, LOAD})
@@ -273,7 +243,7 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
             if noticeable(problem, made.residual):
                 made = with_reversal_velocity(problem, made)
             new = made.claims[-1]
-            if noticeable(problem, made.residual) or score(problem, made) > score(problem, found):
+            if noticeable(problem, made.residual) or made.score > found.score:
                 continue
             if has_identified_shapes(problem, made, new) and not equals_ruled_out(problem, made, new):
                 yield made
@@ -320,11 +290,11 @@ def renamed(closed: ClosureFit, names: Sequence[Effect]) -> ClosureFit:
             return closed
         standing = {claim.effect.id for claim in found.claims}
         free = [name for name in names if name.id not in standing]
-        worst = score(problem, found) + CHANCE
-        others = [(term, tuple(one for one in found.claims if one is not term)) for term in terms]
+        worst = found.score + CHANCE
+        others = [(term, found.but(term)) for term in terms]
         tried = (fit(problem, (*rest, name)) for term, rest in others
                  for name in equivalent_causes(problem, found, term, free, ALIKE))  # fmt: skip
-        better = next((one for one in tried if score(problem, one) <= worst and not noticeable(problem, one.residual)),
+        better = next((one for one in tried if one.score <= worst and not noticeable(problem, one.residual)),
                       None)  # fmt: skip
         if better is None:
             return closed

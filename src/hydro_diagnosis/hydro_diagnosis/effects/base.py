@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import nan
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,22 @@ import numpy.typing as npt
 from hydro_sim.model.bench import Bench
 
 FloatArray = npt.NDArray[np.float64]
+Pair = tuple[FloatArray, FloatArray]
+"""Of chamber A and of chamber B."""
 Values = Mapping[str, float]
+_DISPLAY_UNITS = {
+    "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
+    "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
+}  # fmt: skip
+"""Units in which sentences tell numbers, and the factor from SI."""
+_IN_SENTENCES = {"1/s": 100.0, "Pa s/m3": 1e-12}
+"""Factors from SI to % per second and to MPa per ml/s."""
+
+
+def display_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which sentences tell numbers, and the factor from SI."""
+    return _DISPLAY_UNITS.get(unit, (unit, 1.0))
+
 
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """The blocks of residuals that an effect can touch; only those are recomputed when its parameters change."""
@@ -64,7 +79,7 @@ class FitParameter:
         return max(abs(probe - self.neutral) for probe in self.probes) or abs(self.neutral)
 
 
-class Memory(Protocol):
+class Memory:
     """Elements with a past, either over a whole record or one step at a time."""
 
     beside: Mapping[str, FloatArray]
@@ -78,21 +93,27 @@ class Memory(Protocol):
 
         `falling`: the time constant [s] while the signal is below what lags, if it is another.
         """
+        raise NotImplementedError
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Second-order low-pass, `bandwidth` in Hz."""
+        raise NotImplementedError
 
     def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
         """A slow signal s plus `first` [s] times s' plus `second` [s^2] times s''."""
+        raise NotImplementedError
 
     def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
         """First-order lag of a signal, its rises by another time constant [s] than its falls."""
+        raise NotImplementedError
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """Position [m] of what is dragged through a gap of `width` [m] (the play operator)."""
+        raise NotImplementedError
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
+        raise NotImplementedError
 
 
 @dataclass
@@ -111,7 +132,7 @@ class Oil:
 
     time: FloatArray
     position: FloatArray
-    pressures: tuple[FloatArray, FloatArray]
+    pressures: Pair
     spool: FloatArray
     """A, shape (..., substeps)."""
     velocity: FloatArray
@@ -125,7 +146,7 @@ class Kinematics:
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
-    pressures: tuple[FloatArray, FloatArray] | None = None
+    pressures: Pair | None = None
     """Pa, of chambers A and B; None where they are not known."""
     acceleration: FloatArray | None = None
     """m/s2; None where it is not known."""
@@ -141,7 +162,7 @@ class Effect:
     options: Mapping[str, str] = field(default_factory=dict)
     """Chamber, sensor or form; part of the report, except `form`."""
     reference: float = nan
-    """The bench file's value, for effects whose parameter is the true value itself."""
+    """The bench file's value of `refers`."""
     estimated: bool = False
     """Whether it stands for a number that is estimated (`estimation.unknown_numbers`): in every fit, never a claim."""
 
@@ -152,6 +173,10 @@ class Effect:
     """Equations in which it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
     blocks: ClassVar[frozenset[str]] = frozenset()
     parameters: ClassVar[tuple[FitParameter, ...]] = ()
+    refers: ClassVar[str] = ""
+    """Number of the bench file on which the parameters depend; empty if none."""
+    says: ClassVar[str] = ""
+    """`sentence`: with its parameters by name, in the units of `display_unit`, and the `effect`."""
     stage: ClassVar[int] = 1
     """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
     family: ClassVar[str] = ""
@@ -165,41 +190,20 @@ class Effect:
     """Whether it adds to one equation in proportion to its amplitudes, independently of other effects."""
     bristles: ClassVar[bool] = False
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
-
-    @property
-    def lagged(self) -> str:
-        """Channel whose readings it low-passes; empty if none."""
-        return ""
-
-    @property
-    def asymmetric(self) -> bool:
-        """Whether it lags rises otherwise than falls: other channels cannot be delayed alike."""
-        return False
-
-    @property
-    def breaks_superposition(self) -> bool:
-        """Whether the responses to other effects do not superpose behind it."""
-        return self.lagged.startswith("pressure")
-
-    @property
-    def memoryless(self) -> bool:
-        """Whether a reading depends on the present signal, on a path or on slow states alone."""
-        return False
-
-    @property
-    def uses_acceleration(self) -> bool:
-        """Whether it depends on the acceleration."""
-        return False
-
-    @property
-    def places(self) -> bool:
-        """Whether the recorded position differs from the piston's by this effect."""
-        return False
-
-    @property
-    def nonlinear_channel(self) -> str:
-        """Channel whose reading is a nonlinear function of its signal by this effect; empty if none."""
-        return ""
+    lagged: ClassVar[str] = ""
+    """Channel whose readings it low-passes; empty if none."""
+    asymmetric: ClassVar[bool] = False
+    """Whether it lags rises otherwise than falls: other channels cannot be delayed alike."""
+    breaks_superposition: ClassVar[bool] = False
+    """Whether the responses to other effects do not superpose behind it."""
+    memoryless: ClassVar[bool] = False
+    """Whether a reading depends on the present signal, on a path or on slow states alone."""
+    uses_acceleration: ClassVar[bool] = False
+    """Whether it depends on the acceleration."""
+    places: ClassVar[bool] = False
+    """Whether the recorded position differs from the piston's by this effect."""
+    nonlinear_channel: ClassVar[str] = ""
+    """Channel whose reading is a nonlinear function of its signal by this effect; empty if none."""
 
     @property
     def label(self) -> str:
@@ -208,11 +212,14 @@ class Effect:
 
     def sentence(self, values: Values) -> str:
         """Description of the effect for a person at the bench."""
-        raise NotImplementedError
+        units = {one.name: one.unit for one in self.parameters}
+        shown = {name: values[name] * _IN_SENTENCES.get(unit, display_unit(unit)[1]) for name, unit in units.items()}
+        said = self.says.format(effect=self, **shown)
+        return said[0].upper() + said[1:]
 
     def adapted(self, bench: Bench) -> Effect:
         """The effect relative to this bench."""
-        return self
+        return replace(self, reference=getattr(bench, self.refers)) if self.refers else self
 
     # -- hooks, in the order in which the model calls them ------------------------------------------------------------
 
@@ -236,8 +243,7 @@ class Effect:
         """Supply pressure [Pa] under the `demand` [m3/s]."""
         return supply
 
-    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
-              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def flows(self, flows: Pair, pressures: Pair, tank: float, values: Values) -> Pair:
         """Net flows [m3/s] into chamber A and into chamber B."""
         return flows
 
@@ -245,8 +251,7 @@ class Effect:
         """Bulk modulus [Pa] at an absolute pressure [Pa]."""
         return modulus
 
-    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
-                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
         """Flow [m3/s] into chamber A and into chamber B, where it depends on more than the pressures."""
         return flows
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 from hydro_diagnosis.effects.base import HYDRAULIC, MOTION, PRESSURE, Effect, FitParameter, Values, changed
 from hydro_sim.model.bench import Bench
 
-_RATIO = FitParameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
+RATIO = FitParameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
 
 
 class _Times(Effect):
@@ -22,90 +22,63 @@ class _Times(Effect):
     number: ClassVar[str]
     """In bench.yaml."""
     words: ClassVar[str]
-    parameters = (_RATIO,)
+    says = "The {effect.words} is {ratio:.4g} times what the bench file says."
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, **{self.number: getattr(bench, self.number) * values["ratio"]})
 
-    def sentence(self, values: Values) -> str:
-        return f"The {self.words} is {values['ratio']:.4g} times what the bench file says."
+
+def times(
+    identifier: str, words: str, equations: str, blocks: frozenset[str], number: str = "", *, chamber: str = "",
+    ratio: FitParameter = RATIO, **more: str,
+) -> Effect:  # fmt: skip
+    """The effect that a number of the bench file, of the id's name if none is given, is wrong by a ratio.
+
+    `words`: the number in words. `equations`, `blocks`: in which it acts. `chamber`: whose it is, if one has it alone.
+    """
+    about = {"id": identifier, "number": number or identifier, "words": words, "parameters": (ratio,), **more}
+    made: type[Effect] = type(identifier, (_Times,), {**about, "equations": tuple(equations.split()), "blocks": blocks})
+    return made({"chamber": chamber} if chamber else {})
 
 
-class SupplyPressure(_Times):
-    """p_s times a ratio."""
+class TrueValue(Effect):
+    """The true value of the number of the bench file that the effect refers to."""
 
-    id = "supply_pressure"
-    equations = ("actuation",)
-    blocks = frozenset({PRESSURE})
-    number, words = "supply_pressure", "supply pressure"
-
-
-class PistonArea(_Times):
-    """A_p times a ratio: of both chambers, since A_b = alpha A_p."""
-
-    id = "piston_area"
-    equations = ("pressure_a", "pressure_b")
-    blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
-    number, words = "piston_area", "piston area"
-
-
-class AreaRatio(_Times):
-    """alpha times a ratio."""
-
-    id = "area_ratio"
-    equations = ("pressure_b",)
-    blocks = frozenset({PRESSURE, MOTION, HYDRAULIC})
-    number, words = "area_ratio", "ratio of the piston areas"
-
-
-class DeadVolumeA(_Times):
-    """V_dead of chamber A times a ratio."""
-
-    id = "dead_volume"
-    equations = ("pressure_a",)
-    blocks = frozenset({PRESSURE})
-    parameters = (replace(_RATIO, low=0.1, high=10.0, smallest=0.004),)
-    number, words = "dead_volume_a", "dead volume of chamber A"
-
-
-class DeadVolumeB(DeadVolumeA):
-    """V_dead of chamber B times a ratio."""
-
-    equations = ("pressure_b",)
-    number, words = "dead_volume_b", "dead volume of chamber B"
-
-
-class TankPressure(Effect):
-    """The true p_t."""
-
-    id = "tank_pressure"
-    equations = ("actuation",)
-    blocks = frozenset({PRESSURE})
+    number: ClassVar[FitParameter]
+    """Its probe is the distance from the bench file's value."""
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
-        true = self.reference
-        return (FitParameter(name="pressure", unit="Pa", low=0.0, high=5e6, neutral=true, probes=(true + 2e5,),
-                             smallest=1e4),)  # fmt: skip
-
-    def adapted(self, bench: Bench) -> Effect:
-        return replace(self, reference=bench.tank_pressure)
+        true, (apart,) = self.reference, self.number.probes
+        return (replace(self.number, neutral=true, probes=(true + apart,)),)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return changed(bench, tank_pressure=values["pressure"])
+        return changed(bench, **{self.refers: values[self.number.name]})
+
+
+class TankPressure(TrueValue):
+    """The true p_t."""
+
+    id = "tank_pressure"
+    refers = "tank_pressure"
+    equations = ("actuation",)
+    blocks = frozenset({PRESSURE})
+    number = FitParameter(name="pressure", unit="Pa", low=0.0, high=5e6, probes=(2e5,), smallest=1e4)
 
     def sentence(self, values: Values) -> str:
         return f"The tank stands at {values['pressure'] * 1e-6:.3g} MPa, not at what the bench file says."
 
 
+_DEAD = replace(RATIO, low=0.1, high=10.0, smallest=0.004)
+_PISTON = frozenset({PRESSURE, MOTION, HYDRAULIC})
 EFFECTS: tuple[Effect, ...] = (
-    SupplyPressure(),
-    PistonArea(),
-    AreaRatio(),
-    DeadVolumeA({"chamber": "a"}),
-    DeadVolumeB({"chamber": "b"}),
+    times("supply_pressure", "supply pressure", "actuation", frozenset({PRESSURE})),
+    times("piston_area", "piston area", "pressure_a pressure_b", _PISTON),  # of both chambers: A_b = alpha A_p
+    times("area_ratio", "ratio of the piston areas", "pressure_b", _PISTON),
+    *(times("dead_volume", f"dead volume of chamber {chamber.upper()}", f"pressure_{chamber}", frozenset({PRESSURE}),
+            f"dead_volume_{chamber}", chamber=chamber, ratio=_DEAD) for chamber in "ab"),
     TankPressure(),
-)
+)  # fmt: skip
 _LEVEL = 5e6
 """Typical pressure [Pa] of the chambers: over the bulk modulus, the additional oil that a wider hose holds."""
 
@@ -118,6 +91,7 @@ class WideningHoses(Effect):
     """
 
     id = "hoses_that_widen"
+    says = "It looks like hoses that widen, by {compliance:.3g} m3/Pa in each chamber."
     named = False
     equations = ("pressure_a", "pressure_b")
     family = "oil"
@@ -127,9 +101,6 @@ class WideningHoses(Effect):
     def bench(self, bench: Bench, values: Values) -> Bench:
         more = values["compliance"] * (bench.bulk_modulus + _LEVEL)
         return changed(bench, dead_volume_a=bench.dead_volume_a + more, dead_volume_b=bench.dead_volume_b + more)
-
-    def sentence(self, values: Values) -> str:
-        return f"It looks like hoses that widen, by {values['compliance']:.3g} m3/Pa in each chamber."
 
 
 UNNAMED: tuple[Effect, ...] = (WideningHoses(),)

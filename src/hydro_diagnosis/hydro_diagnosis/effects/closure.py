@@ -26,6 +26,7 @@ from hydro_diagnosis.effects.base import (
     Kinematics,
     Memory,
     Oil,
+    Pair,
     Values,
 )
 from hydro_diagnosis.effects.kernels import along, held_lag, limited, splined
@@ -75,11 +76,11 @@ class Closure(Effect):
         return "closure of flows" if flows else "closure of forces"
 
     @property
-    def memoryless(self) -> bool:
+    def memoryless(self) -> bool:  # type: ignore[override]
         return self.element is None or self.element.kind in ("path", "slow")
 
     @property
-    def uses_acceleration(self) -> bool:
+    def uses_acceleration(self) -> bool:  # type: ignore[override]
         return "acceleration" in self.law.uses
 
     @property
@@ -189,8 +190,7 @@ class FlowClosure(Closure):
         if self.element is not None and self.element.kind == "path":
             self._remembering(Signals(motion.position, motion.velocity), memory, values)
 
-    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
-                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
         at = Signals(oil.position, oil.velocity, *oil.pressures, kernels.substep_mean(oil.spool))
         out = self.given(self._remembering(at, memory, values), values, self.numbers)
         by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
@@ -202,11 +202,10 @@ class EdgeClosure(Closure):
 
     additive = True
 
-    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
-                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
         bench = self.numbers
         assert bench is not None
-        opened, closed = (kernels.substep_mean_beyond(oil.spool, sign) for sign in (1.0, -1.0))
+        opened, closed = (kernels.substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
         openings = bench.valve_gain * opened, bench.valve_gain * closed
         past = self._remembering(Signals(current=kernels.substep_mean(oil.spool)), memory, values).memory
         lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at.but(memory=past), values))
@@ -216,8 +215,7 @@ class EdgeClosure(Closure):
 class AcrossClosure(Closure):
     """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
 
-    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
-                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
         spool = kernels.substep_mean(oil.spool)
         at = Signals(oil.position, oil.velocity, *oil.pressures, spool)
         lost = shifted(self.numbers, spool, self.given(at, values), oil.pressures)
@@ -279,7 +277,7 @@ class SensorClosure(Closure):
     """Error of a sensor's reading."""
 
     @property
-    def breaks_superposition(self) -> bool:
+    def breaks_superposition(self) -> bool:  # type: ignore[override]
         return self.law.where in (self.law.uses or self.law.where)
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -292,13 +290,10 @@ class SensorClosure(Closure):
 class GaugeClosure(SensorClosure):
     """Error of a pressure sensor, whose pressure the flows follow."""
 
-    @property
-    def breaks_superposition(self) -> bool:
-        """A curve is taken by its slope where the reading says that it is."""
-        return False
+    breaks_superposition = False  # a curve is taken by its slope where the reading says that it is
 
     @property
-    def nonlinear_channel(self) -> str:
+    def nonlinear_channel(self) -> str:  # type: ignore[override]
         along = self.element is not None and self.element.kind in ("path", "lag")
         return self.law.where if self.law.where in (self.law.uses or self.law.where) and not along else ""
 
@@ -332,13 +327,8 @@ class GaugeClosure(SensorClosure):
 class PlaceClosure(SensorClosure):
     """Error of the position sensor, on whose position all equations depend."""
 
-    @property
-    def breaks_superposition(self) -> bool:
-        return True
-
-    @property
-    def places(self) -> bool:
-        return True
+    breaks_superposition = True
+    places = True
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
@@ -353,17 +343,12 @@ class PlaceClosure(SensorClosure):
 class SnubberClosure(SensorClosure):
     """A pressure sensor that follows rises and falls at different rates."""
 
+    asymmetric = True
+    breaks_superposition = True
+
     @property
-    def lagged(self) -> str:
+    def lagged(self) -> str:  # type: ignore[override]
         return self.law.where
-
-    @property
-    def asymmetric(self) -> bool:
-        return True
-
-    @property
-    def breaks_superposition(self) -> bool:
-        return True
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:

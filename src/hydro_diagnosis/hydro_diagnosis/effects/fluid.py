@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Memory, Values, changed
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Memory, Pair, Values, changed
 from hydro_sim.model.bench import Bench
 
 _COEFFICIENT = FitParameter(name="coefficient", unit="m3/s/Pa", low=0.0, high=1e-10, probes=(1e-13,), smallest=1e-15)
@@ -17,25 +17,21 @@ class LeakageInternal(Effect):
     """q = c (p_a - p_b) past the piston seal, laminar."""
 
     id = "leakage_internal"
+    says = "Oil leaks past the piston between the chambers, {coefficient:.3g} ml/s per MPa."
     family = "leak"
     equations = ("pressure_a", "pressure_b")
     blocks = frozenset({PRESSURE})
     parameters = (_COEFFICIENT,)
 
-    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
-              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def flows(self, flows: Pair, pressures: Pair, tank: float, values: Values) -> Pair:
         leak = values["coefficient"] * (pressures[0] - pressures[1])
         return flows[0] - leak, flows[1] + leak
-
-    def sentence(self, values: Values) -> str:
-        return f"Oil leaks past the piston between the chambers, {values['coefficient'] * 1e12:.3g} ml/s per MPa."
 
 
 class LeakageInternalOrifice(LeakageInternal):
     """q = c sqrt(|dp| p_1) sign(dp) through a sharp edge; as much as a laminar leak of the same c at dp = p_1."""
 
-    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
-              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def flows(self, flows: Pair, pressures: Pair, tank: float, values: Values) -> Pair:
         drop = pressures[0] - pressures[1]
         leak = values["coefficient"] * np.copysign(np.sqrt(np.abs(drop) * MEETING_POINT), drop)
         return flows[0] - leak, flows[1] + leak
@@ -59,8 +55,7 @@ class LeakageExternal(Effect):
     def equations(self) -> tuple[str, ...]:  # type: ignore[override]
         return ("pressure_" + self.options["chamber"],)
 
-    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
-              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    def flows(self, flows: Pair, pressures: Pair, tank: float, values: Values) -> Pair:
         if self.options["chamber"] == "a":
             return flows[0] - values["coefficient"] * (pressures[0] - tank), flows[1]
         return flows[0], flows[1] - values["coefficient"] * (pressures[1] - tank)
@@ -84,6 +79,10 @@ class SupplyDroop(Effect):
     """T p_d' + p_d = R q_s;  supply pressure p_s - p_d, q_s the flow drawn from it."""
 
     id = "supply_droop"
+    says = (
+        "The supply pressure falls with the flow drawn, by {resistance:.3g} MPa per ml/s, and recovers with a "
+        "time constant of {time_constant:.3g} ms."
+    )
     equations = ("actuation",)
     blocks = frozenset({PRESSURE})
     parameters = (
@@ -94,12 +93,6 @@ class SupplyDroop(Effect):
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return supply - values["resistance"] * memory.lag("supply", demand, values["time_constant"])
 
-    def sentence(self, values: Values) -> str:
-        return (
-            f"The supply pressure falls with the flow drawn, by {values['resistance'] * 1e-12:.3g} MPa per ml/s, "
-            f"and recovers with a time constant of {values['time_constant'] * 1e3:.3g} ms."
-        )
-
 
 ATMOSPHERE = 101325.0
 """Pa; `volume_fraction` is the share of free air at this pressure."""
@@ -109,6 +102,7 @@ class BulkModulus(Effect):
     """beta times a ratio."""
 
     id = "bulk_modulus"
+    says = "The bulk modulus is {ratio:.4g} times what the bench file says, at every pressure."
     equations = ("pressure_a", "pressure_b")
     family = "oil"
     blocks = frozenset({PRESSURE})
@@ -119,9 +113,6 @@ class BulkModulus(Effect):
 
     def settled(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, bulk_modulus=bench.bulk_modulus * values["ratio"])
-
-    def sentence(self, values: Values) -> str:
-        return f"The bulk modulus is {values['ratio']:.4g} times what the bench file says, at every pressure."
 
 
 class EntrainedAir(Effect):

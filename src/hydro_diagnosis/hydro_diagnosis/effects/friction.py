@@ -43,43 +43,37 @@ class FrictionCoulomb(_Motion):
     """Level F_c of dry friction; F = F_c sign(x_p')."""
 
     id = "friction_coulomb"
+    says = "Dry friction of {force:.3g} N works against the motion at every speed."
     parameters = (_force("force"),)
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
         return level + values["force"]
-
-    def sentence(self, values: Values) -> str:
-        return f"Dry friction of {values['force']:.3g} N works against the motion at every speed."
 
 
 class FrictionCoulombDirectional(_Motion):
     """Level F_c+ while extending, F_c- while retracting."""
 
     id = "friction_coulomb"
+    says = (
+        "Dry friction works against the motion: {force_positive:.3g} N while extending, {force_negative:.3g} N "
+        "while retracting."
+    )
     parameters = (_force("force_positive"), _force("force_negative", probes=(6.0,)))
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
         return level + np.where(motion.velocity > 0.0, values["force_positive"], values["force_negative"])
-
-    def sentence(self, values: Values) -> str:
-        return (
-            f"Dry friction works against the motion: {values['force_positive']:.3g} N while extending, "
-            f"{values['force_negative']:.3g} N while retracting."
-        )
 
 
 class FrictionViscous(_Motion):
     """b + db instead of b."""
 
     id = "friction_viscous"
+    refers = "viscous_friction"
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         low = down_to_nothing(self.reference, HEAVIEST)
         return (FitParameter(name="coefficient", unit="N s/m", low=low, high=HEAVIEST, probes=(30.0,), smallest=1.5),)
-
-    def adapted(self, bench: Bench) -> Effect:
-        return replace(self, reference=bench.viscous_friction)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, viscous_friction=bench.viscous_friction + values["coefficient"])
@@ -93,6 +87,9 @@ class FrictionStribeck(_Motion):
     """Level F_s exp(-(v/v_s)^2) on top of other dry friction (Armstrong-Helouvry et al. 1994, eq. 5)."""
 
     id = "friction_stribeck"
+    says = (
+        "Near standstill friction rises by {breakaway_force:.3g} N; the rise is gone above about {velocity:.3g} mm/s."
+    )
     parameters = (
         _force("breakaway_force", smallest=0.5),
         FitParameter(name="velocity", unit="m/s", low=2e-3, high=0.06, neutral=0.01, probes=(0.006, 0.02)),
@@ -100,12 +97,6 @@ class FrictionStribeck(_Motion):
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
         return level + values["breakaway_force"] * np.exp(-np.square(motion.velocity / values["velocity"]))
-
-    def sentence(self, values: Values) -> str:
-        return (
-            f"Near standstill friction rises by {values['breakaway_force']:.3g} N; "
-            f"the rise is gone above about {values['velocity'] * 1e3:.3g} mm/s."
-        )
 
 
 class _StribeckExponential(FrictionStribeck):
@@ -122,6 +113,7 @@ class FrictionPresliding(_Motion):
     """Bristles of stiffness sigma: dF/dx = sigma (1 - F sign(v)/level), Dahl's model."""
 
     id = "friction_presliding"
+    says = "Before it slides the piston deflects elastically with {stiffness:.3g} N/m."
     needs = ("friction_coulomb",)
     bristles = True
     parameters = (FitParameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
@@ -130,30 +122,24 @@ class FrictionPresliding(_Motion):
                    values: Values) -> FloatArray:  # fmt: skip
         return force + memory.bristle("presliding", motion.position, values["stiffness"], level)
 
-    def sentence(self, values: Values) -> str:
-        return f"Before it slides the piston deflects elastically with {values['stiffness']:.3g} N/m."
-
 
 class ForceOffset(_Motion):
     """m x_p'' = ... + F_0."""
 
     id = "force_offset"
+    says = "A constant force of {force:.3g} N acts on the moving mass (for instance its weight on a slope)."
     parameters = (_force("force", low=-STRONGEST, smallest=0.5),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
         return force - values["force"]
 
-    def sentence(self, values: Values) -> str:
-        return (
-            f"A constant force of {values['force']:.3g} N acts on the moving mass (for instance its weight on a slope)."
-        )
-
 
 class EndCushion(_Motion):
     """F = k max(x_p - x_c, 0) (form "end") or k min(x_p - x_c, 0) (form "start"); quadratic forms reach k at 5 mm."""
 
     id = "end_cushion"
+    refers = "stroke"
     family = "spring"
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
@@ -174,9 +160,6 @@ class EndCushion(_Motion):
             low, high, at = (0.0, middle, tuple((1.0 - share) * stroke for share in shares))
         return (stiffness, FitParameter(name="position", unit="m", low=low, high=high, neutral=middle, probes=at))
 
-    def adapted(self, bench: Bench) -> Effect:
-        return replace(self, reference=bench.stroke)
-
     def sentence(self, values: Values) -> str:
         side = "beyond" if self.options["form"].startswith("end") else "below"
         return (
@@ -188,14 +171,12 @@ class MovingMass(_Motion):
     """m + dm instead of m."""
 
     id = "moving_mass"
+    refers = "moving_mass"
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         low = 0.95 * down_to_nothing(self.reference, 1e3)
         return (FitParameter(name="mass", unit="kg", low=low, high=1e3, probes=(0.3,), smallest=0.05),)
-
-    def adapted(self, bench: Bench) -> Effect:
-        return replace(self, reference=bench.moving_mass)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, moving_mass=bench.moving_mass + values["mass"])
@@ -214,6 +195,11 @@ class FrictionViscousDirectional(_Motion):
     """b + db_+ while extending, b + db_- while retracting."""
 
     id = "friction_viscous"
+    says = (
+        "The viscous friction depends on the direction: against the bench file {coefficient_positive:+.4g} N s/m while "
+        "extending and {coefficient_negative:+.4g} N s/m while retracting."
+    )
+    refers = "viscous_friction"
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -222,21 +208,11 @@ class FrictionViscousDirectional(_Motion):
         extending = replace(_COEFFICIENT, low=low)
         return (extending, replace(extending, name="coefficient_negative", probes=(other,)))
 
-    def adapted(self, bench: Bench) -> Effect:
-        return replace(self, reference=bench.viscous_friction)
-
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
         extending = motion.velocity > 0.0
         coefficient = np.where(extending, values["coefficient_positive"], values["coefficient_negative"])
         return force + coefficient * motion.velocity
-
-    def sentence(self, values: Values) -> str:
-        positive, negative = values["coefficient_positive"], values["coefficient_negative"]
-        return (
-            f"The viscous friction depends on the direction: against the bench file {positive:+.4g} N s/m while "
-            f"extending and {negative:+.4g} N s/m while retracting."
-        )
 
 
 EFFECTS: tuple[Effect, ...] = (

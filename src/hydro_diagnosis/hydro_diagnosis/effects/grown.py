@@ -47,19 +47,13 @@ class Grown(Effect):
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         bounds, seen = self._law.bounds, self._law.seen
-        low, high = bounds["coefficient"]
-        coefficient = FitParameter(
-            name="coefficient", unit=self._law.law.unit, low=low, high=high,
-            probes=(seen["coefficient"],), smallest=SMALLEST * abs(seen["coefficient"]),
-        )  # fmt: skip
-        shapes = tuple(
-            FitParameter(
-                name=one.name, unit=one.unit, low=bounds[one.name][0], high=bounds[one.name][1],
-                neutral=seen[one.name], probes=one.probes, systematic=SYSTEMATIC,
+        return tuple(
+            replace(
+                one, low=bounds[one.name][0], high=bounds[one.name][1], probes=(seen[one.name],), systematic=SYSTEMATIC,
+                smallest=SMALLEST * abs(seen[one.name]) if one.smallest > 0.0 else 0.0,
             )
-            for one in self._law.law.numbers
+            for one in self.term.parameters
         )  # fmt: skip
-        return (coefficient, *shapes)
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, term=replace(self.term, numbers=bench))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -83,11 +82,8 @@ def held_lag(
 
     `falling`: the time [s] while the signal is below what lags, if it is another than `time`.
     """
-    decay, share = _held(step, time)
-    if falling is None:
-        begins, means = _lagged(np.ascontiguousarray(signal), decay, share, start)
-    else:
-        begins, means = _asymmetric_lag(np.ascontiguousarray(signal), decay, share, *_held(step, falling), start)
+    fall = time if falling is None else falling
+    begins, means = _lag(np.ascontiguousarray(signal), *_held(step, time), *_held(step, fall), start)
     return begins, means
 
 
@@ -98,17 +94,7 @@ def _held(step: float, time: float) -> tuple[float, float]:
 
 
 @njit
-def _lagged(signal, decay, share, now):
-    begins, means = np.empty(len(signal)), np.empty(len(signal))
-    for k in range(len(signal)):
-        begins[k] = now
-        means[k] = now + share * (signal[k] - now)
-        now = decay * now + (1.0 - decay) * signal[k]
-    return begins, means
-
-
-@njit
-def _asymmetric_lag(signal, up, share_up, down, share_down, now):
+def _lag(signal, up, share_up, down, share_down, now):
     begins, means = np.empty(len(signal)), np.empty(len(signal))
     for k in range(len(signal)):
         rises = signal[k] > now
@@ -179,17 +165,10 @@ def _softplus(over):
 
 def substep_mean(signal: FloatArray) -> FloatArray:
     """Mean over the last axis: from shape (..., substeps) to (...)."""
-    return signal[..., 0] if signal.shape[-1] == 1 else _each(signal, _mean)
-
-
-def substep_mean_beyond(signal: FloatArray, sign: float) -> FloatArray:
-    """Mean over the last axis of what `sign` times the signal has above 0, shape (...)."""
-    return _each(sign * signal, _mean_above)
-
-
-def _each(signal: FloatArray, kernel: Callable[[FloatArray, FloatArray], None]) -> FloatArray:
+    if signal.shape[-1] == 1:
+        return signal[..., 0]
     found = np.empty(signal.shape[:-1])
-    kernel(found.reshape(-1), np.ascontiguousarray(signal).reshape(-1, signal.shape[-1]))
+    _mean(found.reshape(-1), np.ascontiguousarray(signal).reshape(-1, signal.shape[-1]))
     return found
 
 
@@ -200,15 +179,4 @@ def _mean(found, signal):
         total = signal[k, 0]
         for s in range(1, count):
             total += signal[k, s]
-        found[k] = total / count
-
-
-@njit
-def _mean_above(found, signal):
-    count = signal.shape[1]
-    for k in range(len(found)):
-        total = 0.0
-        for s in range(count):
-            if signal[k, s] > 0.0:
-                total += signal[k, s]
         found[k] = total / count

@@ -58,6 +58,7 @@ class LoadCellGain(_Sensor):
     """Reading = ratio times force."""
 
     id = "load_cell_gain"
+    says = "{effect.words} reads {ratio:.4g} times the true force."
     parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.95,), smallest=0.002),)
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -65,9 +66,6 @@ class LoadCellGain(_Sensor):
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return reading / values["ratio"] if channel == self.channel else reading
-
-    def sentence(self, values: Values) -> str:
-        return f"{self.words.capitalize()} reads {values['ratio']:.4g} times the true force."
 
 
 class _Bias(_Sensor):
@@ -82,26 +80,23 @@ class LoadCellBias(_Bias):
     """Reading = force + bias."""
 
     id = "load_cell_bias"
+    says = "A reading of {effect.words} is off by {force:.3g} N."
     parameters = (FitParameter(name="force", unit="N", low=-5e3, high=5e3, probes=(5.0,), smallest=0.3),)
-
-    def sentence(self, values: Values) -> str:
-        return f"A reading of {self.words} is off by {values['force']:.3g} N."
 
 
 class PressureSensorBias(_Bias):
     """Reading = pressure + bias."""
 
     id = "pressure_sensor_bias"
+    says = "A reading of {effect.words} is off by {pressure:.4g} kPa."
     parameters = (FitParameter(name="pressure", unit="Pa", low=-3e6, high=3e6, probes=(5e4,), smallest=2.5e3),)
-
-    def sentence(self, values: Values) -> str:
-        return f"A reading of {self.words} is off by {values['pressure'] * 1e-3:.4g} kPa."
 
 
 class SensorLag(_Sensor):
     """Second-order low-pass in a sensor's amplifier; at the load it replaces the one that the bench file states."""
 
     id = "sensor_lag"
+    says = "The amplifier of {effect.words} is a low-pass near {bandwidth:.3g} Hz."
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -114,8 +109,12 @@ class SensorLag(_Sensor):
         )  # fmt: skip
 
     @property
-    def lagged(self) -> str:
+    def lagged(self) -> str:  # type: ignore[override]
         return self.channel
+
+    @property
+    def breaks_superposition(self) -> bool:  # type: ignore[override]
+        return self.channel.startswith("pressure")
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, load_cell_bandwidth=None) if self.channel == "load_force" else bench
@@ -130,9 +129,6 @@ class SensorLag(_Sensor):
             return reading
         omega = 2.0 * np.pi * values["bandwidth"]
         return memory.lead(reading, 2.0 * values["damping"] / omega, 1.0 / omega**2)
-
-    def sentence(self, values: Values) -> str:
-        return f"The amplifier of {self.words} is a low-pass near {values['bandwidth']:.3g} Hz."
 
 
 _CELLS = ("hydraulic_force", "load_force")

@@ -32,6 +32,7 @@ class ValveDeadband(_Valve):
     """Overlapped edges: the spool moves by the half width before an edge opens."""
 
     id = "valve_deadband"
+    says = "The valve does not open below {half_width:.3g} mA: its edges overlap."
     parameters = (
         FitParameter(name="half_width", unit="A", low=0.0, high=0.02, probes=(1e-4, 5e-4, 2e-3), smallest=5e-6),
     )
@@ -39,9 +40,6 @@ class ValveDeadband(_Valve):
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         width = values["half_width"]
         return current - np.clip(current, -width, width)
-
-    def sentence(self, values: Values) -> str:
-        return f"The valve does not open below {values['half_width'] * 1e3:.3g} mA: its edges overlap."
 
 
 class ValveDeadbandLopsided(_Valve):
@@ -67,6 +65,7 @@ class ValveDeadbandSoft(_Valve):
     """An overlap whose edges open gradually: each side is a softplus of the current beyond the half width."""
 
     id = "valve_deadband"
+    says = "The valve hardly opens below {half_width:.3g} mA: its edges overlap and open gradually."
     parameters = (
         FitParameter(name="half_width", unit="A", low=0.0, high=0.02, probes=(2e-4, 1e-3), smallest=5e-6),
         FitParameter(name="softness", unit="A", low=5e-6, high=5e-3, neutral=1e-4, probes=(5e-5, 2e-4), reported=False),
@@ -75,24 +74,17 @@ class ValveDeadbandSoft(_Valve):
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         return opened(current, values["half_width"], values["softness"])
 
-    def sentence(self, values: Values) -> str:
-        return (
-            f"The valve hardly opens below {values['half_width'] * 1e3:.3g} mA: its edges overlap and open gradually."
-        )
-
 
 class ValveOffset(_Valve):
     """Null shift: the spool stands at u + u_0."""
 
     id = "valve_offset"
+    says = "The valve's null is shifted: it acts as if {current:.3g} mA were added to the current."
     stage = 1
     parameters = (FitParameter(name="current", unit="A", low=-0.02, high=0.02, probes=(2e-4,), smallest=4e-6),)
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         return current + values["current"]
-
-    def sentence(self, values: Values) -> str:
-        return f"The valve's null is shifted: it acts as if {values['current'] * 1e3:.3g} mA were added to the current."
 
 
 _RATIO = FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004)
@@ -102,6 +94,7 @@ class ValveGain(_Valve):
     """K_v times a ratio."""
 
     id = "valve_gain"
+    says = "The valve passes {ratio:.4g} times the flow that the bench file says."
     parameters = (_RATIO,)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
@@ -110,41 +103,37 @@ class ValveGain(_Valve):
     def settled(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, valve_nominal_flow=bench.valve_nominal_flow * values["ratio"])
 
-    def sentence(self, values: Values) -> str:
-        return f"The valve passes {values['ratio']:.4g} times the flow that the bench file says."
-
 
 class ValveGainAsymmetry(_Valve):
     """K_v times a ratio on the negative side alone."""
 
     id = "valve_gain_asymmetry"
+    says = "On its negative side the valve passes {ratio:.4g} times the flow of its positive side."
     parameters = (_RATIO,)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         return _scaled(edges, 1.0, values["ratio"])
-
-    def sentence(self, values: Values) -> str:
-        return f"On its negative side the valve passes {values['ratio']:.4g} times the flow of its positive side."
 
 
 class ValveGainDrift(_Valve):
     """K_v (1 + r t), t from the start of a recording."""
 
     id = "valve_gain_drift"
+    says = "The valve's gain changes while recording, by {rate:.3g} % per second."
     parameters = (FitParameter(name="rate", unit="1/s", low=-0.2, high=0.2, probes=(-0.005,), smallest=3e-4),)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         ratio = 1.0 + values["rate"] * time
         return _scaled(edges, ratio, ratio)
 
-    def sentence(self, values: Values) -> str:
-        return f"The valve's gain changes while recording, by {values['rate'] * 100:.3g} % per second."
-
 
 class ValveNullLeakage(_Valve):
     """Worn edges: every edge stays open by c f(|u|/w) around null; the form is the profile f."""
 
     id = "valve_null_leakage"
+    says = (
+        "Worn edges leak around the valve's null: {coefficient:.3g} ml/s from supply to tank at 1 MPa over each edge."
+    )
     parameters = (
         FitParameter(name="coefficient", unit="m3/s/sqrt(Pa)", low=0.0, high=1e-7, probes=(3e-10,),
                      smallest=2e-12),
@@ -157,12 +146,6 @@ class ValveNullLeakage(_Valve):
         shape = _PROFILES[self.options["form"]](ratio)
         wear = values["coefficient"] * kernels.substep_mean(shape)
         return Openings(edges.supply_a + wear, edges.a_tank + wear, edges.supply_b + wear, edges.b_tank + wear)
-
-    def sentence(self, values: Values) -> str:
-        return (
-            "Worn edges leak around the valve's null: "
-            f"{values['coefficient'] * 1e6 * 1e3:.3g} ml/s from supply to tank at 1 MPa over each edge."
-        )
 
 
 _PROFILES = {
@@ -177,6 +160,7 @@ class TransportDelay(_Valve):
     """Pure dead time: u(t - T), exact for a current that is held between samples."""
 
     id = "transport_delay"
+    says = "The valve answers the current {time:.3g} ms late, a pure dead time."
     stage = 0
     parameters = (FitParameter(name="time", unit="s", low=0.0, high=0.03, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),)
 
@@ -192,14 +176,12 @@ class TransportDelay(_Valve):
         shifted: FloatArray = np.diff(delayed).reshape(current.shape)
         return shifted
 
-    def sentence(self, values: Values) -> str:
-        return f"The valve answers the current {values['time'] * 1e3:.3g} ms late, a pure dead time."
-
 
 class ValveLag(_Valve):
     """Spool: s'' + 2 D w s' + w^2 s = w^2 u, sampled exactly for a held current."""
 
     id = "valve_lag"
+    says = "The spool follows the current with a lag: bandwidth {bandwidth:.4g} Hz, damping {damping:.3g}."
     stage = 1
     parameters = (
         FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
@@ -213,17 +195,12 @@ class ValveLag(_Valve):
         moved, _ = lfilter(numerator, denominator, flat, zi=start)
         return np.asarray(moved, dtype=np.float64).reshape(current.shape)
 
-    def sentence(self, values: Values) -> str:
-        return (
-            f"The spool follows the current with a lag: bandwidth {values['bandwidth']:.4g} Hz, "
-            f"damping {values['damping']:.3g}."
-        )
-
 
 class ValveLagFirstOrder(_Valve):
     """Spool: s' = w (u - s)."""
 
     id = "valve_lag"
+    says = "The spool follows the current with a first-order lag of {bandwidth:.4g} Hz."
     stage = 1
     parameters = (
         FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
@@ -237,9 +214,6 @@ class ValveLagFirstOrder(_Valve):
         before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], flat, zi=[flat[0]])
         moved: FloatArray = (np.asarray(before) * (1.0 - mean) + flat * mean).reshape(current.shape)
         return moved
-
-    def sentence(self, values: Values) -> str:
-        return f"The spool follows the current with a first-order lag of {values['bandwidth']:.4g} Hz."
 
 
 def lfilter_steady(numerator: FloatArray, denominator: FloatArray) -> FloatArray:

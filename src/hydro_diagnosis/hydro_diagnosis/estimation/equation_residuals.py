@@ -8,50 +8,19 @@ equation and the sensors: the oil's stiffness, the readings that flows are compu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, changes, values_key
-from hydro_diagnosis.effects.closure import EdgeClosure, FlowClosure, LoadClosure, MotionClosure
-from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
-from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
-from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
+from hydro_diagnosis.model.responses import Responses
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.segment_record import BoundedCache
 
 ROOM = 96e6
 """Memory limit of a cache [byte]."""
-
-
-class BoundedCache:
-    """Arrays, or sets of them, by key, up to a total size; the least recently used go first."""
-
-    def __init__(self) -> None:
-        self._kept: dict[tuple[object, ...], tuple[Any, int]] = {}
-        self._bytes = 0
-
-    def get(self, key: tuple[object, ...]) -> Any:
-        """Return the entry of a key, or None."""
-        found = self._kept.pop(key, None)
-        if found is None:
-            return None
-        self._kept[key] = found
-        return found[0]
-
-    def put(self, key: tuple[object, ...], what: Any, size: int) -> None:
-        """Store an entry of a size in bytes."""
-        self._kept[key] = what, size
-        self._bytes += size
-        while self._bytes > ROOM and len(self._kept) > 1:
-            self._bytes -= self._kept.pop(next(iter(self._kept)))[1]
-
-    def clear(self) -> None:
-        """Drop all entries."""
-        self._kept.clear()
-        self._bytes = 0
-
-
 ResidualParts = dict[tuple[str, int], FloatArray]
 """Residuals by channel and segment, physical unit; of responses each of shape (amplitudes, n)."""
 Key = tuple[object, ...]
@@ -106,57 +75,8 @@ def intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
     )  # fmt: skip
 
 
-def responses(claim: Claim, compute: Callable[[Claim], ResidualParts]) -> ResidualParts:
-    """Return the response of the residual per unit of each amplitude; `compute`: response to a term."""
-    neutral = {**claim.values, **{one.name: 0.0 for one in claim.effect.parameters if one.smallest > 0.0}}
-    rows = []
-    for one in claim.effect.parameters:
-        if one.smallest > 0.0:
-            moved = compute(Claim(claim.effect, {**neutral, one.name: one.span}))
-            rows.append({key: part / one.span for key, part in moved.items()})
-    found = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
-    return {key: part for key, part in found.items() if part.any()}
-
-
-def direct_response(model: SegmentModel, claim: Claim, beside: Sequence[Claim]) -> dict[str, FloatArray] | None:
-    """Return the change of the residual by a term, by channel, physical unit; None behind a changed sensor.
-
-    Raises TypeError if the term is none of those that add.
-    """
-    if any(changes(one, "measure") for one in beside):
-        return None
-    effect, nothing = claim.effect, np.zeros_like(model.time)
-    if isinstance(effect, MotionClosure):
-        return {MOTION: -model.kept_finish(_resistance(model, claim))}
-    if isinstance(effect, LoadClosure):
-        return _of_load(model, claim, beside)
-    if not isinstance(effect, FlowClosure | EdgeClosure):
-        raise TypeError(f"{effect.label} does not just add")
-    oil, bench = model.observer.oil(beside), model.bench(beside)
-    flows = effect.inflows((nothing, nothing), oil, model.memory, claim.values)
-    stiff = chambers.compliances(bench, oil, beside)
-    gain = model.step / OBSERVER_MEMORY
-    return {
-        f"{PRESSURE}_{chamber}": model.kept_smooth(chambers.innovations(nothing, flow * own * model.step, gain))
-        for chamber, flow, own in zip("ab", flows, stiff, strict=True)
-    }
-
-
-def _resistance(model: SegmentModel, claim: Claim) -> FloatArray:
-    nothing = np.zeros_like(model.x)
-    return claim.effect.resistance(nothing, nothing, model.kinematics, model.memory, claim.values)
-
-
-def _of_load(model: SegmentModel, claim: Claim, beside: Sequence[Claim]) -> dict[str, FloatArray]:
-    bench, nothing = model.bench(beside), np.zeros_like(model.x)
-    moved, shown = (
-        claim.effect.load(nothing, motion, bench, model.memory, claim.values)
-        for motion in (model.kinematics, model.recorded)
-    )
-    return {"motion": -model.kept_finish(moved), "load": -model.kept_smooth(model.behind_cell(shown, bench))}
-
-
-_CACHE = 24
+_CACHE = 25
+"""Sets of claims whose residuals of a block are kept."""
 
 
 class EquationResiduals:
@@ -168,10 +88,10 @@ class EquationResiduals:
 
     def __init__(self, models: Sequence[SegmentModel], blocks: Sequence[str], baseline: Sequence[Claim]) -> None:
         self._models, self._blocks, self._baseline = models, blocks, tuple(baseline)
-        self._cache: dict[tuple[Any, ...], list[Any]] = {}
+        self._cache = BoundedCache(_CACHE)
         self.evaluations = 0
         """Evaluations of all residuals so far (`Problem.evaluations`)."""
-        self.columns = BoundedCache()
+        self.columns = BoundedCache(ROOM)
         """Cached responses to additive terms, and derivatives of the residual (`fit.jacobian`)."""
 
     def parts(self, claims: Sequence[Claim]) -> ResidualParts:
@@ -190,22 +110,22 @@ class EquationResiduals:
         key = ("response", claim.effect.label, limits, *shapes(claim), values_key(beside))
         found: ResidualParts | None = self.columns.get(key)
         if found is None:
-            found = responses(claim, lambda one: self._response(one, beside))
+            sizes = {one.name: one.span for one in claim.effect.parameters if one.smallest > 0.0}
+            neutral = {**claim.values, **dict.fromkeys(sizes, 0.0)}
+            terms = [Claim(claim.effect, {**neutral, name: size}) for name, size in sizes.items()]
+            shown, spans = self._shown(terms, beside), np.array([*sizes.values()])[:, None]
+            found = {key: part / spans for key, part in shown.items() if part.any()}
             self.columns.put(key, found, sum(one.nbytes for one in found.values()))
         return found
 
-    def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> ResidualParts:
-        """Return the response of the residual to an additive term beside the claims between it and the sensors."""
-        touched = claim.effect.blocks & set(self._blocks)
-        shown: ResidualParts = {}
-        channels = {name for block in touched for name in BLOCKS[block]}
-        for k, model in enumerate(self._models):
-            direct = direct_response(model, claim, beside)
-            if direct is None:
-                with_it, without = self.evaluated((*beside, claim), touched), self.evaluated(beside, touched)
-                return {key: with_it[key] - part for key, part in without.items()}
-            shown |= {(name, k): part for name, part in direct.items() if name in channels}
-        return shown
+    def _shown(self, terms: Sequence[Claim], beside: tuple[Claim, ...]) -> ResidualParts:
+        """Return the responses to terms of one law beside the claims between it and the sensors, shape (terms, n)."""
+        touched = terms[0].effect.blocks & set(self._blocks)
+        if any(changes(one, "measure") for one in beside):
+            without, moved = self.evaluated(beside, touched), [self.evaluated((*beside, one), touched) for one in terms]
+            return {key: np.stack([one[key] - part for one in moved]) for key, part in without.items()}
+        ways = [Responses(model, touched, beside).of(terms) for model in self._models]
+        return {(name, k): part for k, way in enumerate(ways) for name, part in way.items()}
 
     def evaluated(self, everything: Sequence[Claim], only: Collection[str] = ()) -> ResidualParts:
         """Return residuals of claims without superposition; `only`: in these blocks, the arcs left out."""
@@ -222,22 +142,16 @@ class EquationResiduals:
             rounded = any(claim.effect.lagged == "hydraulic_force" for claim in everything)
             for k, part in enumerate(motions):
                 parts["motion", k] = part if arcs is None or rounded else part + arcs[k]
-        if LOAD in blocks:
-            loads = self._block(LOAD, everything, SegmentModel.load_residual)
-            parts |= {("load", k): part for k, part in enumerate(loads)}
-        if HYDRAULIC in blocks:
-            balances = self._block(HYDRAULIC, everything, SegmentModel.hydraulic_residual)
-            parts |= {("hydraulic", k): part for k, part in enumerate(balances)}
+        for block, compute in ((LOAD, SegmentModel.load_residual), (HYDRAULIC, SegmentModel.hydraulic_residual)):
+            if block in blocks:
+                parts |= {(block, k): part for k, part in enumerate(self._block(block, everything, compute))}
         return parts
 
     def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
         acting = tuple(claim for claim in claims if block in claim.effect.blocks)
-        key = (block, *values_key(acting))
-        found = self._cache.pop(key, None) or [compute(model.placed(acting), acting) for model in self._models]
-        if len(self._cache) > _CACHE:
-            self._cache.pop(next(iter(self._cache)))
-        self._cache[key] = found  # the one that was asked for longest ago goes first
-        return found
+        return self._cache.kept(
+            (block, *values_key(acting)), lambda: [compute(model.placed(acting), acting) for model in self._models]
+        )
 
 
 def _pressure(model: SegmentModel, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -139,6 +139,10 @@ class Fit:
         needed = {name for claim in self.claims for name in claim.effect.needs}
         return tuple(claim for claim in self.judged if claim.effect.id not in needed)
 
+    def but(self, claim: Claim) -> tuple[Claim, ...]:
+        """All claims but this one."""
+        return tuple(one for one in self.claims if one is not claim)
+
     def columns(self, claim: Claim) -> slice:
         """Columns of the Jacobian that are a claim's."""
         at = sum(len(one.effect.parameters) for one in self.claims[: self.claims.index(claim)])
@@ -148,6 +152,11 @@ class Fit:
     def free(self) -> int:
         """Number of fitted parameters."""
         return self.jacobian.shape[1]
+
+    @property
+    def score(self) -> float:
+        """Deviance plus price: lower is better."""
+        return self.deviance + self.free * float(np.log(len(self.residual)))
 
 
 def residual_variances(problem: Problem, residual: FloatArray) -> FloatArray:
@@ -272,11 +281,6 @@ def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float 
     slopes = np.delete(found.jacobian, found.columns(claim), axis=1)
     others = (*found.claims[:at], *found.claims[at + 1 :])
     return fit(problem, others, tolerance=tolerance, slopes=slopes)
-
-
-def score(problem: Problem, found: Fit) -> float:
-    """Deviance plus price: lower is better."""
-    return found.deviance + found.free * float(np.log(len(found.residual)))
 
 
 def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:

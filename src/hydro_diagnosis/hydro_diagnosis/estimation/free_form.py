@@ -8,121 +8,15 @@ the same price per parameter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
-from hydro_diagnosis.effects import kernels
-from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.estimation.fit import Fit, deviance, residual_variances
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import fading_sums
-from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY
-from hydro_sim.model import equations as eq
-
-UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion": 1.0, "load": 1.0}
-"""Scale of the basis functions, so that columns are of similar length."""
-
-
-class HiddenInput:
-    """A hidden input of one equation, and what it does to the residual vector."""
-
-    def __init__(self, problem: Problem, claims: Sequence[Claim], equation: str, sensor: str) -> None:
-        self.problem = problem
-        self.equation, self.sensor = equation, sensor
-        everything = (*problem.baseline, *claims)
-        self._benches = [model.bench(everything) for model in problem.models]
-        self._stiff: list[tuple[FloatArray, FloatArray]] = []
-        self._roots: list[tuple[FloatArray, FloatArray]] = []
-        if "pressure" in problem.blocks and equation in ("pressure_a", "pressure_b", "actuation"):
-            for model, bench in zip(problem.models, self._benches, strict=True):
-                oil = model.observer.oil(everything)
-                self._stiff.append(chambers.compliances(bench, oil, everything))
-                opened = kernels.substep_mean(oil.spool) >= 0
-                drops = zip(*eq.edge_drops(bench.supply_pressure, bench.tank_pressure, *oil.pressures), strict=True)
-                root_a, root_b = (eq.signed_root(np.where(opened, out, back)) for out, back in drops)
-                self._roots.append((root_a, root_b))
-
-    @property
-    def visible(self) -> bool:
-        """Whether the recordings hold the channels in which this input shows."""
-        blocks = self.problem.blocks
-        if self.equation in ("pressure_a", "pressure_b", "actuation"):
-            return "pressure" in blocks
-        if self.equation in ("motion", "load"):
-            return self.equation in blocks
-        return self.sensor in self.problem.sensor_noise and any(block != "motion" for block in blocks)
-
-    def response(self, inputs: Sequence[FloatArray]) -> FloatArray:
-        """Residual vector's change for an input given per segment."""
-        problem = self.problem
-        shown = [self._channels(k, model, inputs[k]) for k, model in enumerate(problem.models)]
-        layout = problem.layout
-        vector = np.zeros(len(layout.channel))
-        for index, name in enumerate(CHANNELS):
-            for k in range(len(problem.models)):
-                if name in shown[k]:
-                    at = (layout.channel == index) & (layout.segment == k)
-                    vector[at] = shown[k][name] / problem.deviation(name, k)
-        return vector
-
-    def _channels(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
-        if not np.any(hidden):
-            return {}
-        if self.equation in ("pressure_a", "pressure_b", "actuation"):
-            return self._chambers(k, model, hidden)
-        if self.equation == "motion":
-            return {"motion": -model.kept_finish(hidden)}
-        if self.equation == "load":
-            return self._load(k, model, hidden)
-        return self._sensor(k, model, hidden)
-
-    def _chambers(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
-        scale = UNIT_SIZE[self.equation] * model.step
-        shown = {}
-        for index, name in enumerate(("pressure_a", "pressure_b")):
-            if self.equation not in (name, "actuation"):
-                continue
-            flow = hidden * scale
-            if self.equation == "actuation":
-                flow = flow * self._benches[k].valve_gain * self._roots[k][index] * (1.0 if index == 0 else -1.0)
-            built = fading_sums((self._stiff[k][index] * flow)[None], 1.0 - model.step / OBSERVER_MEMORY)[0]
-            shown[name] = -model.kept_smooth(built)
-        return shown
-
-    def _load(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
-        shown = {"load": -model.kept_smooth(model.behind_cell(hidden, self._benches[k]))}
-        if "motion" in self.problem.blocks:
-            shown["motion"] = -model.kept_finish(hidden)
-        return shown
-
-    def _sensor(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
-        shown: dict[str, FloatArray] = {}
-        means = model.means(hidden)
-        area = self._benches[k].piston_area
-        if self.sensor == "load_force":
-            return {"load": model.kept_smooth(hidden)}
-        if self.sensor == "hydraulic_force":
-            shown["motion"] = model.kept_smooth(hidden)
-            shown["hydraulic"] = means
-        else:
-            shown[self.sensor] = model.kept_smooth(high_pass(hidden, model.step)) * 1e4
-            share = 1.0 if self.sensor == "pressure_a" else -self._benches[k].area_ratio
-            shown["hydraulic"] = -area * share * means * 1e4
-        present = {CHANNELS[index] for index in np.unique(self.problem.layout.channel)}
-        return {name: signal for name, signal in shown.items() if name in present}
-
-
-def high_pass(signal: FloatArray, step: float) -> FloatArray:
-    """High-pass effect of a slow observer on a signal."""
-    gain = step / OBSERVER_MEMORY
-    followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], signal, zi=[signal[0]])
-    return signal - np.asarray(followed)
-
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.model.responses import Responses, Shown
 
 KNOTS = 24
 """Knots of each function; of time: per recording."""
@@ -149,16 +43,17 @@ def gains_by_equation(forms: Sequence[FreeForm]) -> dict[str, float]:
 
 
 _INPUTS = (
-    ("pressure_a", ""),
-    ("pressure_b", ""),
-    ("actuation", ""),
-    ("motion", ""),
-    ("load", ""),
-    ("sensor", "hydraulic_force"),
-    ("sensor", "load_force"),
-    ("sensor", "pressure_a"),
-    ("sensor", "pressure_b"),
+    ("pressure_a", "", 1e-7),
+    ("pressure_b", "", 1e-7),
+    ("actuation", "", 1e-4),
+    ("motion", "", 1.0),
+    ("load", "", 1.0),
+    ("sensor", "hydraulic_force", 1.0),
+    ("sensor", "load_force", 1.0),
+    ("sensor", "pressure_a", 1e4),
+    ("sensor", "pressure_b", 1e4),
 )
+"""Equation, sensor, and scale of the basis functions, so that columns are of similar length."""
 
 
 def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
@@ -168,23 +63,50 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     left = found.residual * weight
     base = deviance(problem, left / weight)
     forms = []
-    inputs = [HiddenInput(problem, found.claims, equation, sensor) for equation, sensor in _INPUTS]
+    ways = [Responses(model, problem.blocks, (*problem.baseline, *found.claims)) for model in problem.models]
+    inputs = [one for one in _INPUTS if _visible(problem, *one[:2])]
     for variable in variables(problem):
         knots = _knots(problem, variable)
-        hats = list(_hats(problem, variable, knots))
-        for hidden in inputs:
-            if not hidden.visible:
-                continue
-            equation, sensor = hidden.equation, hidden.sensor
-            columns = np.column_stack([hidden.response(basis) for basis in hats])
+        hats = _hats(problem, variable, knots)
+        for equation, sensor, size in inputs:
+            shown = [_response(way, equation, sensor, size * own) for way, own in zip(ways, hats, strict=True)]
+            columns = np.zeros((len(left), len(hats[0])))
+            for channel, responses in problem.joined(shown, len(hats[0])).items():
+                columns[problem.layout.channel == channel] = responses.T
             columns = np.column_stack([columns * weight[:, None], named])
             amounts = _least_squares(columns, -left)
             reached = deviance(problem, (left + columns @ amounts) / weight)
-            rank = len(knots) if variable != "time" else len(knots) * len(problem.models)
-            values = amounts[: len(knots)] * UNIT_SIZE.get(equation, 1.0)
-            gain = base - reached - rank * float(np.log(len(left)))
-            forms.append(FreeForm(equation, sensor, variable, gain, knots, values))
+            gain = base - reached - len(hats[0]) * float(np.log(len(left)))
+            forms.append(FreeForm(equation, sensor, variable, gain, knots, amounts[: len(knots)] * size))
     return sorted(forms, key=lambda form: -form.gain)
+
+
+def _visible(problem: Problem, equation: str, sensor: str) -> bool:
+    """Whether the recordings hold the channels in which an input shows."""
+    if equation == "sensor":
+        return sensor in problem.sensor_noise and any(block != "motion" for block in problem.blocks)
+    return (equation if equation in ("motion", "load") else "pressure") in problem.blocks
+
+
+def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) -> Shown:
+    """Responses to inputs, shape (functions, n): N, A, m3/s into a chamber, or what a sensor reads too much."""
+    model, nothing = way.model, np.zeros_like(hidden)
+    if equation == "motion":
+        return way.to_force(hidden)
+    if equation == "load":
+        return way.to_load(hidden, hidden)
+    if equation == "actuation":
+        return way.to_spool(hidden)
+    if equation != "sensor":
+        return way.to_flows(*((hidden, nothing) if equation == "pressure_a" else (nothing, hidden)))
+    if sensor == "load_force":
+        return way.present({"load": way.smooth(hidden)})
+    means = np.stack([model.means(one) for one in hidden])
+    if sensor == "hydraulic_force":
+        return way.present({"motion": way.smooth(hidden), "hydraulic": means})
+    passed = np.stack([way.seen_by_observer(one, nothing[0]) for one in hidden])
+    area = -way.bench.piston_area * (1.0 if sensor == "pressure_a" else -way.bench.area_ratio)
+    return way.present({sensor: way.smooth(passed), "hydraulic": area * means})
 
 
 def _least_squares(columns: FloatArray, goal: FloatArray) -> FloatArray:
@@ -212,9 +134,12 @@ def _knots(problem: Problem, variable: str) -> FloatArray:
     return np.linspace(values.min(), values.max(), KNOTS)
 
 
-def _hats(problem: Problem, variable: str, knots: FloatArray) -> Iterator[list[FloatArray]]:
-    """Basis functions over all segments; of time they act in one segment each."""
-    groups = [[model] for model in problem.models] if variable == "time" else [problem.models]
-    for group in groups:
-        for peak in np.eye(len(knots)):
-            yield [np.interp(one.variable(variable), knots, peak) * (one in group) for one in problem.models]
+def _hats(problem: Problem, variable: str, knots: FloatArray) -> list[FloatArray]:
+    """Basis functions along each segment, shape (functions, n); of time they act in one segment each."""
+    found = []
+    for k, model in enumerate(problem.models):
+        own = np.stack([np.interp(model.variable(variable), knots, peak) for peak in np.eye(len(knots))])
+        if variable == "time":
+            own = np.concatenate([own * (at == k) for at in range(len(problem.models))])
+        found.append(own)
+    return found

@@ -155,7 +155,7 @@ class Noise:
     def __init__(
         self, models: Sequence[SegmentModel], blocks: Sequence[str], bench: Bench, sensors: dict[str, float]
     ) -> None:
-        self.models, self.blocks, self.sensors = models, blocks, sensors
+        self.models, self.sensors = models, sensors
         self.residuals = [residual_noise(sensors, bench, model.step * model.spacing) for model in models]
         """Noise of each segment's residuals by channel, physical units."""
         self.flows = [model.observer.pressure_uncertainty(sensors) for model in models] if PRESSURE in blocks else []
@@ -183,15 +183,6 @@ class Weights:
     unseen: Mapping[tuple[str, int], FloatArray] = field(default_factory=dict)
     """By channel and segment: what the rows that are missing may hide, physical unit."""
     _known: dict[tuple[str, int], FloatArray | float] = field(default_factory=dict)
-
-    @classmethod
-    def under(cls, claims: Sequence[Claim], noise: Noise, changes: ResidualParts) -> Weights:
-        """Weights under all these claims; `changes`: of the residuals if half of the rows are left out."""
-        doubt: list[FloatArray] = []
-        if MOTION in noise.blocks:
-            count = sum(model.reversals for model in noise.models)
-            doubt = [model.kept(model.friction_uncertainty(claims, count)) for model in noise.models]
-        return cls(noise, doubt, {key: _level(noise.models[key[1]], change) for key, change in changes.items()})
 
     @property
     def uncertainty(self) -> tuple[float, ...]:
@@ -274,29 +265,22 @@ class Problem:
         ]
         self.blocks = self._checked_blocks()
         self._noise = Noise(self.models, self.blocks, bench, noise or sensor_noise(self.models))
+        self.sensor_noise = self._noise.sensors
+        """Noise of each sensor by its channel, SI units."""
+        self.noise = self._noise.residuals[0]
+        """Noise of the first segment's residuals; those of others differ where the logger's rate does (`deviation`)."""
         thinner = [segment.thinner or segment for segment in segments]
         lacking = like is None and any(segment.thinner for segment in segments)
         self.thinner = Problem(thinner, bench, baseline, self.sensor_noise, self) if lacking else None
         """The same problem from half of the rows where rows are missing; None where none are."""
         self.equations = EquationResiduals(self.models, self.blocks, self.baseline)
-        self.columns = self.equations.columns
-        """Cached responses to additive terms, and derivatives of the residual (`fit.jacobian`)."""
+        self.parts, self.columns = self.equations.parts, self.equations.columns
         self.weights = self._weights(())
         self.layout = Layout.of(self.blocks, self.models)
         self.samples = sum(len(model.time) for model in self.models)
         moves = MOTION in self.blocks
         self.attenuation = {"moving_mass": self._noise.mass_attenuation(bench.moving_mass)} if moves else {}
         """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
-
-    @property
-    def sensor_noise(self) -> dict[str, float]:
-        """Noise of each sensor by its channel, SI units."""
-        return self._noise.sensors
-
-    @property
-    def noise(self) -> dict[str, float]:
-        """Noise of the first segment's residuals; those of others differ where the logger's rate does (`deviation`)."""
-        return self._noise.residuals[0]
 
     def _checked_blocks(self) -> tuple[str, ...]:
         have = set.intersection(*(set(model.channels) for model in self.models))
@@ -324,8 +308,15 @@ class Problem:
         return other
 
     def _weights(self, claims: Sequence[Claim]) -> Weights:
+        """Weights under the baseline and these claims."""
+        everything, doubt = (*self.baseline, *claims), list[FloatArray]()
+        if MOTION in self.blocks:
+            count = sum(model.reversals for model in self.models)
+            doubt = [model.kept(model.friction_uncertainty(everything, count)) for model in self.models]
         changes = self._changes(claims) if self.thinner is not None else {}
-        return Weights.under((*self.baseline, *claims), self._noise, changes)
+        return Weights(
+            self._noise, doubt, {key: _level(self.models[key[1]], change) for key, change in changes.items()}
+        )
 
     @property
     def uncertainty(self) -> tuple[float, ...]:
@@ -371,6 +362,16 @@ class Problem:
         self.count(1)
         return np.concatenate([part / self.deviation(*key) for key, part in self.parts(claims).items()])
 
-    def parts(self, claims: Sequence[Claim]) -> ResidualParts:
-        """Residuals by channel and segment in the order of `layout`, physical unit."""
-        return self.equations.parts(claims)
+    def joined(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
+        """By channel: responses of its residuals, over their deviation, to so many terms; shape (terms, residuals).
+
+        `shown`: of each segment (`model.responses`), physical unit; 0 where no term acts in a channel.
+        """
+        found = {}
+        for name in set().union(*shown):
+            own = []
+            for k, one in enumerate(shown):
+                there = (self.layout.channel == CHANNELS.index(name)) & (self.layout.segment == k)
+                own.append(one.get(name, np.zeros((terms, np.count_nonzero(there)))) / self.deviation(name, k))
+            found[CHANNELS.index(name)] = np.concatenate(own, axis=1)
+        return found

@@ -96,6 +96,10 @@ class Columns:
             self.units[column] = known(unit)
         return column
 
+    def unit(self, name: str) -> str:
+        """Unit of a column, as the file states it or by the column's name; empty if neither tells."""
+        return self.units.get(name) or in_name(name)
+
 
 def named_like_time(name: str) -> bool:
     """Return whether a column's name says that it is the time."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Memory, Oil, Openings, changes
+from hydro_diagnosis.effects.base import Claim, FloatArray, Memory, Oil, Openings, Pair, changes
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
@@ -89,21 +89,6 @@ def innovations(recorded, built, gain):
         beyond[k] = now - slow
         slow += gain * (now - slow)
     return beyond
-
-
-@njit
-def fading_sums(built, keep):
-    """Sum of what the earlier samples have `built`, of which each sample keeps that share: shape (terms, n).
-
-    A sum minus its slow part, which follows by 1 - `keep` per sample from nothing, is this sum.
-    """
-    sums = np.empty_like(built)
-    for j in range(len(built)):
-        total = 0.0
-        for k in range(built.shape[1]):
-            sums[j, k] = total
-            total = keep * total + built[j, k]
-    return sums
 
 
 @njit
@@ -183,7 +168,7 @@ def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim])
     return spool
 
 
-def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[FloatArray, FloatArray]:
+def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> Pair:
     """Flow [m3/s] into chamber A and into chamber B, leaks included."""
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
@@ -216,13 +201,13 @@ def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tup
     return edges, supply
 
 
-def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
+def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> Pair:
     """beta/V [Pa/m3] of both chambers."""
     softer = [claim for claim in claims if changes(claim, "stiffness")]
     moduli: list[FloatArray | float] = [bench.bulk_modulus, bench.bulk_modulus]
     if softer:
         moduli = [_modulus(bench, pressure, softer) for pressure in oil.pressures]
-    stiff: tuple[FloatArray, FloatArray] = eq.stiffnesses(bench, (moduli[0], moduli[1]), oil.position)
+    stiff: Pair = eq.stiffnesses(bench, (moduli[0], moduli[1]), oil.position)
     return stiff
 
 
@@ -237,7 +222,7 @@ def _modulus(bench: Bench, pressure: FloatArray, claims: Sequence[Claim]) -> Flo
 class ChamberRun:
     """Result of the chamber equations on a segment."""
 
-    innovations: tuple[FloatArray, FloatArray]
+    innovations: Pair
     """Pa, shape (n,), not smoothed."""
     arc: FloatArray
     """N, shape (n,): by how much the mean of f_h around a sample exceeds what straight lines between samples give."""
@@ -245,9 +230,7 @@ class ChamberRun:
     """N, shape (n,): what each sample adds to f_h."""
 
 
-def force_arc(
-    bench: Bench, oil: Oil, stiff: tuple[FloatArray, FloatArray], acceleration: FloatArray, step: float
-) -> FloatArray:
+def force_arc(bench: Bench, oil: Oil, stiff: Pair, acceleration: FloatArray, step: float) -> FloatArray:
     """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
     moment = _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
     flows = first_moments(

@@ -15,12 +15,12 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.effects.base import FloatArray, Memory
 from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag
 from hydro_sim.jit import njit
 
 
-class RecordMemory:
+class RecordMemory(Memory):
     """Memory over a record that is sampled every `step` seconds; it starts in equilibrium with the first sample."""
 
     def __init__(self, step: float, beside: Mapping[str, FloatArray] | None = None) -> None:
@@ -41,8 +41,8 @@ class RecordMemory:
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """See `Memory.low_pass`; the signal is a straight line between samples."""
         numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
-        state = np.cumsum((numerator - denominator)[::-1])[::-1][1:] * signal[0]
-        passed, _ = lfilter(numerator, denominator, signal, zi=state)
+        state = np.multiply.outer(np.cumsum((numerator - denominator)[::-1])[::-1][1:], signal[0])
+        passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
         return np.asarray(passed, dtype=np.float64)
 
     def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
@@ -68,18 +68,18 @@ class RecordMemory:
         return self.traces[key]
 
 
-class StepMemory:
-    """Memory of many windows that advance together, one `step` at a time; `tick` closes a step."""
+class StepMemory(Memory):
+    """Memory of many windows that advance together, one `step` at a time; `tick` closes a step.
 
-    def __init__(self, step: float) -> None:
+    Sensors are applied to the whole outcome: what only they need is not here.
+    """
+
+    def __init__(self, step: float, states: dict[str, FloatArray]) -> None:
         self.step = step
         self.beside: Mapping[str, FloatArray] = {}
-        self._states: dict[str, FloatArray] = {}
+        self._states = states
+        """As a record left every element."""
         self._next: dict[str, FloatArray] = {}
-
-    def begin(self, states: dict[str, FloatArray]) -> None:
-        """Set every element to the state in which a record left it."""
-        self._states = dict(states)
 
     def tick(self) -> None:
         """Accept the states that the last evaluation proposed."""
@@ -95,18 +95,6 @@ class StepMemory:
         self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time))
         return state
 
-    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        """Not needed while stepping: sensors are applied to the whole outcome."""
-        raise NotImplementedError
-
-    def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
-        """Not needed while stepping, as above."""
-        raise NotImplementedError
-
-    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
-        """Not needed while stepping, as above."""
-        raise NotImplementedError
-
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """See `Memory.play`."""
         dragged = self._states.setdefault(key, position)
@@ -117,11 +105,14 @@ class StepMemory:
         """See `Memory.bristle`."""
         where = self._states.setdefault(key + ".x", position)
         force = self._states.setdefault(key, np.zeros_like(position))
-        moved = position - where
-        goal = np.sign(moved) * limit
-        present = goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit, 1e-6))
-        self._next[key], self._next[key + ".x"] = present, position
-        return present
+        self._next[key], self._next[key + ".x"] = _bent(force, position - where, stiffness, limit), position
+        return self._next[key]
+
+
+def _bent(force: FloatArray, moved: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
+    """Force [N] of a bristle after it has `moved` [m] (`kernels.along`)."""
+    goal = np.sign(moved) * limit
+    return np.asarray(goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit, 1e-6)))
 
 
 @njit
@@ -167,13 +158,6 @@ Indices = npt.NDArray[np.int64]
 class ColumnMemory(RecordMemory):
     """A record memory whose time runs down the first axis, one column per window."""
 
-    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        """See `RecordMemory`."""
-        numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
-        state = np.cumsum((numerator - denominator)[::-1])[::-1][1:, None] * signal[0]
-        passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
-        return np.asarray(passed, dtype=np.float64)
-
     def lag(
         self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
         falling: float | None = None,
@@ -209,7 +193,6 @@ class WindowMemory(ColumnMemory):
         force, where = (self._along[name][self._at[0]] for name in (key, key + ".x"))
         course = np.empty_like(position)
         for k, now in enumerate(position):
-            moved, where = now - where, now
-            goal = np.sign(moved) * limit[k]
-            course[k] = force = goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit[k], 1e-6))
+            course[k] = force = _bent(force, now - where, stiffness, limit[k])
+            where = now
         return course

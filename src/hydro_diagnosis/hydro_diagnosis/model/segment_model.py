@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,12 +29,13 @@ from hydro_diagnosis.effects.base import (
     Claim,
     FloatArray,
     Kinematics,
+    Pair,
     changes,
     values_key,
 )
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.model.chambers import ChamberRun
-from hydro_diagnosis.model.segment_record import ChamberObserver, SegmentRecord
+from hydro_diagnosis.model.segment_record import BoundedCache, ChamberObserver, SegmentRecord
 from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
@@ -57,6 +57,7 @@ class SegmentModel(SegmentRecord):
     def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
         super().__init__(segment, bench, like)
         self.observer = ChamberObserver(self)
+        self._placed = BoundedCache(PLACES)
 
     def dry_friction_level(self, claims: Sequence[Claim], velocity: FloatArray | None = None) -> FloatArray:
         """Level [N] of dry friction while sliding."""
@@ -181,19 +182,14 @@ class SegmentModel(SegmentRecord):
         moving = [claim for claim in claims if claim.effect.places]
         if not moving or not self.has_position:
             return self
-        key = values_key(moving)
-        if key not in self._placed:
+
+        def moved() -> SegmentModel:
             channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
-            while len(self._placed) >= PLACES:
-                self._placed.pop(next(iter(self._placed)))
-            self._placed[key] = SegmentModel(replace(self.segment, channels=channels), self.base, self)
-        return self._placed[key]
+            return SegmentModel(replace(self.segment, channels=channels), self.base, self)
 
-    @cached_property
-    def _placed(self) -> dict[tuple[Any, ...], SegmentModel]:
-        return {}
+        return self._placed.kept(values_key(moving), moved)
 
-    def pressure_residuals(self, run: ChamberRun) -> tuple[FloatArray, FloatArray]:
+    def pressure_residuals(self, run: ChamberRun) -> Pair:
         """Pa, decimated."""
         a, b = (self.kept_smooth(innovation) for innovation in run.innovations)
         return a, b

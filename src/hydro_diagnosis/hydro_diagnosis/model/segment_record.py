@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes, values_key
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, Pair, changes, values_key
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.memory import RecordMemory
@@ -48,6 +48,40 @@ SLOPE_STEP = 1e3
 """Step [Pa] of the differences that give the slope of a curved reading."""
 TIMING_UNCERTAINTY = 3e-6
 """Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
+
+
+class BoundedCache:
+    """Results by key, up to a total size; the least recently used go first."""
+
+    def __init__(self, room: float) -> None:
+        self._room, self._size = room, 0.0
+        self._found: dict[tuple[object, ...], tuple[Any, float]] = {}
+
+    def get(self, key: tuple[object, ...]) -> Any:
+        """Return the entry of a key, or None."""
+        if key not in self._found:
+            return None
+        self._found[key] = self._found.pop(key)
+        return self._found[key][0]
+
+    def put(self, key: tuple[object, ...], what: Any, size: float = 1.0) -> None:
+        """Store an entry of a size."""
+        self._found[key] = what, size
+        self._size += size
+        while self._size > self._room and len(self._found) > 1:
+            self._size -= self._found.pop(next(iter(self._found)))[1]
+
+    def kept(self, key: tuple[object, ...], compute: Callable[[], Kept]) -> Kept:
+        """Return the entry of a key, computed and stored if there is none."""
+        if key not in self._found:
+            self.put(key, compute())
+        found: Kept = self.get(key)
+        return found
+
+    def clear(self) -> None:
+        """Drop all entries."""
+        self._found.clear()
+        self._size = 0.0
 
 
 class SegmentRecord:
@@ -179,7 +213,7 @@ class ChamberObserver:
 
     def __init__(self, record: SegmentRecord) -> None:
         self._record = record
-        self._cache: dict[tuple[Any, ...], Any] = {}
+        self._cache = BoundedCache(CACHE_SIZE)
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
@@ -208,18 +242,13 @@ class ChamberObserver:
         """A, shape (n, substeps)."""
         return np.repeat(self._record.channels["valve_current"][:, None], chambers.SUBSTEPS, axis=1)
 
-    def _middle_pressures(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
+    def _middle_pressures(self, claims: Sequence[Claim]) -> Pair:
         p_a, p_b = (chambers.middle(self._record.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
         return p_a, p_b
 
     def _cached(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
         """Return the result for these claims, computed once as long as only others change."""
-        key = (what, *values_key(claims))
-        found: Kept = self._cache.pop(key) if key in self._cache else compute(claims)
-        if len(self._cache) >= CACHE_SIZE:
-            self._cache.pop(next(iter(self._cache)))
-        self._cache[key] = found  # the one that was asked for longest ago goes first
-        return found
+        return self._cache.kept((what, *values_key(claims)), lambda: compute(claims))
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
         """Innovations and arcs under the claims."""
@@ -238,9 +267,7 @@ class ChamberObserver:
         arc = chambers.force_arc(bench, oil, stiff, self._record.a, self._record.step)
         return ChamberRun((innovations[0], innovations[1]), arc, force)
 
-    def built(
-        self, bench: Bench, oil: Oil, claims: Sequence[Claim]
-    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    def built(self, bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[Pair, Pair]:
         """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self._record.memory)
         stiff = chambers.compliances(bench, oil, claims)
@@ -254,7 +281,7 @@ class ChamberObserver:
         position = self._record.channels["piston_position"]
         return np.diff(position, append=position[-1])
 
-    def _ahead_of_lag(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
+    def _ahead_of_lag(self, oil: Oil, built: Pair, claims: Sequence[Claim]) -> Oil:
         """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
         others = [claim for claim in claims if not claim.effect.lagged.startswith("pressure")]
         pressures = list(oil.pressures)
@@ -286,7 +313,7 @@ class ChamberObserver:
         above, below = (self._record.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
         return np.asarray((above - below) / (2.0 * SLOPE_STEP))
 
-    def pressure_uncertainty(self, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+    def pressure_uncertainty(self, noise: Mapping[str, float]) -> Pair:
         """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.
 
         Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].

@@ -49,8 +49,7 @@ def measurements(plant: Plant, states: FloatArray, begins: Indices) -> dict[str,
 def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatArray:
     """Acceleration [m/s2] along windows, shape (length, windows), if any claim depends on it; else 0."""
     found = np.zeros_like(states[:, 1])
-    memory = StepMemory(plant.model.step)
-    memory.begin({key: trace[samples] for key, trace in plant.traces.items()})
+    memory = plant.memory(samples, plant.model.step)
     for k in range(len(states) if any(claim.effect.uses_acceleration for claim in plant.claims) else 0):
         time = np.asarray(plant.model.segment.start + (samples + k) * plant.model.step)
         spool = plant.spool[np.minimum(samples + k, len(plant.spool) - 1), 0][:, None]
@@ -64,9 +63,8 @@ def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatA
 def _load(plant: Plant, motions: Kinematics, samples: Indices) -> FloatArray:
     position, shaken = motions.position, motions.acceleration
     force: FloatArray = eq.spring_force(plant.bench, position)
-    acting = plant.loading
-    memory = StepMemory(plant.model.step)
-    memory.begin({key: trace[samples] for key, trace in plant.traces.items()})
+    acting = plant.acting["load"]
+    memory = plant.memory(samples, plant.model.step)
     for k in range(len(position) if acting else 0):
         now = None if shaken is None else shaken[k]
         motion = Kinematics(motions.time[k], position[k], motions.velocity[k], None, now)
@@ -183,57 +181,40 @@ class Plant:
         x, v, p_a, p_b = state
         bench = self.bench
         oil = Oil(time, x, (p_a, p_b), spool, v)
-        into_a, into_b = chambers.net_flows(bench, oil, self._hydraulic, memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, self._hydraulic)
+        into_a, into_b = chambers.net_flows(bench, oil, self.acting["hydraulic"], memory)
+        stiff_a, stiff_b = chambers.compliances(bench, oil, self.acting["hydraulic"])
         motion = Kinematics(time, x, v, (p_a, p_b))
         against = self._dry(motion, grip)
-        level = self.level(motion) if self._resisting else against
-        for claim in self._resisting:
+        level = self.level(motion) if self.acting["resistance"] else against
+        for claim in self.acting["resistance"]:
             against = claim.effect.resistance(against, level, motion, memory, claim.values)
         load = eq.spring_force(bench, x)
-        for claim in self.loading:
+        for claim in self.acting["load"]:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
         rates = np.empty_like(state)
         chambers.derivatives(rates, self._numbers, state, into_a, into_b, stiff_a, stiff_b, against, load)
-        if self._dragging_along:
+        if self.acting["inertia"]:
             rates[1] *= bench.moving_mass / self.mass(motion)
         return rates
 
     @cached_property
-    def _dragging_along(self) -> tuple[Claim, ...]:
-        return self._changing("inertia")
+    def acting(self) -> dict[str, tuple[Claim, ...]]:
+        """Claims by the hook of `Effect` that they change, and those that act in the chambers."""
+        hydraulic = "openings", "supply", "flows", "inflows", "stiffness"  # the spool's path is computed beforehand
+        groups = {"hydraulic": hydraulic, **{hook: (hook,) for hook in ("drag", "resistance", "load", "inertia")}}
+        return {name: tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
+                for name, hooks in groups.items()}  # fmt: skip
 
     def mass(self, motion: Kinematics) -> FloatArray | float:
         """Mass [kg] that the piston moves."""
         return self.bench.moving_mass + sum(
-            claim.effect.inertia(motion, self.bench, claim.values) for claim in self._dragging_along
+            claim.effect.inertia(motion, self.bench, claim.values) for claim in self.acting["inertia"]
         )
-
-    @cached_property
-    def _resisting(self) -> tuple[Claim, ...]:
-        return self._changing("resistance")
-
-    @cached_property
-    def loading(self) -> tuple[Claim, ...]:
-        """Claims that change the load's force."""
-        return self._changing("load")
-
-    @cached_property
-    def _dragging(self) -> tuple[Claim, ...]:
-        return self._changing("drag")
-
-    @cached_property
-    def _hydraulic(self) -> tuple[Claim, ...]:
-        """Claims that act in the chambers; the spool's path is computed beforehand."""
-        return self._changing("openings", "supply", "flows", "inflows", "stiffness")
 
     @property
     def textbook(self) -> bool:
         """Whether no claim acts in the rates; others change numbers of the bench, the spool's path or sensors."""
-        return not (self._hydraulic or self._dragging or self._resisting or self.loading)
-
-    def _changing(self, *hooks: str) -> tuple[Claim, ...]:
-        return tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
+        return not any(self.acting.values())
 
     @cached_property
     def _numbers(self) -> np.void:
@@ -250,7 +231,7 @@ class Plant:
     def level(self, motion: Kinematics) -> FloatArray:
         """Force [N] that dry friction may have at most."""
         level = np.zeros_like(motion.position)
-        for claim in self._dragging:
+        for claim in self.acting["drag"]:
             level = claim.effect.drag(level, motion, claim.values)
         return level
 
@@ -258,6 +239,10 @@ class Plant:
     def sticks(self) -> bool:
         """Whether dry friction holds the piston as far as it reaches."""
         return _sticks(self.claims)
+
+    def memory(self, samples: Indices, step: float) -> StepMemory:
+        """Memory of windows that begin at these samples, one `step` [s] at a time."""
+        return StepMemory(step, {key: trace[samples] for key, trace in self.traces.items()})
 
     def start(self, begins: Indices) -> FloatArray:
         """States at samples, from smoothed recordings, shape (4, windows)."""
@@ -279,8 +264,7 @@ class Plant:
         if self.textbook:
             chambers.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
             return states
-        memory = StepMemory(step)
-        memory.begin({key: trace[samples] for key, trace in self.traces.items()})
+        memory = self.memory(samples, step)
         for k in range(length):
             states[k] = state
             for s in range(substeps):

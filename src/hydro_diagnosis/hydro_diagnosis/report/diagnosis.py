@@ -9,28 +9,18 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from hydro_diagnosis.bench_numbers import PartialBench
+from hydro_diagnosis.effects.base import display_unit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import LAST_THIRD
 from hydro_diagnosis.report.corrected_bench import corrected_bench
-from hydro_diagnosis.report_json import Report
+from hydro_diagnosis.report_json import Report, row_of
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-_DISPLAY_UNITS = {
-    "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
-    "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
-}  # fmt: skip
-
-
-def display_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which sentences tell numbers, and the factor from SI."""
-    return _DISPLAY_UNITS.get(unit, (unit, 1.0))
 
 
 def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
@@ -110,14 +100,7 @@ class Diagnosis:
         import pandas as pd
 
         rows = [
-            {
-                "effect": " ".join([effect.id, *effect.options.values()]),
-                "parameter": name,
-                "value": one.value,
-                "low": None if one.ci95 is None else one.ci95[0],
-                "high": None if one.ci95 is None else one.ci95[1],
-                "unit": one.unit,
-            }
+            {"effect": " ".join([effect.id, *effect.options.values()]), "parameter": name, **row_of(one)}
             for effect in self.report.effects
             for name, one in effect.parameters.items()
         ]

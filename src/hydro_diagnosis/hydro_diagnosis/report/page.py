@@ -14,13 +14,13 @@ from jinja2 import Environment
 
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
-from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
+from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, display_unit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
-from hydro_diagnosis.report.diagnosis import Diagnosis, display_unit, interval
+from hydro_diagnosis.report.diagnosis import Diagnosis, interval
 from hydro_diagnosis.report.plots import STATIC, location_plot, svg, valve_plot
 from hydro_diagnosis.report_json import EffectReport, Report
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED

@@ -75,7 +75,7 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
     """Plot the recorded data of an effect, and its fitted curve, against the variable on which it depends."""
     problem, layout = found.problem, found.problem.layout
     fit = found.assessment.fit
-    without = problem.residual(tuple(one for one in fit.claims if one is not claim))
+    without = problem.residual(fit.but(claim))
     signature = without - fit.residual
     power = np.bincount(layout.channel, np.square(signature), len(CHANNELS))
     channel = int(np.argmax(power))

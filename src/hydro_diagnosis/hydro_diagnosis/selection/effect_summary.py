@@ -8,7 +8,7 @@ from typing import Any
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, holdout_gain, noticeable, score
+from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, holdout_gain, noticeable
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
@@ -37,13 +37,13 @@ def describe(
 def _report(
     problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: Sequence[Interval]
 ) -> EffectReport:
-    without = fit(problem, tuple(one for one in found.claims if one is not claim))
+    without = fit(problem, found.but(claim))
     parameters = {
         parameter.name: bound.estimate(parameter.unit)
         for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
         if parameter.reported
     }
-    rivals, look_alikes = _rivals(problem, outcome, found, claim)
+    rivals, look_alikes = _rivals(outcome, found, claim)
     return EffectReport(
         id=claim.effect.id,
         equation=claim.effect.equations[0],
@@ -51,7 +51,7 @@ def _report(
         sentence=claim.effect.sentence(claim.values),
         parameters=parameters,
         evidence={
-            "delta_bic": score(problem, without) - score(problem, found),
+            "delta_bic": without.score - found.score,
             "holdout_gain": holdout_gain(held, without, found),
         },
         rivals=rivals,
@@ -59,7 +59,7 @@ def _report(
     )
 
 
-def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
+def _rivals(outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
     """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
     rivals, look_alikes = [], []
     if any(isinstance(one.effect, Closure) for one in found.claims):
@@ -70,7 +70,7 @@ def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tup
         if cause(last.effect) in seen or len(other.claims) != len(found.claims):
             continue
         seen.add(cause(last.effect))
-        distance = score(problem, other) - score(problem, found)
+        distance = other.score - found.score
         apart, words = distance > CLOSE, last.effect.label.replace(":", " ")
         words = words if last.effect.named else words.replace("_", " ")
         why = (

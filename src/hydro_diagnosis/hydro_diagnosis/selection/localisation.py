@@ -63,7 +63,7 @@ def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Pla
     layout = problem.layout
     power: dict[tuple[str, str], float] = {}
     for claim in found.judged:
-        without = problem.residual(tuple(one for one in found.claims if one is not claim))
+        without = problem.residual(found.but(claim))
         signature = np.bincount(layout.channel, np.square(without - found.residual), len(CHANNELS))
         shown = {name: float(signature[k]) for k, name in enumerate(CHANNELS)}
         for equation in claim.effect.equations:

@@ -66,7 +66,7 @@ def contradicted(
     off = missed(points, noise)
     if len(off) > MOST_SPEEDS * len(points):
         for claim in named:
-            others = curves(problem, [one for one in found.claims if one is not claim])[FRICTION]
+            others = curves(problem, found.but(claim))[FRICTION]
             without = {one.at: one.model for one in others}
             if any(abs(without[one.at] - one.model) > noise for one in off):
                 reasons[claim.effect.label] = f"misses the force at {len(off)} of {len(points)} steady speeds"

@@ -24,7 +24,6 @@ from hydro_diagnosis.estimation.fit import (
     noticeable,
     pack,
     remaining,
-    score,
     with_one_more,
     without_one,
 )
@@ -88,7 +87,7 @@ class Shortlists:
         now = [one for one in screened.waiting if one.gain >= promised and one.claim.effect.label != but]
         screened.waiting = [one for one in screened.waiting if one not in now]
         screened.fits += [with_one_more(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
-        screened.fits.sort(key=lambda one: score(problem, one))
+        screened.fits.sort(key=lambda one: one.score)
         return [one for one in screened.fits if one.claims[-1].effect.label != but]
 
     def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000, kin: str = "") -> None:
@@ -100,10 +99,10 @@ class Shortlists:
         for k, one in enumerate(screened.fits[:most]):
             newest = one.claims[-1].effect
             label = newest.label
-            if label not in screened.polished and (score(problem, one) <= enough or (kin and newest.family == kin)):
+            if label not in screened.polished and (one.score <= enough or (kin and newest.family == kin)):
                 screened.fits[k] = fit(problem, one.claims, tolerance=SCREEN_TOLERANCE)
                 screened.polished.add(label)
-        screened.fits.sort(key=lambda one: score(problem, one))
+        screened.fits.sort(key=lambda one: one.score)
 
 
 POLISHED = 3
@@ -173,8 +172,7 @@ class Search:
         outcome = Search(held, self.library, self.settings, self.progress).run()
         if noticeable(outcome.problem, outcome.fit.residual) and not self.problem.budget.exhausted:
             return None
-        least, weighed = score(outcome.problem, outcome.fit), outcome.problem
-
+        least = outcome.fit.score
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
         numbers = [replace(one, values=sizes.pop(one.effect.label, one.values)) for one in self.problem.estimated]
         others = [claim for claim in outcome.fit.claims if claim.effect.label in sizes]
@@ -182,7 +180,7 @@ class Search:
         outcome.nothing = fit(outcome.problem, ())
         names = {one.effect.label for one in numbers}
         for label, fits in outcome.rivals.items():
-            near = [one for one in fits if score(weighed, one) < least + NEAR and not names & _labels(one)]
+            near = [one for one in fits if one.score < least + NEAR and not names & _labels(one)]
             outcome.rivals[label] = [fit(outcome.problem, (*numbers, *one.claims)) for one in near]
         self._backward(outcome)
         self.steps[:] = outcome.steps
@@ -231,7 +229,7 @@ class Search:
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
         problem = self.problem.weighed((*one.fit.claims, *other.fit.claims))
-        first, second = (score(problem, fit(problem, found.fit.claims)) for found in (one, other))
+        first, second = (fit(problem, found.fit.claims).score for found in (one, other))
         winner = one if first <= second else other
         winner.problem = self.problem.weighed(winner.fit.claims)
         return winner
@@ -242,24 +240,24 @@ class Search:
         Where the best only mends the form of its kin, what others explain there is mimicry: then `_plainer`, and what
         acts elsewhere.
         """
-        enough = score(problem, base) - self.settings.threshold
+        enough = base.score - self.settings.threshold
         self._shortlists.renew()
         fits = self._shortlists.beside(problem, base, 0.0)
         if fits:
-            best = score(problem, fits[0])
-            self._shortlists.polish(problem, base, best + CONTENDING * (score(problem, base) - best), POLISHED)
-        better = [one for one in self._shortlists.beside(problem, base, 0.0) if score(problem, one) <= enough]
+            best = fits[0].score
+            self._shortlists.polish(problem, base, best + CONTENDING * (base.score - best), POLISHED)
+        better = [one for one in self._shortlists.beside(problem, base, 0.0) if one.score <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
         mends = bool(evidence) and form_error(problem, base, evidence[0])
         if mends and not self._completed(problem, base, evidence[0]):
             evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
         if noticeable(problem, base.residual):
             evidence += self._plainer(problem, base, enough)
-        return sorted(evidence, key=lambda one: score(problem, one))
+        return sorted(evidence, key=lambda one: one.score)
 
     def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
         """Whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
-        enough = score(problem, found) - self.settings.threshold
+        enough = found.score - self.settings.threshold
         self._shortlists.beside(problem, found, 0.0)
         self._shortlists.polish(problem, found, enough, POLISHED)
         for pair in self._shortlists.beside(problem, found, 0.0)[:POLISHED]:
@@ -275,7 +273,7 @@ class Search:
         """
         fits = []
         for rich in (one for one in base.removable if one.effect.family):
-            others = tuple(one for one in base.claims if one is not rich)
+            others = base.but(rich)
             plainer = [one for one in self.library if one.id == rich.effect.id
                        and len(one.parameters) < len(rich.effect.parameters)]  # fmt: skip
             for plain in screen(problem, fit(problem, others), plainer) if plainer else ():
@@ -284,7 +282,7 @@ class Search:
                 kin = [one for one in self.library if one.family == rich.effect.family and not one.needs
                        and len(one.parameters) <= room]  # fmt: skip
                 fits += [fit(problem, (*beside.claims, one.claim)) for one in screen(problem, beside, kin)[:POLISHED]]
-        return [one for one in fits if score(problem, one) <= enough and all_significant(problem, one)]
+        return [one for one in fits if one.score <= enough and all_significant(problem, one)]
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
@@ -299,8 +297,8 @@ class Search:
             if any(claim.effect.id in one.effect.needs for one in outcome.fit.claims):
                 continue
             label, base = claim.effect.label, without_one(problem, outcome.fit, claim)
-            present = score(problem, outcome.fit)
-            evidence = max(score(problem, base) - present, 0.0)
+            present = outcome.fit.score
+            evidence = max(base.score - present, 0.0)
             self._shortlists.beside(problem, base, promising * evidence, label)
             self._shortlists.polish(problem, base, present + CONTENDING * evidence, kin=claim.effect.family)
             fits = self._shortlists.beside(problem, base, promising * evidence, label)
@@ -327,7 +325,7 @@ class Search:
                 continue
             for prospect in screen(problem, fit(problem, others), richer):
                 merged = fit(problem, (*others, prospect.claim))
-                if score(problem, merged) < score(problem, present) and all_significant(problem, merged):
+                if merged.score < present.score and all_significant(problem, merged):
                     labels = f"{plain.effect.label}, {kin.effect.label} -> {prospect.claim.effect.label}"
                     self._accept(outcome, merged, "swap", labels)
                     return True
@@ -341,7 +339,7 @@ class Search:
         newest = other.claims[-1].effect
         more = len(newest.parameters) - len(effect.parameters)
         toll = self.settings.threshold * max(more, 0)
-        return score(outcome.problem, other) + toll < score(outcome.problem, outcome.fit) - SWAP_BIC_MARGIN
+        return other.score + toll < outcome.fit.score - SWAP_BIC_MARGIN
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
@@ -351,8 +349,8 @@ class Search:
                 for claim in outcome.fit.judged
                 if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
             ]
-            best = min(smaller, key=lambda one: score(outcome.problem, one))
-            if score(outcome.problem, best) - score(outcome.problem, outcome.fit) > self.settings.threshold:
+            best = min(smaller, key=lambda one: one.score)
+            if best.score - outcome.fit.score > self.settings.threshold:
                 return changed
             kept = {claim.effect.label for claim in best.claims}
             dropped = [claim.effect.label for claim in outcome.fit.claims if claim.effect.label not in kept]
@@ -364,13 +362,13 @@ class Search:
         """The fit without a claim, in full where the claim may be worth little."""
         problem, found = outcome.problem, outcome.fit
         fewer = without_one(problem, found, claim)
-        evidence = score(problem, fewer) - score(problem, found)
+        evidence = fewer.score - found.score
         return fewer if evidence > DOUBTFUL * self.settings.threshold else fit(problem, fewer.claims)
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
         outcome.problem, outcome.fit = self._weighed(found)
         outcome.nothing = fit(outcome.problem, ())
-        gained = score(outcome.problem, outcome.fit) - score(outcome.problem, outcome.nothing)
+        gained = outcome.fit.score - outcome.nothing.score
         outcome.steps.append(Step(action, label, gained))
         self.steps[:] = outcome.steps
         self.progress(f"{action} {label}")

@@ -109,28 +109,34 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
         verdict = "explained" if found.judged else "no_mismatch"
         return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
     kept = nothing if alike else _named(problem, _trusted(problem, found, nothing))
-    forms = free_forms(problem, kept)
-    found_at = tuple(locate_claims(problem, found, nothing.residual))
-    remainder = (
-        tuple(locate(problem, kept.residual, gains_by_equation(forms))) or found_at
-    )  # an unnamed cause may be small
-    labels = {claim.effect.label for claim in kept.claims}
-    dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
+    remainder, forms = unexplained(problem, kept)
+    remainder = remainder or tuple(locate_claims(problem, found, nothing.residual))  # an unnamed cause may be small
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
-    return Assessment(
-        "partly_explained" if kept.judged else "unknown", kept, places, remainder, tuple(forms[:6]), dropped
-    )
+    return Assessment(_verdict(kept), kept, places, remainder, forms, _dropped(found.claims, kept))
 
 
 def refuted(problem: Problem, assessment: Assessment, kept: Fit) -> Assessment:
     """The judgement without those of its claims that fit and yet do not hold; `kept`: the fit of the others."""
-    forms = free_forms(problem, kept)
-    labels = {claim.effect.label for claim in kept.claims}
-    dropped = tuple(claim for claim in assessment.fit.judged if claim.effect.label not in labels)
-    remainder = tuple(locate(problem, kept.residual, gains_by_equation(forms))) or assessment.places
+    remainder, forms = unexplained(problem, kept)
+    remainder = remainder or assessment.places
     places = assessment.places if kept.judged else remainder
-    verdict = "partly_explained" if kept.judged else "unknown"
-    return Assessment(verdict, kept, places, remainder, tuple(forms[:6]), (*assessment.dropped, *dropped))
+    dropped = (*assessment.dropped, *_dropped(assessment.fit.judged, kept))
+    return Assessment(_verdict(kept), kept, places, remainder, forms, dropped)
+
+
+def unexplained(problem: Problem, kept: Fit) -> tuple[tuple[Place, ...], tuple[FreeForm, ...]]:
+    """Where a fit leaves something, and free-form inputs for it, the most informative first."""
+    forms = free_forms(problem, kept)
+    return tuple(locate(problem, kept.residual, gains_by_equation(forms))), tuple(forms[:6])
+
+
+def _dropped(claims: Sequence[Claim], kept: Fit) -> tuple[Claim, ...]:
+    labels = {claim.effect.label for claim in kept.claims}
+    return tuple(claim for claim in claims if claim.effect.label not in labels)
+
+
+def _verdict(kept: Fit) -> str:
+    return "partly_explained" if kept.judged else "unknown"
 
 
 def _named(problem: Problem, found: Fit) -> Fit:
@@ -168,7 +174,7 @@ def _suspects(problem: Problem, found: Fit) -> set[str]:
     noisy = remaining(problem, found.residual)
     suspects = set()
     for claim in found.judged:
-        without = problem.residual(tuple(one for one in found.claims if one is not claim))
+        without = problem.residual(found.but(claim))
         shown = mean_squares(problem, without - found.residual)
         if max(shown, key=lambda name: shown[name]) in noisy:
             suspects.add(claim.effect.label)
@@ -203,7 +209,7 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str
         open_ = [one for one in current.removable if one.effect.label in suspects]
         if not open_ or len(current.judged) == 1:
             return current, False
-        smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in open_]
+        smaller = [fit(problem, current.but(claim)) for claim in open_]
         remains = float(np.sum(np.square(current.residual[judged])))
         losses = [float(np.sum(np.square(one.residual[judged]))) - remains for one in smaller]
         enough = EVERYDAY_SHARE * (remains - float(np.count_nonzero(judged)))

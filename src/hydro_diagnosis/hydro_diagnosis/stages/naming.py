@@ -17,19 +17,18 @@ from hydro_diagnosis.closure.admission import Admitted, admitted, reports, witho
 from hydro_diagnosis.closure.model_selection import closures
 from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
-from hydro_diagnosis.estimation.free_form import free_forms, gains_by_equation
 from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals, without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.effect_summary import made_worse, made_worse_in_all, withheld
-from hydro_diagnosis.selection.localisation import locate, locate_claims
+from hydro_diagnosis.selection.localisation import locate_claims
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.reliability import contradicted
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.steady_motion import FRICTION, curves
-from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
+from hydro_diagnosis.selection.verdict import Assessment, assess, refuted, unexplained
 from hydro_diagnosis.stages.reading import Progress, StageResult
 from hydro_diagnosis.validation import Known, equation_errors, held_out
 
@@ -170,6 +169,5 @@ def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assess
         return replace(assessment, verdict="modelled", remainder=(), forms=())
     search_causes = any(claim.effect.named and not claim.effect.estimated for claim in claims)
     verdict = "partly_explained" if search_causes else assessment.verdict
-    forms = tuple(free_forms(problem, found.closed.fit)[:6])
-    remainder = tuple(locate(problem, found.closed.fit.residual, gains_by_equation(forms))) or assessment.remainder
-    return replace(assessment, verdict=verdict, remainder=remainder, forms=forms)
+    remainder, forms = unexplained(problem, found.closed.fit)
+    return replace(assessment, verdict=verdict, remainder=remainder or assessment.remainder, forms=forms)

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import scipy.signal
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, display_unit
 from hydro_diagnosis.estimation.fit import QUANTILE, Fit, orthogonal, pack, residual_variances
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
 from hydro_diagnosis.recording import MEASURED
-from hydro_diagnosis.report.diagnosis import Diagnosis, display_unit
+from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, NumberEstimate, Report
 from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
 from hydro_diagnosis.selection.reliability import doubted, explained_shares, objections

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
+
+Many terms are carried at a time: the way is linear. What a term of one equation does by way of another is left out. Of
+terms that just add (`Effect.additive`) these responses are exact, as long as no claim stands between the equation and
+the sensors; of others they rank, and fit none. The error of a pressure gauge also goes through flows, stiffness and
+hydraulic balance, which are computed from its readings; only a snubber, which is no small change, has no response here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from hydro_diagnosis.effects import kernels
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, Pair
+from hydro_diagnosis.effects.closure import (
+    AcrossClosure,
+    Closure,
+    EdgeClosure,
+    FlowClosure,
+    GaugeClosure,
+    LoadClosure,
+    MotionClosure,
+    PlaceClosure,
+    ValveClosure,
+)
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.memory import RecordMemory
+from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
+from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY, SLOPE_STEP
+from hydro_diagnosis.preprocessing.smoothing import kinematics
+from hydro_sim.model import equations as eq
+
+_PRESSURES = ("pressure_a", "pressure_b")
+Shown = dict[str, FloatArray]
+"""By channel of the residuals: physical unit, shape (terms, judged rows)."""
+
+
+class Responses:
+    """Ways of one segment, under the claims that stand, to the residuals of these blocks."""
+
+    def __init__(self, model: SegmentModel, blocks: Collection[str], claims: Sequence[Claim]) -> None:
+        self.model, self.claims = model.placed(claims), claims
+        self.bench = self.model.bench(claims)
+        self._channels = {name for block in blocks for name in BLOCKS[block]}
+        self._memory = RecordMemory(model.step, self.model.beside)
+        self._gain = model.step / OBSERVER_MEMORY
+        self._nothing = np.zeros_like(model.time)
+
+    @cached_property
+    def _oil(self) -> Oil:
+        return self.model.observer.oil(self.claims)
+
+    @cached_property
+    def _stiff(self) -> Pair:
+        return chambers.compliances(self.bench, self._oil, self.claims)
+
+    @cached_property
+    def _roots(self) -> list[FloatArray]:
+        """Roots of the pressure drops [sqrt(Pa)] that the valve has opened into chamber A and out of chamber B."""
+        extends = kernels.substep_mean(self._oil.spool) >= 0.0
+        drops = eq.edge_drops(self.bench.supply_pressure, self.bench.tank_pressure, *self._oil.pressures)
+        return [eq.signed_root(np.where(extends, out, back)) for out, back in zip(*drops, strict=True)]
+
+    def of(self, terms: Sequence[Claim]) -> Shown:
+        """Responses to terms of one law."""
+        effect, model = terms[0].effect, self.model
+        assert isinstance(effect, Closure)
+        if isinstance(effect, MotionClosure):
+            return self.to_force(np.stack([self._resisting(one) for one in terms]))
+        if isinstance(effect, LoadClosure):
+            return self.to_load(*(np.stack([self._loading(one, motion) for one in terms])
+                                  for motion in (model.kinematics, model.recorded)))  # fmt: skip
+        if isinstance(effect, ValveClosure):
+            return self.to_spool(np.stack([self._commanding(one) for one in terms]))
+        if isinstance(effect, FlowClosure | EdgeClosure | AcrossClosure):
+            still = self._nothing, self._nothing
+            flows = [one.effect.inflows(still, self._oil, self._memory, one.values) for one in terms]
+            return self.to_flows(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
+        if isinstance(effect, PlaceClosure):
+            return self._displaced(terms)
+        if isinstance(effect, GaugeClosure):
+            return self._misread(terms, effect.law.where)
+        return self._read(terms, effect.law.where)
+
+    def _resisting(self, claim: Claim) -> FloatArray:
+        nothing = self._nothing
+        return claim.effect.resistance(nothing, nothing, self.model.kinematics, self._memory, claim.values)
+
+    def _loading(self, claim: Claim, motion: Kinematics) -> FloatArray:
+        return claim.effect.load(self._nothing, motion, self.bench, self._memory, claim.values)
+
+    def _commanding(self, claim: Claim) -> FloatArray:
+        spool = self._oil.spool
+        if spool.shape[-1] == 1:
+            spool = np.repeat(spool, chambers.SUBSTEPS, axis=1)
+        moved = claim.effect.command(spool, self.model.step / spool.shape[-1], claim.values) - spool
+        return kernels.substep_mean(moved)
+
+    def smooth(self, signals: FloatArray) -> FloatArray:
+        """`SegmentModel.kept_smooth` of each, shape (terms, judged rows)."""
+        return np.stack([self.model.kept_smooth(one) for one in signals])
+
+    def _finish(self, signals: FloatArray) -> FloatArray:
+        return np.stack([self.model.kept_finish(one) for one in signals])
+
+    def present(self, shown: Mapping[str, FloatArray]) -> Shown:
+        """What shows in the blocks that are looked at."""
+        return {name: one for name, one in shown.items() if name in self._channels}
+
+    def to_force(self, force: FloatArray) -> Shown:
+        """Responses to forces against the motion [N], shape (terms, n)."""
+        return self.present({"motion": -self._finish(force)})
+
+    def to_load(self, moved: FloatArray, recorded: FloatArray) -> Shown:
+        """Responses to forces of the load [N], shape (terms, n): at the smoothed motion, and at that recorded."""
+        shown = self.present({"load": recorded})
+        return {**self.to_force(moved), **{name: -self.smooth(self._in_cell(one)) for name, one in shown.items()}}
+
+    def to_spool(self, shift: FloatArray) -> Shown:
+        """Responses to shifts of the spool [A], shape (terms, n)."""
+        flow = shift * self.bench.valve_gain
+        return self.to_flows(flow * self._roots[0], -flow * self._roots[1])
+
+    def to_flows(self, into_a: FloatArray, into_b: FloatArray) -> Shown:
+        """Responses to flows into both chambers [m3/s], shape (terms, n)."""
+        shown = {}
+        for name, flow, stiff in zip(_PRESSURES, (into_a, into_b), self._stiff, strict=True):
+            if flow.any():
+                built = flow * stiff * self.model.step
+                shown[name] = self.smooth(np.stack([self.seen_by_observer(self._nothing, one) for one in built]))
+        return self.present(shown)
+
+    def seen_by_observer(self, off: FloatArray, built: FloatArray) -> FloatArray:
+        """Innovations [Pa], shape (n,), for a reading that is `off` and what each sample has `built`."""
+        return np.asarray(chambers.innovations(off, built, self._gain))
+
+    def _read(self, terms: Sequence[Claim], channel: str) -> Shown:
+        def read(signal: FloatArray, smoothed: bool = False) -> FloatArray:
+            return np.stack([self.model.reading(channel, signal, [one], smoothed) - signal for one in terms])
+
+        if channel == "load_force":
+            force = self.model.spring_force(self.bench, [], self.model.recorded)
+            return self.present({"load": -self.smooth(read(force))})
+        means = np.stack([self.model.means(one) for one in read(self.model.channels[channel])])
+        force = self.model.finish(self.model.required_force(self.claims))
+        return self.present({"motion": -read(force, True)[:, self.model.rows], "hydraulic": -means})
+
+    def _displaced(self, terms: Sequence[Claim]) -> Shown:
+        """Return the responses to an error of the position, but not by friction near standstill and the oil."""
+        model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
+        errors = np.stack([one.effect.unmeasure("piston_position", recorded, self._memory, one.values) - recorded
+                           for one in terms])  # fmt: skip
+        moved = [kinematics(one, model.step, model.spacing) for one in errors]
+        x, v, a = (np.stack([one[k] for one in moved]) for k in range(3))
+        found = self.to_force(bench.moving_mass * a + bench.viscous_friction * v + bench.spring_stiffness * x)
+        if "load" in self._channels:
+            found["load"] = -self.smooth(self._in_cell(bench.spring_stiffness * errors))
+        if "pressure_a" in self._channels:
+            swept = bench.piston_area * np.diff(errors, axis=1, append=errors[:, -1:]) / model.step
+            found |= self.to_flows(-swept, bench.area_ratio * swept)
+        return found
+
+    def _in_cell(self, force: FloatArray) -> FloatArray:
+        """Forces [N] behind the load cell's amplifier."""
+        return np.stack([self.model.behind_cell(one, self.bench) for one in force])
+
+    def _misread(self, terms: Sequence[Claim], channel: str) -> Shown:
+        """Responses to errors of a pressure gauge."""
+        model = self.model
+        shown: dict[str, list[FloatArray]] = {"pressure_a": [], "pressure_b": [], "hydraulic": []}
+        area = self.bench.piston_area * (1.0 if channel == "pressure_a" else -self.bench.area_ratio)
+        signal = model.true_signal(channel, self.claims)
+        for one in terms:
+            error = model.reading(channel, signal, [one]) - signal
+            for name, built, by in zip(_PRESSURES, self._built, self._by_pressure[channel], strict=True):
+                more, off = -by * chambers.middle(error), self._nothing
+                if name == channel and one.effect.nonlinear_channel == channel:
+                    more = more + built * self._slope(channel, signal, one)
+                elif name == channel:
+                    off = -error
+                shown[name].append(model.kept_smooth(self.seen_by_observer(off, more)))
+            shown["hydraulic"].append(model.means(area * error))
+        return self.present({name: np.stack(rows) for name, rows in shown.items()})
+
+    @cached_property
+    def _built(self) -> Pair:
+        """Pressure [Pa] that each sample builds in both chambers."""
+        return self.model.observer.built(self.bench, self._oil, self.claims)[1]
+
+    @cached_property
+    def _by_pressure(self) -> dict[str, Pair]:
+        """Change of what each sample builds in chambers A and B per change of one pressure."""
+        found = {}
+        for k, name in enumerate(_PRESSURES):
+            moved = []
+            for sign in (1.0, -1.0):
+                pressures = list(self._oil.pressures)
+                pressures[k] = pressures[k] + sign * SLOPE_STEP
+                shifted = replace(self._oil, pressures=(pressures[0], pressures[1]))
+                moved.append(self.model.observer.built(self.bench, shifted, self.claims)[1])
+            a, b = ((up - down) / (2.0 * SLOPE_STEP) for up, down in zip(*moved, strict=True))
+            found[name] = a, b
+        return found
+
+    def _slope(self, channel: str, signal: FloatArray, term: Claim) -> FloatArray:
+        """Change of the error [-] per change of the pressure, within each sample."""
+        middle = chambers.middle(signal)
+        above, below = (self.model.reading(channel, middle + sign * SLOPE_STEP, [term]) for sign in (1.0, -1.0))
+        return (above - below) / (2.0 * SLOPE_STEP) - 1.0
