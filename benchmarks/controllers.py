@@ -148,7 +148,7 @@ def measure(
         wanted, current = step.samples["reference_force"], step.samples["valve_current"]
         rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
         before = current[:, -1].copy()
-        for row, signal in enumerate((wanted - step.samples["load_force"], wanted - fleet.rows.arrays.felt, rate)):
+        for row, signal in enumerate((wanted - step.samples["load_force"], wanted - fleet.rows.felt, rate)):
             sums[row] += np.sum(np.where(step.counted, signal, 0.0) ** 2, axis=1)
         sums[3] += step.counted.sum(axis=1)
         tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)

@@ -142,7 +142,7 @@ def run(
     )  # fmt: skip
     for number, step in enumerate(runs):
         if later is not None and number == CHANGE:
-            fleet.rows.arrays.parameters[:] = TruthPlant(later).parameters[0]
+            fleet.rows.parameters[:] = TruthPlant(later).parameters[0]
         tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
         parts["error"].append(step.samples["reference_force"] - step.samples["load_force"])
         parts["current"].append(step.samples["valve_current"].copy())

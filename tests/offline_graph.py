@@ -46,10 +46,10 @@ class InlineLearner:
 
     def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None, start: bytes | None = None) -> None:
         self._memory = _PrivateMemory(settings)
+        _, self._weights, snapshot, self._good, _ = self._memory.open()
         if start is not None:
-            self._memory.snapshot().publish(start)
-        self._learner = Learner(self._memory, settings)
-        self._run, self._weights = run, self._memory.weights()
+            snapshot.publish(start)
+        self._learner, self._run = Learner(self._memory, settings), run
         self.replay = self._learner.replay
         self.ready = self.alive = True
 
@@ -89,7 +89,7 @@ class InlineLearner:
 
     def save_policy(self, good: bytes) -> None:
         """See `LearnerSupervisor.save_policy`."""
-        self._memory.good().publish(good)
+        self._good.publish(good)
 
     def roll_back(self) -> None:
         """See `LearnerSupervisor.roll_back`; takes effect at once."""

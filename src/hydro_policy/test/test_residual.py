@@ -17,9 +17,9 @@ from hydro_policy.compensation.residual import INPUTS, PAUSE, RESIDUAL_MAX, Netw
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
-from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
-from hydro_policy.task.cases import Case
+from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -183,7 +183,7 @@ def changed(residual: Residual | None) -> FloatArray:
     runs = vector_runs.run(fleet, cases, vector_runs.fixed(np.array(BASE)), settings, 7, estimator, residual)
     for number, step in enumerate(runs):
         if number == 400:
-            fleet.rows.arrays.constants[:] = soft.constants
+            fleet.rows.constants[:] = soft.constants
         if 600 <= number < 800:
             errors.append(step.samples["reference_force"] - step.samples["load_force"])
     return np.asarray(np.sqrt(np.mean(np.square(np.concatenate(errors, axis=1)), axis=1)))

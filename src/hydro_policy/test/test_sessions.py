@@ -14,14 +14,14 @@ from tensorboardX.proto.event_pb2 import Event
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
-from hydro_policy.evaluation.session import REPEATS, SILENCE, EvaluationSession, EvaluationSettings
+from hydro_policy.evaluation.session import REPEATS, SILENCE, EvaluationSession
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
-from hydro_policy.task.cases import ExamSettings
+from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import StepClock, TaskSettings
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -165,8 +165,8 @@ def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> N
     graph, session = evaluation((300.0, 15.0), (40.0, 10.0))
     graph.run(session, session.seconds + 5.0)
     narrowed, own = session.scores
-    assert narrowed.tripped and narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
-    assert not own.tripped
+    assert narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
+    assert not own.stopped
     assert best(session) == "", "nothing is compared with what did not act"
 
 
@@ -258,5 +258,5 @@ def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
         peer = simulate(AnalyticPlant(BENCH), BENCH, Schedule(reference=sine, gains=(kp, ki), seconds=3.0))
         error = (peer["reference_force"] - peer["load_force"])[2000:]
         assert score.rmse == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.03)
-        assert score.lost == score.held == 0 and not score.tripped
+        assert score.lost == score.held == 0 and not score.stopped
     assert len(session.traces[0].states) == 1000

@@ -33,15 +33,13 @@ _KEPT = RECENT // SAMPLES_PER_STEP + 2
 class _Step:
     """Samples of one policy step."""
 
-    commanded: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
-    measured: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
-    reference: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
-    reference_rate: FloatArray = field(default_factory=lambda: np.full(SAMPLES_PER_STEP, np.nan))
+    signals: FloatArray = field(default_factory=lambda: np.full((4, SAMPLES_PER_STEP), np.nan))
+    """f_c, f [N], f_r' [N/s], f_r [N], shape (4, 10); NaN: not told yet."""
     good: bool = True
 
     @property
     def complete(self) -> bool:
-        return bool(np.isfinite(self.commanded).all() and np.isfinite(self.measured).all())
+        return bool(np.isfinite(self.signals[:2]).all())
 
 
 class LiveCompensation:
@@ -118,7 +116,7 @@ class LiveCompensation:
         """Take the law of a sample: f_c [N]."""
         self._told = sequence
         step, index = self._step(sequence)
-        step.commanded[index] = compensated_reference
+        step.signals[0, index] = compensated_reference
         step.good &= law == Law.COMPENSATED
         self._look(sequence)
 
@@ -135,7 +133,7 @@ class LiveCompensation:
         """Take a sample: f [N], flags, f_r' [N/s], f_r [N]; `holds`: the coefficients hold for another reason."""
         self._seen = sequence
         step, index = self._step(sequence)
-        step.measured[index], step.reference_rate[index], step.reference[index] = force, reference_rate, reference
+        step.signals[1:, index] = force, reference_rate, reference
         step.good &= flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
         self._look(sequence)
 
@@ -159,7 +157,6 @@ class LiveCompensation:
         self._take(step, good=step.good)
 
     def _take(self, step: _Step, *, good: bool) -> None:
-        signals = (step.commanded, step.measured, step.reference_rate, step.reference)
-        commanded, measured, rate, reference = (one[np.newaxis] for one in signals)
+        commanded, measured, rate, reference = step.signals[:, np.newaxis]
         self._adapted.step(commanded, measured, np.array([good]), rate, reference)
         self.held += not self._estimator.counted[0]

@@ -62,42 +62,6 @@ class Analytic(NamedTuple):
     state: Records
 
 
-@dataclass
-class PlantRows:
-    """Arrays for compiled code, and the plants that they represent (for resets and noise)."""
-
-    plants: list[Plant]
-    arrays: Any
-    copy: Callable[[Any, int, Any], None]
-    """Function that writes a plant's constants and memory into a row."""
-
-
-def stack_plants(plants: Sequence[Plant]) -> PlantRows:
-    """Stack plants of one kind into arrays.
-
-    Raises
-    ------
-    ValueError
-        The plants are of several kinds, or of a kind without compiled rows.
-    """
-    if len({type(plant) for plant in plants}) != 1:
-        raise ValueError("a fleet needs plants of one kind")
-    for known, (make, copy) in KINDS.items():
-        if type(plants[0]) is known:
-            result = PlantRows(list(plants), make(plants), copy)
-            for index, plant in enumerate(plants):
-                copy(result.arrays, index, plant)
-            return result
-    kind = type(plants[0]).__name__
-    raise ValueError(f"many benches at once are those of bench files, no {kind}")
-
-
-def measurements(rows: PlantRows) -> FloatArray:
-    """Return the present measurements, a view of shape (plants, 8)."""
-    held = rows.arrays.state["x"] if isinstance(rows.arrays, Analytic) else rows.arrays.x
-    return np.asarray(held)
-
-
 def advance(plants: Any, i: int, noise: FloatArray, current: float) -> None:
     """Advance row i by one sample of 1 ms, in place; for compiled code."""
     raise NotImplementedError("compiled code only")
@@ -141,7 +105,17 @@ def _copy_analytic(arrays: Analytic, index: int, plant: AnalyticPlant) -> None:
 KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
     AnalyticPlant: (_analytic, _copy_analytic),
 }
-"""Kinds of plants, with the functions that stack them and write one into a row. A benchmark may add its own."""
+"""Kinds of plants, with the functions that stack them and write one, its constants and memory, into a row. A benchmark
+may add its own."""
+
+
+def _kind_of(plants: Sequence[Plant]) -> tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]:
+    """Return the functions of `KINDS` for these plants. Raises ValueError: several kinds, or one without rows."""
+    if len({type(plant) for plant in plants}) != 1:
+        raise ValueError("a fleet needs plants of one kind")
+    if type(plants[0]) not in KINDS:
+        raise ValueError(f"many benches at once are those of bench files, no {type(plants[0]).__name__}")
+    return KINDS[type(plants[0])]
 
 
 DEAD_TIME_MAX = 8
@@ -174,8 +148,10 @@ class VectorBench:
         filters: FleetFilter | None = None,
     ) -> None:
         self.config, self.filters = config or BoxConfig(), filters or NoFilter()
-        self.rows: PlantRows = stack_plants(plants)
-        count = len(plants)
+        make, self._copy = _kind_of(plants)
+        self.plants, self.rows, count = list(plants), make(plants), len(plants)
+        for index, plant in enumerate(plants):
+            self._copy(self.rows, index, plant)
         self.benches = np.concatenate([bench.constants() for bench in benches])
         self.settings = np.concatenate([self.config.constants(bench) for bench in benches])
         self.boxes = np.zeros(count, kernel.STATE_DTYPE)
@@ -195,8 +171,8 @@ class VectorBench:
         self.benches[index] = bench.constants()[0]
         self.settings[index] = self.config.constants(bench)[0]
         self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
-        self.rows.plants[index] = plant
-        self.rows.copy(self.rows.arrays, index, plant)
+        self.plants[index] = plant
+        self._copy(self.rows, index, plant)
 
     def begin(
         self,
@@ -208,9 +184,8 @@ class VectorBench:
     ) -> None:
         """Start from rest: disarm once, arm with `reference`, gain changes and law, take the first sample."""
         one = slice(index, index + 1)
-        plant = self.rows.plants[index]
-        plant.reset(seed)
-        self.rows.copy(self.rows.arrays, index, plant)
+        read = self.plants[index].reset(seed)
+        self._copy(self.rows, index, self.plants[index])
         kernel.reset(self.boxes[one])
         fill_command(self.commands[one], Command())
         kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
@@ -230,7 +205,7 @@ class VectorBench:
         self.links[index]["held"] = 0.0
         vector_filter.reset_memory(self.filters, index)
         box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
-        _exchange(*box, self.filters, index, measurements(self.rows)[index], self.samples[index, -1:])
+        _exchange(*box, self.filters, index, read, self.samples[index, -1:])
         self.compensated[index, -1] = self.boxes[index]["compensated_reference"]
 
     def step(self, changes: FloatArray, coefficients: FloatArray | None = None) -> StateArray:
@@ -246,11 +221,11 @@ class VectorBench:
         if coefficients is None:
             coefficients = self.commands["shaping"]["coefficients"]
         box = self.benches, self.settings, self.boxes, self.commands
-        noise = np.stack([plant.noise.rows(SAMPLES_PER_STEP) for plant in self.rows.plants])  # type: ignore[attr-defined]
-        step = _step if type(self.rows.arrays).__module__.startswith("hydro_policy.") else _step_foreign
+        noise = np.stack([plant.noise.rows(SAMPLES_PER_STEP) for plant in self.plants])  # type: ignore[attr-defined]
+        step = _step if type(self.rows).__module__.startswith("hydro_policy.") else _step_foreign
         actions = np.ascontiguousarray(changes), np.array(coefficients)
         outputs = self.samples, self.compensated
-        step(*box, self.filters, self.rows.arrays, self.links, *actions, noise, *outputs)
+        step(*box, self.filters, self.rows, self.links, *actions, noise, *outputs)
         return self.samples
 
 
@@ -357,7 +332,7 @@ class Environment:
         error = samples["reference_force"] - samples["load_force"]
         error_rate = samples["reference_force_rate"] - samples["load_force_rate"]
         tripped = (samples["flags"][:, -1] & Flag.TRIPPED) != 0
-        reward = np.where(tripped, -self.task.trip_penalty, self.task.rewards(error, error_rate))
+        reward = np.where(tripped, -self.task.trip_penalty, self.task.reward(error, error_rate))
         following = observe(self._last(), actions, self.task.size)
         self.observation = following.copy()
         if tripped.any():

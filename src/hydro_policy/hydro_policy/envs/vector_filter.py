@@ -46,13 +46,9 @@ def fleet_filter(kind: str, believed: Bench, count: int) -> FleetFilter:
     if kind == "none":
         return NoFilter()
     if kind == "learned":
-        return loop_fleet_filter(default_filter(believed).parts, count)
+        parts = default_filter(believed).parts
+        return LearnedFilter(True, parts, memories(count), loop_decision.workspace(parts))
     raise ValueError(f"there is no filter {kind!r}; there are {', '.join(FILTERS)}")
-
-
-def loop_fleet_filter(parts: LoopParts, count: int) -> LearnedFilter:
-    """Return the filter of a metric for `count` benches, under the law that it is made for."""
-    return LearnedFilter(True, parts, memories(count), loop_decision.workspace(parts))
 
 
 def reset_memory(filters: FleetFilter, index: int) -> None:

@@ -10,13 +10,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
-from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.sac.policy import Policy
-from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import ExamSettings, Score
-from hydro_policy.task.mdp import GainRange
 
 CHANCE = 0.025
 """Probability that a score passes for better by chance, over the comparisons of the run so far (Bonferroni)."""
@@ -76,28 +70,6 @@ def significantly_better(score: float, best: float, errors: Sequence[float], bes
     pooled = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
     noise = math.hypot(max(errors[-1], pooled), max(best_error, pooled))
     return score < best - NormalDist().inv_cdf(1.0 - CHANCE / max(len(errors) - 1, 1)) * noise
-
-
-def examination(
-    settings: ExamSettings,
-    policy: Policy,
-    gains: GainRange,
-    reference_too: bool,
-    watch: PlantSupervisor,
-    monitor: SafetyMonitor,
-    *,
-    fresh: bool = False,
-) -> EvaluationSession:
-    """Create the session that examines `policy` and, if requested, the fixed gains that its score is relative to.
-
-    It shares watch and monitor with the training session that it interrupts. `fresh`: no episode has passed
-    since the box was armed.
-    """
-    controllers: list[Controller] = [PolicyController(policy, gains, EXAMINED)]
-    if reference_too:
-        controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, watch.override.base))
-    lead = LEAD if fresh or reference_too else 0.0
-    return EvaluationSession(settings.evaluation, controllers, watch, monitor=monitor, lead=lead)
 
 
 def stop_reason(scores: Sequence[Score]) -> str:

@@ -14,8 +14,8 @@ from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import json_text, write_whole
 from hydro_bridge.pages import Section
 from hydro_policy.evaluation.gain_search import GridSearch
-from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
-from hydro_policy.task.cases import EvaluationSettings, relative_scores
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.task.cases import EvaluationSettings, Score, Trace, relative_scores
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
@@ -74,7 +74,7 @@ def runs(scores: list[Score], controller: str, case: str) -> list[Score]:
 
 
 def _cell(scores: list[Score]) -> float | str:
-    stopped = sum(score.tripped for score in scores)
+    stopped = sum(bool(score.stopped) for score in scores)
     if stopped:
         return f"stopped {stopped}/{len(scores)}"
     if not scores:

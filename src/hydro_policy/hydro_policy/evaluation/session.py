@@ -47,8 +47,6 @@ NOT_TAKEN_UP = "the plant does not take up the force law that is commanded"
 FROZEN = "A person had frozen the coefficients of the compensated law."
 ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed again with that"
 
-__all__ = ["EvaluationSession", "EvaluationSettings", "Score", "Trace"]
-
 
 @dataclass
 class _Run:

@@ -122,25 +122,15 @@ class LearnerMemory:
     def _block(self, size: int) -> Any:
         return _CONTEXT.RawArray(ctypes.c_uint8, size)
 
-    def replay(self) -> ReplayBuffer:
-        """Replay buffer on this memory."""
-        return ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
+    def open(self) -> tuple[ReplayBuffer, SharedBlob, SharedBlob, SharedBlob, FloatArray]:
+        """Return the blocks for use in one process: replay, weights, snapshot, good, status.
 
-    def weights(self) -> SharedBlob:
-        """Flat parameters of the actor, float32."""
-        return SharedBlob(self._weights)
-
-    def snapshot(self) -> SharedBlob:
-        """All of `Sac`, as returned by `snapshot.dump`."""
-        return SharedBlob(self._snapshot)
-
-    def good(self) -> SharedBlob:
-        """Last good state of `Sac`, as returned by `snapshot.dump`."""
-        return SharedBlob(self._good)
-
-    def status(self) -> FloatArray:
-        """[updates, entropy coefficient, checkpoints written, 1 when ready, rollbacks done, the three losses]."""
-        return np.frombuffer(self._status, np.float64)
+        weights: the actor's flat parameters, float32; snapshot, good: as returned by `snapshot.dump`; status: [updates,
+        entropy coefficient, checkpoints written, 1 when ready, rollbacks done, the three losses].
+        """
+        replay = ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
+        weights, snapshot, good = map(SharedBlob, (self._weights, self._snapshot, self._good))
+        return replay, weights, snapshot, good, np.frombuffer(self._status, np.float64)
 
 
 UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS = range(5)  # places in status
@@ -175,9 +165,7 @@ class Learner:
     def __init__(self, memory: LearnerMemory, settings: TrainingSettings) -> None:
         self.settings = settings
         self.sac = Sac(OBSERVATIONS, ACTIONS, settings.sac)
-        self.replay = memory.replay()
-        self._weights, self._snapshot, self._status = memory.weights(), memory.snapshot(), memory.status()
-        self._good = memory.good()
+        self.replay, self._weights, self._snapshot, self._good, self._status = memory.open()
         start = self._snapshot.latest()  # of a predecessor, or of a checkpoint
         if start is not None:
             restore(self.sac, start)

@@ -68,14 +68,8 @@ class LearnerSupervisor:
         self._context = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
         self._settings, self._run = settings, run
         self._memory = LearnerMemory(settings)
-        self.replay = self._memory.replay()
-        self._weights, self._snapshot, self._status = (
-            self._memory.weights(),
-            self._memory.snapshot(),
-            self._memory.status(),
-        )
+        self.replay, self._weights, self._snapshot, self._good, self._status = self._memory.open()
         self._status[LOSSES] = np.nan
-        self._good = self._memory.good()
         self._rollbacks, self._unheard = 0, False  # requested; whether the last request could not be delivered
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)

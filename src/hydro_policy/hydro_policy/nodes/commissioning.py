@@ -21,7 +21,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -110,7 +110,7 @@ class Site:
         self.log.write(line)
         self.log.flush()
 
-    def evaluate(self, name: str, *words: str, amplitude: float, parameters: Sequence[str] = ()) -> dict[str, Any]:
+    def evaluate(self, name: str, *words: str, amplitude: float) -> dict[str, Any]:
         """Run `evaluate` under the compensated law, recorded as recordings/NAME; returns its JSON.
 
         Parameters
@@ -121,19 +121,16 @@ class Site:
             Further options.
         amplitude
             Of the sines [N].
-        parameters
-            Further ROS parameters, name:=value.
         """
         for old in (self.recording(name), self.folder / site.REPORTS / name):
             shutil.rmtree(old, ignore_errors=True)
-        given = [f"amplitude:={amplitude:.1f}", *parameters]
         base = (f"{value:g}" for value in self.record.base_gains)
         self.run(
             "hydro_policy", "evaluate", "--plant", "bench", "--port", self.port, "--bench", self.bench,
             "--base-gains", *base, "--law", "compensated", "--rearm", self.arm, "--no-dashboard",
             "--record", str(self.recording(name)),
             "--runs", str(self.folder / site.REPORTS), "--name", name, *words,
-            "--ros-args", *(word for each in given for word in ("-p", each)),
+            "--ros-args", "-p", f"amplitude:={amplitude:.1f}",
         )  # fmt: skip
         return read_json(self.folder / site.REPORTS / name / "evaluation.json")
 
@@ -229,7 +226,8 @@ def link(at: Site) -> str:
     if status.get("box differs", "no") != "no":
         raise GateError(f"the box is not what its bench file says: {status['box differs']}")
     rate, lost = checks.line(states, REST)
-    return f"{rate:.0f} samples/s, {100 * lost:.2g} % lost; command and its answer: {_latency(status)}"
+    told = status.get("command out to confirmation in", "not told")
+    return f"{rate:.0f} samples/s, {100 * lost:.2g} % lost; command and its answer: {told}"
 
 
 def sensors(at: Site) -> str:
@@ -431,7 +429,3 @@ def _armed(folder: Path) -> StateArray:
     if len(armed) < 100:
         raise GateError(f"{folder} was not armed")
     return armed
-
-
-def _latency(status: dict[str, Any]) -> str:
-    return str(status.get("command out to confirmation in", "not told"))

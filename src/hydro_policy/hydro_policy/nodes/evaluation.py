@@ -33,7 +33,7 @@ from hydro_policy.compensation.residual import Network
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation.gain_search import GridSession, GridSettings
-from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import EvaluationProgress
 from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box, require_matching_policy
@@ -50,6 +50,7 @@ from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor, corrections
+from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
@@ -83,12 +84,7 @@ def required_gain_range(
     if grid is not None:
         corners = ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))
         ranges += [FixedGains(*pair, base or BASE).reach for pair in corners]
-    return GainRange(
-        delta_kp_min=min(r.delta_kp_min for r in ranges),
-        delta_kp_max=max(r.delta_kp_max for r in ranges),
-        delta_ki_min=min(r.delta_ki_min for r in ranges),
-        delta_ki_max=max(r.delta_ki_max for r in ranges),
-    )
+    return GainRange.enclosing(*ranges)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -124,13 +124,7 @@ def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
         raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
     files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    chosen: dict[str, Any] = {
-        "base_gains": options.base_gains,
-        "integral": options.integral,
-        "randomise": options.randomise,
-        "filter": options.filter,
-        "benches": options.benches,
-    }
+    chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
     return SimulationSetup(model=model, **chosen, **files)
 
 
@@ -144,16 +138,6 @@ def load_simulation_setup(folder: Path) -> SimulationSetup:
 
 CURVE = "curve.png"
 """File name of the learning curve in a pretraining's folder."""
-
-
-def curve_page(
-    folder: Path, history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray,
-    about: Mapping[str, Any],
-) -> str:  # fmt: skip
-    """Return the page of a pretraining in `folder`, with its `CURVE`."""
-    table = Section(heading="Rounds", table=curve_table(history, cases, reference))
-    sections = [Section(heading="Learning curve", picture=folder / CURVE), table]
-    return results_page(f"Pretraining {folder.name}", about, sections)
 
 
 def curve_table(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray) -> Table:
@@ -348,9 +332,10 @@ def _leave_page(run: RunDirectory, pretraining: Pretraining, source: SimulationS
     if pretraining.history:
         told = {"seed": pretraining.settings.training.seed, "best score": pretraining.best_score}
         about = {**asdict(source), **told, "code_version": code_version()}
-        cases = pretraining.settings.evaluation.cases
+        table = curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse)
+        curve = Section(heading="Learning curve", picture=run.path / CURVE)
+        page = results_page(f"Pretraining {run.path.name}", about, [curve, Section(heading="Rounds", table=table)])
         with suppress(OSError):
-            page = curve_page(run.path, pretraining.history, cases, pretraining.reference_rmse, about)
             write_whole(run.page, page.encode())
     refresh_index(run.path)
 

@@ -38,7 +38,7 @@ from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 
 REFERENCE_GAINS = (90.0, 15.0)
@@ -145,9 +145,6 @@ def _within_reach(case: Case, bench: RandomisedBench) -> Case:
     return replace(case, signal=bench.within_reach(case.signal))
 
 
-Simulated = Bench | Callable[[], Plant]
-
-
 @dataclass(frozen=True, kw_only=True)
 class PretrainSettings:
     """Settings of a pretraining: the training's, and the simulation's."""
@@ -172,11 +169,10 @@ class PretrainSettings:
 class Pretraining:
     """Complete state of a pretraining.
 
-    `settings`: see `PretrainSettings`. `source`: simulated plant: a bench, or a factory of any other plant. `believed`:
-    bench assumed by the box.
+    `settings`: see `PretrainSettings`. `source`: simulated bench. `believed`: bench assumed by the box.
     """
 
-    def __init__(self, settings: PretrainSettings, source: Simulated, believed: Bench) -> None:
+    def __init__(self, settings: PretrainSettings, source: Bench, believed: Bench) -> None:
         self.settings, self._source, self._believed = settings, source, believed
         training = settings.training
         self.fleet = self._fleet(settings.benches)
@@ -275,10 +271,8 @@ class Pretraining:
         plants = [self._plant() for _ in range(count)]
         return VectorBench([self._believed] * count, plants, self.settings.box, filters)
 
-    def _plant(self) -> Plant:
-        if isinstance(self._source, Bench):
-            return AnalyticPlant(self._source, settings=Sensors.of_size(self._source.size))
-        return self._source()
+    def _plant(self) -> AnalyticPlant:
+        return AnalyticPlant(self._source, settings=Sensors.of_size(self._source.size))
 
     def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
         """Return the episode's reference; with randomisation, also install its bench."""
@@ -294,7 +288,6 @@ class Pretraining:
         return drawn.within_reach(reference)
 
     def _draw(self, seed: int) -> RandomisedBench:
-        assert isinstance(self._source, Bench), "only what has numbers can be drawn"
         assert self.settings.randomisation is not None
         return draw_bench(self.settings.randomisation, self._source, seed)
 

@@ -106,7 +106,7 @@ class Explorer:
             return None
         reward = math.nan
         if before is not None:
-            reward = self.task.reward(step.error, step.error_rate)
+            reward = float(self.task.reward(step.error, step.error_rate))
             if step.whole:
                 self._remember(before, taken, reward, observation, terminated=False)
         self._tell(reward)
@@ -120,7 +120,7 @@ class Explorer:
         before, taken = self._observation, self._action
         reward = None
         if before is not None and step is not None:
-            reward = self.task.reward(step.error, step.error_rate)
+            reward = float(self.task.reward(step.error, step.error_rate))
             after = observe(step.sample, taken, self.task.size)
             if step.whole and np.isfinite(after).all():
                 self._remember(before, taken, reward, after, terminated=False)

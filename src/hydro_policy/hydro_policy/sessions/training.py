@@ -17,9 +17,9 @@ from typing import Any
 
 from hydro_bridge.signals import FAULTS, Flag, FloatArray
 from hydro_policy.evaluation import policy_examination
+from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import RunRecord, TrainingSettings
-from hydro_policy.sac.policy import Policy
 from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
 from hydro_policy.sessions.run_state import Progress, RunState
 from hydro_policy.supervision.interfaces import ActingLearner
@@ -60,10 +60,10 @@ class TrainingSession:
         self.settings, self.learner = settings, learner
         self.watch, self.override, self._outputs = watch, watch.override, watch.outputs
         self.clock = StepClock()
-        progress = Progress() if state is None else Progress(**state["progress"])
-        self.run = RunState(settings, learner, progress, best, record)
+        self.progress = Progress() if state is None else Progress(**state["progress"])
+        self.run = RunState(settings, learner, self.progress, best, record)
         self.explorer, self.monitor = Explorer(settings, learner.replay, watch.outputs), SafetyMonitor(settings.monitor)
-        self.explorer.published = progress.total_steps
+        self.policy, self.explorer.published = self.explorer.policy, self.progress.total_steps
         self.current = EpisodeRecord(episode=0)
         """The present episode, or the last one."""
         if state is not None:
@@ -71,16 +71,6 @@ class TrainingSession:
         self.phase = Phase.WAITING
         self.exam: EvaluationSession | None = None
         self._fresh = True  # no episode has passed since the box was armed
-
-    @property
-    def policy(self) -> Policy:
-        """The acting policy."""
-        return self.explorer.policy
-
-    @property
-    def progress(self) -> Progress:
-        """Progress of the run."""
-        return self.run.progress
 
     @property
     def finished(self) -> bool:
@@ -193,15 +183,19 @@ class TrainingSession:
             self.progress.total_steps += 1
 
     def _begin_exam(self) -> None:
-        """Examine the learner's present state; learning continues meanwhile, the acting policy does not change."""
+        """Examine the learner's present state, and the fixed gains that its score is relative to where not yet known.
+
+        Learning continues meanwhile, the acting policy does not change.
+        """
         parameters = self.run.propose()
         if parameters is not None:
             self.policy.load_flat(parameters)
-        reference_too = not self.progress.reference_rmse
-        gains = self.settings.task.gains
-        self.exam = policy_examination.examination(
-            self.settings.exam, self.policy, gains, reference_too, self.watch, self.monitor, fresh=self._fresh
-        )
+        settings, gains = self.settings.exam, self.settings.task.gains
+        controllers: list[Controller] = [PolicyController(self.policy, gains, policy_examination.EXAMINED)]
+        if reference_too := not self.progress.reference_rmse:
+            controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, self.override.base))
+        lead = policy_examination.LEAD if self._fresh or reference_too else 0.0
+        self.exam = EvaluationSession(settings.evaluation, controllers, self.watch, monitor=self.monitor, lead=lead)
         self.explorer.forget()
         self.phase = Phase.EVALUATING
 

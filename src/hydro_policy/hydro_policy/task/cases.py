@@ -134,11 +134,6 @@ class Score:
     stopped: str = ""
     """Why the run was not completed: the box tripped, or the monitor stopped it; empty if it was."""
 
-    @property
-    def tripped(self) -> bool:
-        """Whether it was stopped."""
-        return bool(self.stopped)
-
 
 @dataclass
 class Trace:

@@ -78,6 +78,14 @@ class GainRange:
     delta_ki_max: Annotated[float, quantity("1/s^2", -100.0, 100.0)] = 10.0
     """Largest change of K_i, above delta_ki_min."""
 
+    @classmethod
+    def enclosing(cls, *ranges: Any) -> GainRange:
+        """Return the smallest range that holds all of these: gain ranges, or what has their four limits."""
+        return cls(
+            delta_kp_min=min(one.delta_kp_min for one in ranges), delta_kp_max=max(one.delta_kp_max for one in ranges),
+            delta_ki_min=min(one.delta_ki_min for one in ranges), delta_ki_max=max(one.delta_ki_max for one in ranges),
+        )  # fmt: skip
+
     def shifted(self, kp: float, ki: float) -> GainRange:
         """Return the range shifted by these amounts: equal total gains on a box with base gains lower by as much."""
         return GainRange(
@@ -133,16 +141,12 @@ class TaskSettings:
     size: Size = NOMINAL
     """Of the bench: what observations are scaled with."""
 
-    def reward(self, error: FloatArray, error_rate: FloatArray) -> float:
-        """Return eq. reward (at power 2) of the means over the action's samples: e [n] in N and e' [n] in N/s.
+    def reward(self, error: FloatArray, error_rate: FloatArray) -> FloatArray:
+        """Return eq. reward (at power 2) of the means over an action's samples: e [N], e' [N/s], (..., n) to (...).
 
         The paper evaluates it at one instant, where the derivative's noise alone contributes -20 per step. In the mean
         over ten samples, which is the change of e over the step, it contributes -2; the weight of tracking is the same.
         """
-        return float(self.rewards(error, error_rate))
-
-    def rewards(self, error: FloatArray, error_rate: FloatArray) -> FloatArray:
-        """Return `reward` of many steps: e, e' of shape (..., n) to (...)."""
         e, de = np.mean(error, axis=-1) / self.force_scale, np.mean(error_rate, axis=-1) / self.force_rate_scale
         return np.asarray(
             -((self.error_weight * e * e + self.error_rate_weight * de * de) ** (0.5 * self.reward_power))

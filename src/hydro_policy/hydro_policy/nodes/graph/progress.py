@@ -164,16 +164,12 @@ def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
     rmse = " ".join(f"{value:.1f}" for value in result["rmse"])
     fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
     error = f" +- {result['error']:.3f}" if result.get("error") else ""
+    of = f", policy {result['policy']}" if result.get("policy") else ""
     return (
-        f"examined after episode {result['episode']}{_of(result)}: "
+        f"examined after episode {result['episode']}{of}: "
         f"RMSE {rmse} N, {result['score']:.3f}{error} of fixed {fixed}, "
         f"better at {result['beaten']} of {len(result['rmse'])} sines{'; the best so far' if result['best'] else ''}"
     )
-
-
-def _of(result: dict[str, Any]) -> str:
-    """Return the digest of the examined weights, if the run's record has it."""
-    return f", policy {result['policy']}" if result.get("policy") else ""
 
 
 def _episode_line(record: dict[str, float], episodes: int) -> str:

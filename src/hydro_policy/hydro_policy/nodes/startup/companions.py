@@ -85,13 +85,7 @@ NO_FILTER = ("none",)
 
 def guard_range(gains: GainRange) -> GainRange:
     """Return the gain changes allowed by the plant's guard: its defaults, widened to the policy's range if larger."""
-    default = GuardSettings()
-    return GainRange(
-        delta_kp_min=min(gains.delta_kp_min, default.delta_kp_min),
-        delta_kp_max=max(gains.delta_kp_max, default.delta_kp_max),
-        delta_ki_min=min(gains.delta_ki_min, default.delta_ki_min),
-        delta_ki_max=max(gains.delta_ki_max, default.delta_ki_max),
-    )
+    return GainRange.enclosing(gains, GuardSettings())
 
 
 def guard_parameters(gains: GainRange, words: Sequence[str]) -> list[str]:

@@ -19,7 +19,7 @@ from hydro_bridge.safety.readiness import Readiness
 from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
-from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluation import (
     conditions,
@@ -49,6 +49,7 @@ from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision import plant_supervisor
+from hydro_policy.task.cases import EvaluationSettings
 
 SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))
 """References of the search for the best fixed gains."""
