@@ -240,6 +240,19 @@ def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything
         rclpy.shutdown()
 
 
+def test_companions_of_each_plant() -> None:
+    started = {
+        plant: [executable for _, executable, _ in commands(PlantOptions(plant=plant), GainRange(), Path("run"))]
+        for plant in ("sim", "emulator", "bench", "external")
+    }
+    assert started == {
+        "sim": ["filter", "sim"],
+        "emulator": ["filter", "emulator", "bridge"],
+        "bench": ["filter", "bridge"],
+        "external": [],
+    }
+
+
 def test_a_guard_that_is_opened_is_told_what_it_relies_on() -> None:
     wide = commands(PlantOptions(plant="sim"), GainRange(delta_kp_max=285.0), Path("run"))
     assert "guard.delta_kp_max:=285.0" in wide[-1][2]
