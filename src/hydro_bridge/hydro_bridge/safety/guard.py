@@ -109,9 +109,9 @@ class CommandGuard:
     """A, valve limit of the box: no correction demands more, since no certificate does."""
     offered: BoxLaw | None = None
     """The box's compensated law; None: it has the paper's alone."""
-    armed: bool = False
+    armed: bool = field(default=False, init=False)
     """Whether the last `set_arm` requested arming."""
-    given_up: str = ""
+    given_up: str = field(default="", init=False)
     """Reason why the guard last disarmed the plant; empty once it is armed again."""
     _law: LawCommand = field(default_factory=LawCommand)
     _law_at: float = -inf
