@@ -31,10 +31,7 @@ def run(store: Store, seed: int) -> None:
 def corrector(store: Store, chosen: str, seed: int) -> Corrector:
     """A filter of `FILTERS`; the paper's are those of this training seed."""
     if chosen in ("ours", "none"):
-        shipped = "learned" if chosen == "ours" else "none"
-        return runs.make_filter(
-            runs.Task(plant="emulator", case="stable", filter=shipped, seed=seed, seconds=1.0), Bench.nominal()
-        )
+        return runs.make_filter("learned" if chosen == "ours" else "none")
     return PaperFilter(metric.load(store, chosen.removeprefix("paper-"), seed), models.network(store, "squared", seed))
 
 

@@ -15,7 +15,7 @@ from hydro_filter.metric.design import rest_loop
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model.loop import loop_of
 from hydro_filter.training import thresholds
-from hydro_filter.training.data import DataSettings, collect
+from hydro_filter.training.data import DataSettings, roll_out, windows_of
 from hydro_filter.validation.cases import CASES, PLANTS
 from hydro_filter.validation.runs import FILTERS, Task, evaluate_task
 from hydro_sim.files import learned_bench
@@ -53,7 +53,9 @@ def _validation() -> None:
 def _metric_learning() -> None:
     bench, plant = Bench.nominal(), learned_bench.make_plant()
     loop = loop_of(learned_bench.load_model(), bench)
-    rollout, _ = next(collect(plant, bench, loop, DataSettings(rollouts=8, seconds=2.0, windows=1)))
+    settings = DataSettings(rollouts=8, seconds=2.0, windows=1)
+    rollout = roll_out(plant, bench, settings, 0)
+    windows_of(rollout, loop, settings, 0)
     rest_loop(loop, 60.0)
     metric = ScheduledMetric.load(None)
     metric.matrix(float(np.inf))

@@ -17,8 +17,7 @@ from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
 from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_filter.model import coordinates
 from hydro_filter.model.coordinates import LOOP
-from hydro_filter.model.displacement import displace
-from hydro_filter.model.linearization import CLOSED, linearize
+from hydro_filter.model.linearization import CLOSED, displace, linearize
 from hydro_filter.model.loop import (
     SUBSTEPS,
     coordinates_of,

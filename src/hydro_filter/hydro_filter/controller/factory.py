@@ -17,7 +17,7 @@ from hydro_filter.metric.scheduled import ScheduledMetric, shipped
 from hydro_filter.model.loop import effects_to_compile
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, STATES, Sample
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
+from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import rest_state
@@ -75,20 +75,21 @@ class FilterChoice:
         unreadable.
         """
         box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
-        metric, digest = self.provenance
         learn = "make one of its recordings with `ros2 run hydro_diagnosis diagnose`, or take its bench.yaml (--model)"
         learn_metric = "make one with `ros2 run hydro_filter learn_metric` and its --bench and --model"
-        path = self.files["model"]
+        metric, path = self.stored_metric, self.files["model"]
         return (
             learned_bench.box_mismatch(path, box, learn)
-            or mismatch(f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest)
-            or self.stored_metric.unfit(self.files["metric"].name)
+            or mismatch(
+                f"the metric {self.files['metric'].name}", metric.made, box, learn_metric, model=self._model_digest
+            )
+            or metric.unfit(self.files["metric"].name)
         )
 
     @cached_property
-    def provenance(self) -> tuple[MadeFor | None, str]:
-        """Stamp of the metric and the model's digest, read from the files at first access."""
-        return self.stored_metric.made, learned_bench.digest(self.files["model"])
+    def _model_digest(self) -> str:
+        """The model's digest, read from its file at first access."""
+        return learned_bench.digest(self.files["model"])
 
     @cached_property
     def stored_metric(self) -> ScheduledMetric:

@@ -95,7 +95,9 @@ def update(model, limit, m, x, hidden):
     `model` is `Loop.model`. `m.broken` afterwards says which equation
     does not hold.
     """
-    load_cell_reading(model, m, hidden)
+    m.cell = m.hidden[model.cell]
+    if model.spool == NONE:  # a valve without lag steps at the middle sample: its mean is used
+        m.hidden[len(model.rest)] = 0.5 * (m.hidden[len(model.rest)] + hidden[len(model.rest)])
     if m.seen > SETTLING:
         _judge(model, limit, m, x)
     m.seen += 1
@@ -103,15 +105,6 @@ def update(model, limit, m, x, hidden):
     m.middle[F_H], m.middle[F_L], m.middle[X_P] = x[HYDRAULIC_FORCE], x[LOAD_FORCE], x[POSITION]
     m.middle[P_A], m.middle[P_B] = x[PRESSURE_A], x[PRESSURE_B]
     copy_vector(m.hidden, hidden)
-
-
-@njit
-def load_cell_reading(model, m, hidden):
-    """Return the load-cell reading at the middle sample; a valve without lag steps there, and its mean is used."""
-    p, n = model, len(model.rest)
-    m.cell = m.hidden[p.cell]
-    if p.spool == NONE:
-        m.hidden[n] = 0.5 * (m.hidden[n] + hidden[n])
 
 
 @njit

@@ -28,11 +28,10 @@ import numpy as np
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter import certificate
 from hydro_filter.metric import scheduled
-from hydro_filter.metric.scheduled import MetricParts
+from hydro_filter.metric.design import MetricParts
 from hydro_filter.model import overlap
 from hydro_filter.model.coordinates import Q_VELOCITY
-from hydro_filter.model.displacement import displace
-from hydro_filter.model.linearization import linearize
+from hydro_filter.model.linearization import displace, linearize
 from hydro_filter.model.loop import step_of
 from hydro_filter.model.observer import follow, reset, settle
 from hydro_filter.model.overlap import Overlap

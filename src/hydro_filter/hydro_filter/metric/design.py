@@ -61,12 +61,15 @@ ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
 """K_p [1/s] of `require_decay`."""
 
 
-class Table(NamedTuple):
-    """Design as arrays for `scheduled.MetricParts`."""
+class MetricParts(NamedTuple):
+    """The metric as arrays for the kernels."""
 
     gains: FloatArray
+    """K_p [1/s] of the table's factors but the last, evenly spaced, shape (n,); the ends are the certified range."""
     table: FloatArray
+    """Cholesky factors by rows, shape (n + 1, 36) for eight coordinates; the last is for uncertified gains."""
     floor: float
+    """Smallest eigenvalue of M, above 0."""
 
 
 def rest_loop(
@@ -140,7 +143,7 @@ def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: flo
     return weight, feedback
 
 
-def design_table(loop: Loop, design: MetricDesign) -> Table:
+def design_table(loop: Loop, design: MetricDesign) -> MetricParts:
     """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`)."""
     gains = _gains(design)
     closed = [_closed(loop, gain, design.velocity_compensation) for gain in gains]
@@ -148,7 +151,7 @@ def design_table(loop: Loop, design: MetricDesign) -> Table:
     free, push, _ = rest_loop(loop, float(gains[0]))
     unit = 0.14 * loop.current_max
     rows.append(riccati(free, unit * push, _foreign_weights(loop, design), design.effort)[0])
-    return Table(gains, np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor)
+    return MetricParts(gains, np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor)
 
 
 def correcting_feedback(loop: Loop, design: MetricDesign) -> FloatArray:

@@ -21,14 +21,14 @@ from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from math import isqrt
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
 from hydro_bridge.files.tensors import LARGEST, UnsoundError, check_shapes
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray
-from hydro_filter.metric.design import MetricDesign, design_table
+from hydro_filter.metric.design import MetricDesign, MetricParts, design_table
 from hydro_filter.model.coordinates import LOOP, LOOP_FIELDS, Q_HYDRAULIC
 from hydro_filter.model.loop import coordinates_of
 from hydro_filter.model.parts import Loop
@@ -58,17 +58,6 @@ class Thresholds:
     """The same in the metric for all other gains."""
     integral_allowance: Annotated[float, quantity("N/s", 0.0, 1e9)] = NOMINAL.force * 2.0 / 3.0
     """Contribution of the law's integral on stable runs."""
-
-
-class MetricParts(NamedTuple):
-    """The metric as arrays for the kernels."""
-
-    gains: FloatArray
-    """K_p [1/s] of the table's factors but the last, evenly spaced, shape (n,); the ends are the certified range."""
-    table: FloatArray
-    """Cholesky factors by rows, shape (n + 1, 36) for eight coordinates; the last is for uncertified gains."""
-    floor: float
-    """Smallest eigenvalue of M, above 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +90,8 @@ class ScheduledMetric:
     @classmethod
     def designed(cls, loop: Loop, design: MetricDesign) -> ScheduledMetric:
         """Create a metric of the table that is solved at rest."""
-        gains, table, floor = design_table(loop, design)
         return cls(
-            gains=gains, table=table, floor=floor, coordinates=coordinates_of(loop),
+            **design_table(loop, design)._asdict(), coordinates=coordinates_of(loop),
             velocity_compensation=design.velocity_compensation,
             thresholds=Thresholds(integral_allowance=float(loop.scale[Q_HYDRAULIC]) * 2.0 / 3.0),
         )  # fmt: skip

@@ -7,7 +7,7 @@ gains unstable (the spool, the velocity as the box differentiates it). The loop'
     q = [ f_h    g spool   g spool'   f_l    f_l'   x_p   x_p'   x_p' as the box has it ]        8, `LOOP_FIELDS`
           N      N/s       N/s^2      N      N/s    m     m/s    m/s
 
-and those that a bench file adds (`added_coordinates`). f_l and f_l' are what the load cell shows, behind its amplifier.
+and those that a bench file adds (`terms`). f_l and f_l' are what the load cell shows, behind its amplifier.
 The spool counts by the force rate g(x) that it drives: the law divides by g, and so the loop is nearly the same
 everywhere. One sample of 1 ms, in units of the scales::
 

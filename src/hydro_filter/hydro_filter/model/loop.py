@@ -11,7 +11,7 @@ moves, and a derivative there does not describe the loop. The certificate counts
 (`overlap`).
 
 The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
-(`added_coordinates`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
+(`terms`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
 hidden states (bristles, a drooping supply) are held fixed in derivatives by x.
 """
 
@@ -26,24 +26,22 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_bridge.size import Size
-from hydro_filter.model.added_coordinates import (
-    UNCERTAINTY,
-    added_coordinates,
-    current_at_valve,
-    currents_on_their_way,
-    pressure_observer,
-)
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, least_gain, loop_scale
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import MEMORY_DTYPE, Loop, ModelParts, Step
 from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_filter.model.terms import (
+    UNCERTAINTY,
+    added_coordinates,
     cell_dynamics,
     cell_states,
+    current_at_valve,
+    currents_on_their_way,
     follows_velocity,
     hidden_state_numbers,
     load_curve,
     null_shifts,
+    pressure_observer,
     sensor_scales,
     state_number,
     valve_age,

@@ -5,7 +5,7 @@
     simulated   all other states of the model     open loop, from the measured ones and the current that the valve got;
                                                   they forget their initial values as fast as their effects do
     observed    p_a or p_b behind a lagging       by the model's step, corrected by the position and what its
-                sensor, and that sensor           sensor shows (`added_coordinates.pressure_observer`)
+                sensor, and that sensor           sensor shows (`terms.pressure_observer`)
 
 The valve is read from the model's rates: g is the slope of f_h' from the closed valve to where the spool is. A valve
 without a lag has the last current for its spool, or the one whose dead time ends. Currents within their dead time are

@@ -57,13 +57,13 @@ class ModelParts(NamedTuple):
     lagging: npt.NDArray[np.int64]
     """Rows, one of each lagging pressure sensor: what it shows, its rate, the pressure (0 or 1); whole model."""
     observer: FloatArray
-    """`added_coordinates.pressure_observer`."""
+    """`terms.pressure_observer`."""
     sensor_ages: FloatArray
     """s, 2 d/w of each lagging pressure sensor."""
     direct: FloatArray
     """Shape (2,): 1 where a pressure's reading is the pressure, 0 where its sensor lags."""
     kept: npt.NDArray[np.int64]
-    """Numbers in the loop's model of the coordinates beside the eight (`added_coordinates`)."""
+    """Numbers in the loop's model of the coordinates beside the eight (`terms`)."""
     on_their_way: int
     """Of these, the last are this many currents."""
     past: int

@@ -17,7 +17,6 @@ once per epoch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
@@ -235,15 +234,6 @@ def _follow(loop, x, signals, starts, scales, memory, step, transitions, pushes,
                 linearize(loop, memory[0].hidden, x[k], nominal, current, gain, scales, step)
                 transitions[n, h], pushes[n, h], feedbacks[n, h] = step.transition, step.push, step.feedback
         follow(loop, memory[0], x[k], current, reference_rate)
-
-
-def collect(
-    plant: AnalyticPlant, bench: Bench, loop: Loop, settings: DataSettings, free: AnalyticPlant | None = None
-) -> Iterator[tuple[Rollout, Windows | None]]:
-    """Generate all rollouts of the settings with their windows; `free`: see `roll_out`."""
-    for index in range(settings.rollouts):
-        rollout = roll_out(plant, bench, settings, index, free)
-        yield rollout, windows_of(rollout, loop, settings, index)
 
 
 def concatenated(windows: list[Windows]) -> Windows:

@@ -51,8 +51,9 @@ from hydro_filter.training.data import (
     Rollout,
     Windows,
     certified_range,
-    collect,
     concatenated,
+    roll_out,
+    windows_of,
 )
 from hydro_filter.training.thresholds import integral_allowance, noise_sizes
 from hydro_sim.box.box import BoxConfig
@@ -403,11 +404,9 @@ def collect_rollouts(
     kept: list[Windows] = []
     held_out: list[Windows] = []
     rollouts: list[Rollout] = []
-    bar = progress(
-        collect(plant, bench, loop, data, free), total=data.rollouts, label="rollouts", unit="run", every=10.0
-    )
-    for index, (rollout, windows) in enumerate(bar):
-        rollouts.append(rollout)
+    for index in progress(range(data.rollouts), label="rollouts", unit="run", every=10.0):
+        rollouts.append(rollout := roll_out(plant, bench, data, index, free))
+        windows = windows_of(rollout, loop, data, index)
         if windows is not None and rollout.label != NEITHER:
             (held_out if index % HELD_OUT == HELD_OUT - 1 else kept).append(windows)
     return TrainingData(training=concatenated(kept), held_out=concatenated(held_out), rollouts=rollouts)

@@ -15,8 +15,7 @@ import numpy as np
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric.scheduled import ScheduledMetric
-from hydro_filter.model.displacement import displace
-from hydro_filter.model.linearization import linearize
+from hydro_filter.model.linearization import displace, linearize
 from hydro_filter.model.loop import closing_current, memories, step_of
 from hydro_filter.model.observer import follow, settle
 from hydro_filter.model.parts import Loop

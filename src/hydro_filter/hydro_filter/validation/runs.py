@@ -13,6 +13,7 @@ part of the run. Gains change at 100 Hz. A run ends where the box trips (700 N, 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 from math import nan
 from typing import Any, NamedTuple, Protocol
 
@@ -169,7 +170,6 @@ class Outcome:
     """Statistics of one run."""
 
     bounded: bool
-    seconds: float
     peak: float
     """N, largest |f_l|."""
     rmse: float
@@ -182,44 +182,38 @@ class Outcome:
     """Samples with status RELAXED, INFEASIBLE or NAN."""
 
 
-_MADE: dict[tuple[Any, ...], Any] = {}
-"""Plants and filters of this process, by what they were made of."""
+_plant = cache(plant_named)  # kept in this process, as filters are
 
 
-def make_filter(task: Task, bench: Bench) -> Corrector:
-    """The filter of a task."""
-    key = ("filter", task.metric, task.model, task.bench, task.filter, task.rate)
-    if key not in _MADE:
-        metric, model = ScheduledMetric.load(task.metric), load_model(task.model)
-        rate = {} if task.rate is None else {"contraction_rate": task.rate}
-        settings = LoopFilterSettings(bypass=task.filter == "none", **rate)
-        _MADE[key] = loop_filter(metric, model, bench, settings)
-    return _MADE[key]
+@cache
+def make_filter(
+    chosen: str,
+    metric: str | None = None,
+    model: str | None = None,
+    bench: str | None = None,
+    rate: float | None = None,
+) -> Corrector:
+    """One of `FILTERS`, with further entries of a `Task`."""
+    settings = LoopFilterSettings(bypass=chosen == "none", **({} if rate is None else {"contraction_rate": rate}))
+    return loop_filter(ScheduledMetric.load(metric), load_model(model), _bench(bench), settings)
 
 
-def make_plant(task: Task) -> Plant:
-    """The bench of a task."""
-    key = ("plant", task.plant, task.model)
-    if key not in _MADE:
-        _MADE[key] = plant_named(task.plant, task.model)
-    return _MADE[key]
-
-
-def _bench(task: Task) -> Bench:
+def _bench(path: str | None) -> Bench:
     """What box and filter believe."""
-    return Bench.load(task.bench) if task.bench else Bench.nominal()
+    return Bench.load(path) if path else Bench.nominal()
 
 
 def simulate(task: Task) -> tuple[Run, Case]:
     """Run a task."""
     case = CASES[task.case]
-    bench = _bench(task)
+    bench = _bench(task.bench)
     amplitude = case.reference.amplitude * bench.size.force / NOMINAL.force
     trial = Trial(
         bench=bench, reference=replace(case.reference, amplitude=amplitude), gains=case.draw(task.seed, task.seconds),
         box=BoxConfig().of_bench(bench), seed=task.seed,
     )  # fmt: skip
-    return run(trial, make_plant(task), make_filter(task, bench)), case
+    chosen = make_filter(task.filter, task.metric, task.model, task.bench, task.rate)
+    return run(trial, _plant(task.plant, task.model), chosen), case
 
 
 def evaluate_task(task: Task) -> Outcome:
@@ -227,9 +221,9 @@ def evaluate_task(task: Task) -> Outcome:
     done, _ = simulate(task)
     states = done.states
     settled = states[min(SETTLING, len(states) // 2) :]
-    numbers = gammas(done.results, _bench(task).valve_current_max)
+    numbers = gammas(done.results, _bench(task.bench).valve_current_max)
     return Outcome(
-        bounded=done.bounded, seconds=len(states) * SAMPLE_PERIOD, peak=float(np.abs(states["load_force"]).max()),
+        bounded=done.bounded, peak=float(np.abs(states["load_force"]).max()),
         rmse=float(np.sqrt(np.mean(tracking_error(settled) ** 2))), chattering=chattering(settled), numbers=numbers,
         samples=len(states), failed=sum(int(result.status) in (2, 3, 4) for result in done.results),
     )  # fmt: skip
