@@ -26,6 +26,7 @@ import numpy as np
 from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.ros.companion import Companion
+from hydro_bridge.serial.stream import LinkCounts
 from hydro_bridge.signals import Flag
 from hydro_policy.nodes.startup.companions import PlantOptions
 from tests.attacks import Defended
@@ -81,11 +82,16 @@ class Seen:
         return wrong + ([f"{self.growth:.1f} MiB more memory"] if self.growth > GROWTH else [])
 
 
+def _disorder(found: LinkCounts) -> int:
+    """Samples out of order; a step far back looks like a restart, and this box does not restart."""
+    return found.duplicates + found.reordered + found.restarts
+
+
 def look(bag: Path, seen: Seen) -> None:
     """What a recorder has heard of the plant."""
     states = read_bag(bag).state
     found = continuity(states)
-    seen.samples, seen.lost, seen.disorder = len(states), found.lost, found.duplicates + found.reordered
+    seen.samples, seen.lost, seen.disorder = len(states), found.lost, _disorder(found)
     states = states[(states["flags"] & Flag.ARMED) != 0]
     gains = np.stack([states["proportional_gain"], states["integral_gain"]], axis=1)
     own = [(np.abs(gains - np.array(pair)) < 1e-3).all(axis=1) for pair in _OWN]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,7 @@ from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, with_provenance
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, PairingError, with_provenance
 from hydro_sim.files.recordings import BOX_TOPIC
 from hydro_sim.model.bench import Bench
 from tests.checks import each
@@ -135,3 +136,43 @@ def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path)
     assert SimulationSetup(model="analytic", bench=bench).trouble() == "", "the plant may be another than believed"
     assert SimulationSetup(model=str(files / "own_model.yaml"), box=bench).trouble() == ""
     requested_filter(OWN.replace("@", f"{files}/").split(), files / "own.yaml")
+
+
+def test_files_of_two_sites_are_refused_wherever_they_are_mixed(files: Path, tmp_path: Path) -> None:
+    """Bench file, model, metric and policy of two benches in every mixture; the residual's network is for any bench.
+
+    A model does not say its bench; its metric does.
+    """
+    sites: dict[str, list[Path]] = {}
+    blob, learned = scheduled.shipped().read_bytes(), learned_bench.load_model()
+    for name, mass in (("one", 2.0), ("two", 3.0)):
+        own = replace(Bench.nominal(), moving_mass=mass)
+        bench, model, metric, policy = sites[name] = [
+            tmp_path / f"{name}{end}" for end in (".yaml", "_model.yaml", ".safetensors", "")
+        ]
+        bench.write_text(yaml.safe_dump(own.to_mapping()), encoding="utf-8")
+        model.write_text(
+            yaml.safe_dump(replace(learned, moving_mass=mass, learned=None).to_mapping()), encoding="utf-8"
+        )
+        made = MadeFor(box=own.digest, model=learned_bench.digest(model))
+        metric.write_bytes(with_provenance(blob, made))
+        shutil.copytree(files / "shipped", policy)
+        for file in policy.iterdir():
+            file.write_bytes(with_provenance(file.read_bytes(), MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)))
+    refused = set()
+    for names in product(sites, repeat=4):
+        bench, model, metric, policy = (sites[name][k] for k, name in enumerate(names))
+        try:
+            requested_filter(["--model", str(model), "--metric", str(metric)], bench)
+            require_matching_policy(policy, BoxIdentity.of_file(bench, (15.0, 5.0)))
+        except PairingError:
+            refused.add(names)
+    assert set(product(sites, repeat=4)) - refused == {(name,) * 4 for name in sites}
+
+
+def test_what_is_shipped_is_for_the_shipped_bench(files: Path) -> None:
+    digest = BoxIdentity.of_file(None).digest
+    shipped = load_initial_agent(files / "shipped").made
+    assert shipped is not None and (shipped.box, shipped.base_kp, shipped.base_ki) == (digest, 15.0, 5.0)
+    metric = scheduled.ScheduledMetric.load().made
+    assert metric is not None and (metric.box, metric.model) == (digest, learned_bench.digest())

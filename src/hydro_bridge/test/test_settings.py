@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,10 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pytest
 
 from hydro_bridge.cli.console import NEW_ONLY, UserError, command, refuse_changes, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_bridge.settings import SettingsError, from_mapping, quantity, to_mapping
 
 
@@ -165,3 +168,9 @@ def test_where_there_is_no_room_the_old_file_stays_and_nothing_is_left_beside_it
     assert refused.value.filename == str(tmp_path / "file"), "the system does not say which"
     assert (tmp_path / "file").read_bytes() == b"whole"
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 1e31])
+def test_numbers_that_are_none_are_found_and_counted(number: float) -> None:
+    with pytest.raises(UnsoundError, match=r"weights holds 2 of 12 values"):
+        check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})

@@ -108,9 +108,10 @@ def _add_growing(options: argparse.ArgumentParser | argparse._ArgumentGroup, *, 
 def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
     if GROW in arguments:
+        asked = growing_parser().parse_args(arguments)
         from hydro_diagnosis.growing import grow
 
-        return grow(growing_parser().parse_args(arguments))
+        return grow(asked)
     if PAGE in arguments:
         from hydro_diagnosis import import_page
 

@@ -173,6 +173,18 @@ def test_nothing_that_is_no_number_gets_out(monkeypatch: pytest.MonkeyPatch) -> 
     assert residual.age[0] == 0, "it begins again after a long one"
 
 
+@pytest.mark.slow
+def test_a_network_that_asks_for_too_much_is_not_started_again_and_again() -> None:
+    network = Network.load()
+    *inner, (weight, bias) = network.layers
+    residual, begun = Residual(6, replace(network, layers=(*inner, (10.0 * weight, 10.0 * bias)))), []
+    original = residual._forget
+    residual._forget = lambda benches: begun.append(benches.copy()) or original(benches)  # type: ignore[method-assign]
+    ratio = rmse(run(residual)[0]) / rmse(law_alone())
+    assert (np.sum(begun, axis=0) <= 1).all() and np.sum(begun), "once in 10 s"
+    assert np.median(ratio) < 1.3, "2.0 where it starts again each second"
+
+
 def changed(residual: Residual | None) -> FloatArray:
     """RMSE [N] under two references from 2 s to 4 s behind the spring has become half as stiff."""
     signals = [ReferenceSignal(waveform=Waveform.SINE, amplitude=260.0, frequency=one) for one in (0.65, 0.7)]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
@@ -142,6 +143,26 @@ def test_monitor_counts_the_certificates_that_fail_although_the_filter_corrected
             said = monitor.add(step())
         assert monitor.violations == share / 10
         assert (said is not None) == stops
+
+
+def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_nor_kept() -> None:
+    graph, learner, session = start(settings(episodes=3, exam=ExamSettings(every=0)))
+    graph.run(session, 1.5, learner)
+    assert session.phase is Phase.TRAINING
+    began, produced = len(graph.gains_published), learner.replay.produced
+    said = session.override.hold(40.0, 7.0, 0.5, graph.time)
+    assert "(40, 7) for 0.5 s" in said
+    graph.run(session, 0.5, learner)
+    assert {g[:2] for g in graph.gains_published[began:]} == {(25.0, 2.0)} and len(graph.gains_published) > began + 45
+    assert learner.replay.produced == produced + 1, "the step that it interrupted was still the policy's"
+    assert session.current.overridden_steps >= 45 and session.override.description == "K_p 40, K_i 7"
+    graph.run(session, 0.1, learner)
+    assert session.override.description == "no"
+    assert (25.0, 2.0) not in {g[:2] for g in graph.gains_published[-8:]}
+    rows, _ = learner.replay.stored()
+    after = rows[produced + 1]
+    np.testing.assert_allclose(after[11:13], GainRange().action(25.0, 2.0), atol=1e-6)  # what acted before it
+    assert "override" not in json.dumps(session.state())
 
 
 @pytest.mark.parametrize(

@@ -211,7 +211,7 @@ def _ordered(block: bytes, spans: list[tuple[int, int, str, str, int]]) -> Itera
 
 
 def continuity(states: StateArray) -> LinkCounts:
-    """Count what is lost, duplicate or reordered in `STATE_DTYPE` records; a restarted box counts as nothing."""
+    """Count what is lost, duplicate or reordered in `STATE_DTYPE` records, and restarts of the box."""
     tracker = SequenceTracker()
     for sequence in states["sequence"].tolist():
         tracker.accept(sequence)

@@ -205,7 +205,7 @@ class McapScan:
                     places[channel].append(entry)
                 else:
                     places[channel] = [entry]
-            else:
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._keep(opcode, block[place : place + length])
             place += length
         return {channel: _span(entries) for channel, entries in places.items()}

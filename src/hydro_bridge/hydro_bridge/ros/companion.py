@@ -113,7 +113,8 @@ class Companion:
             try:
                 self.process.wait(timeout)
             except subprocess.TimeoutExpired:
-                self._output(f"[{self.name}] did not end within {timeout:g} s: killed\n")
+                with suppress(OSError, ValueError):  # nobody reads any more: it is ended all the same
+                    self._output(f"[{self.name}] did not end within {timeout:g} s: killed\n")
         self._signal(signal.SIGKILL)  # the rest of its process group
         status = self.process.wait()
         self._echo.join(1.0)

@@ -334,8 +334,8 @@ def _leave_page(run: RunDirectory, pretraining: Pretraining, source: SimulationS
         about = {**asdict(source), **told, "code_version": code_version()}
         table = curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse)
         curve = Section(heading="Learning curve", picture=run.path / CURVE)
-        page = results_page(f"Pretraining {run.path.name}", about, [curve, Section(heading="Rounds", table=table)])
         with suppress(OSError):
+            page = results_page(f"Pretraining {run.path.name}", about, [curve, Section(heading="Rounds", table=table)])
             write_whole(run.page, page.encode())
     refresh_index(run.path)
 
