@@ -171,37 +171,3 @@ def test_nothing_that_is_no_number_gets_out(monkeypatch: pytest.MonkeyPatch) -> 
     for _ in range(PAUSE + 1):
         assert not residual.step(*np.zeros((3, 1, SAMPLES_PER_STEP)), np.zeros((1, 4)), ~counted).any()
     assert residual.age[0] == 0, "it begins again after a long one"
-
-
-@pytest.mark.slow
-def test_a_network_that_asks_for_too_much_is_not_started_again_and_again() -> None:
-    network = Network.load()
-    *inner, (weight, bias) = network.layers
-    residual, begun = Residual(6, replace(network, layers=(*inner, (10.0 * weight, 10.0 * bias)))), []
-    original = residual._forget
-    residual._forget = lambda benches: begun.append(benches.copy()) or original(benches)  # type: ignore[method-assign]
-    ratio = rmse(run(residual)[0]) / rmse(law_alone())
-    assert (np.sum(begun, axis=0) <= 1).all() and np.sum(begun), "once in 10 s"
-    assert np.median(ratio) < 1.3, "2.0 where it starts again each second"
-
-
-def changed(residual: Residual | None) -> FloatArray:
-    """RMSE [N] under two references from 2 s to 4 s behind the spring has become half as stiff."""
-    signals = [ReferenceSignal(waveform=Waveform.SINE, amplitude=260.0, frequency=one) for one in (0.65, 0.7)]
-    bench = BENCHES[2]
-    soft = AnalyticPlant(replace(bench, spring_stiffness=0.5 * bench.spring_stiffness))
-    fleet, cases = VectorBench([BENCH] * 2, [AnalyticPlant(bench)] * 2), [Case("", signal) for signal in signals]
-    settings, estimator, errors = EvaluationSettings(measure=7.0), Compensator(2), []
-    runs = vector_runs.run(fleet, cases, vector_runs.fixed(np.array(BASE)), settings, 7, estimator, residual)
-    for number, step in enumerate(runs):
-        if number == 400:
-            fleet.rows.constants[:] = soft.constants
-        if 600 <= number < 800:
-            errors.append(step.samples["reference_force"] - step.samples["load_force"])
-    return np.asarray(np.sqrt(np.mean(np.square(np.concatenate(errors, axis=1)), axis=1)))
-
-
-@pytest.mark.slow
-def test_corrections_for_a_spring_that_is_gone_are_forgotten() -> None:
-    ratio = changed(Residual(2, Network.load())) / changed(None)
-    assert ratio.max() < 1.5, "2.2 without forgetting"

@@ -18,10 +18,8 @@ sooner the less the law's coefficients have changed since then (repetitive contr
 
 Its authority, the share of p that is applied, follows the correlation of S(e) with p: where p is too large, or late
 for this bench, e has its opposite sign, and the authority shrinks until nothing of p is left in e; where p would help
-it grows again. Where w itself becomes large, the law is still being found, or the bench is another one since a moment
-ago: less of p is applied, and from half of it on the residual starts again without its memory, once in 10 s at most,
-so that a network that asks too much is left to its authority. On soft springs with slow cells law and residual kept
-each other from settling; behind a change of spring corrections for the old one stayed.
+it grows again. Where w itself becomes large, the law is still being found, and less of p is applied: on soft springs
+with slow cells the two kept each other from settling.
 
 Samples that do not count, while the valve is at its limit, say, pause it for as long; what it knows of the bench stays.
 
@@ -137,8 +135,8 @@ DELAY = 4
 """Policy steps after which a needed correction is known."""
 KEPT = 12
 """Policy steps of which samples are kept."""
-MEMORY, UNSEEN = 400, 1e3
-"""Needed corrections that are remembered, 4 s; in place of a z that is not, far from every other."""
+MEMORY = 400
+"""Needed corrections that are remembered, 4 s."""
 LAGS = (0, 2, 5, 10, 20, 40)
 """Of the corrections needed of late, policy steps before the last one."""
 WIDTHS = (0.25, 0.6)
@@ -170,10 +168,7 @@ BEGIN, RAMP = 65, 50
 PAUSE, AGAIN = 100, 15
 """Policy steps without samples that count after which it starts again, and over which it is let in after fewer."""
 ASKED, LATELY = 9.0, 0.03
-"""N at `NOMINAL_SCALE`, RMS of w at which half of the prediction is applied and beyond which the residual starts again;
-per policy step, of its mean square."""
-APART = 1000
-"""Policy steps between two such starts at least."""
+"""N at `NOMINAL_SCALE`, RMS of w with which half of the prediction is applied; per policy step, of its mean square."""
 PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0
 """N at `NOMINAL_SCALE`, of p and of w."""
 GAIN = 0.8
@@ -245,7 +240,6 @@ class Residual:
         self._counting: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # last policy steps that counted
         self._pause: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # that did not
         self._asked: FloatArray = np.zeros(n)  # mean square of w of late with full authority
-        self._since: npt.NDArray[np.int64] = np.full(n, APART)  # policy steps since it last forgot
         self.authority: FloatArray = np.ones(n)
         """Share of p that is applied, by whether it helps, shape (n,)."""
         self._product, self._power = np.zeros(n), np.zeros(n)
@@ -255,7 +249,7 @@ class Residual:
         self._wished: FloatArray = np.zeros((n, KEPT))  # the same with full authority
         self._seen: FloatArray = np.zeros((n, DELAY + 1, TERMS))  # z of the last steps
         self._zy, self._zz = np.zeros((n, TERMS)), np.zeros((n, TERMS))
-        self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), UNSEEN)
+        self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), 1e3)
         self._mean, self._variance = np.zeros(n), np.zeros(n)
         self._period = Period(n)
         self._lately: FloatArray = np.zeros((n, REMEMBERED + 1, 9))  # needed correction, law, reference
@@ -320,15 +314,8 @@ class Residual:
         self._zz += FORGETTING * known[:, np.newaxis] * (z * z - self._zz)
         place = self._steps % MEMORY
         self._y[:, place] = self.needed
-        self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, UNSEEN)
+        self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, 1e3)
         self._steps += 1
-
-    def _forget(self, benches: npt.NDArray[np.bool_]) -> None:
-        """Start again with some benches, shape (n,), without the corrections that they needed."""
-        self.age[benches] = self._since[benches] = 0
-        for known in (self._zy, self._zz, self._y):
-            known[benches] = 0.0
-        self._z[benches] = UNSEEN
 
     def _situation(self, reference: FloatArray) -> FloatArray:
         """z, shape (n, `TERMS`)."""
@@ -390,9 +377,7 @@ class Residual:
         sound = np.isfinite(predicted).all(axis=1, keepdims=True)
         wished = np.where(sound, np.clip(let_in * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
         full = a[:, 0] * wished[:, 0] + a[:, 1] * (wished[:, 1] - wished[:, 0]) / 0.01
-        self._asked += LATELY * (np.minimum(full**2, RESIDUAL_MAX**2) - self._asked)
-        self._since += 1
-        self._forget((self._asked > ASKED**2) & (self._since > APART))
+        self._asked += LATELY * (full**2 - self._asked)
         wished /= 1.0 + (self._asked[:, np.newaxis] / ASKED**2) ** 2
         p = self.authority[:, np.newaxis] * wished
         w = a[:, 0] * p[:, 0] + a[:, 1] * (p[:, 1] - p[:, 0]) / 0.01
