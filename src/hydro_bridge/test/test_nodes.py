@@ -130,7 +130,7 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
     probe.spin(0.6)  # until then they are late ones of the session before
     probe.commands, sent, began = False, 10, time.monotonic()
     for _ in range(sent):
-        probe.commander._epoch = before  # each time: the plant keeps telling it
+        probe.commander.epoch = before  # each time: the plant keeps telling it
         probe.commander.gains(32.0, 0.0)
         probe.commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
         probe.spin(0.05)

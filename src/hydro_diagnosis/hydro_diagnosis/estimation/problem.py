@@ -368,10 +368,12 @@ class Problem:
         `shown`: of each segment (`model.responses`), physical unit; 0 where no term acts in a channel.
         """
         found = {}
-        for name in set().union(*shown):
+        for index, name in enumerate(CHANNELS):
+            if not any(name in one for one in shown):
+                continue
             own = []
             for k, one in enumerate(shown):
-                there = (self.layout.channel == CHANNELS.index(name)) & (self.layout.segment == k)
+                there = (self.layout.channel == index) & (self.layout.segment == k)
                 own.append(one.get(name, np.zeros((terms, np.count_nonzero(there)))) / self.deviation(name, k))
-            found[CHANNELS.index(name)] = np.concatenate(own, axis=1)
+            found[index] = np.concatenate(own, axis=1)
         return found
