@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import os
 import signal
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from typing import Any
 
 import pytest
 
@@ -59,3 +61,17 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if WORKER not in os.environ and cache is not None:
         failed = cache.get("cache/lastfailed", {})
         cache.set("cache/lastfailed", {name.rpartition("@")[0] or name: True for name in failed})
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Any]]:
+    """Start `package executable` with words, its `output` into a StringIO; all end with the test, the last first."""
+    from hydro_bridge.ros.companion import Companion
+
+    with ExitStack() as stack:
+
+        def begin(command: str, *words: object, output: Any = None) -> Companion:
+            take = output.write if output else None
+            return stack.enter_context(Companion(*command.split(), list(map(str, words)), output=take))
+
+        yield begin

@@ -13,7 +13,7 @@ import argparse
 import sys
 import time
 from binascii import crc32
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from random import Random
 
 from cobs import cobs
@@ -78,10 +78,21 @@ def _overwrite(wire: bytes, random: Random) -> bytes:
 
 def _seal_anew(wire: bytes, random: Random) -> bytes:
     """Another version, type or length, with a check sum that holds: a foreign or a broken sender."""
+    byte = random.randrange(4, 256)
+    return altered(wire, {random.choice((0, 1)): byte}, random.randbytes(random.choice((0, 0, 1, 40))))
+
+
+def altered(wire: bytes, bytes_at: Mapping[int, int], more: bytes = b"") -> bytes:
+    """The frame with other bytes at some places of its body, and `more` behind it: its check sum holds."""
     body = bytearray(cobs.decode(wire[1:-1])[:-4])
-    body[random.choice((0, 1))] = random.randrange(4, 256)
-    body += random.randbytes(random.choice((0, 0, 1, 40)))
-    return b"\0" + cobs.encode(bytes(body) + crc32(body).to_bytes(4, "little")) + b"\0"
+    for place, byte in bytes_at.items():
+        body[place] = byte
+    return sealed(bytes(body) + more)
+
+
+def sealed(body: bytes) -> bytes:
+    """A frame of this body, with its check sum."""
+    return b"\0" + cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
 def _garbage_before(wire: bytes, random: Random) -> bytes:

@@ -29,19 +29,6 @@ EXECUTABLES = {
 }
 
 
-def started(package: str, executable: str, folder: Path, *words: str) -> subprocess.Popen[str]:
-    environment = os.environ | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
-    return subprocess.Popen(
-        [str(executable_path(package, executable)), *words],
-        cwd=folder,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
 def answers(process: subprocess.Popen[str], number: int) -> bool:
     """Whether the process has a handler for the signal."""
     status = Path(f"/proc/{process.pid}/status").read_text()
@@ -50,8 +37,11 @@ def answers(process: subprocess.Popen[str], number: int) -> bool:
 
 
 def test_ended_while_it_imports_an_executable_says_so_in_a_sentence_and_leaves_nothing(tmp_path: Path) -> None:
+    environment = os.environ | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
+    heard = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     for number, ((package, executable), words) in zip(cycle(SIGNALS), EXECUTABLES.items(), strict=False):
-        process = started(package, executable, tmp_path, *words)
+        command = [str(executable_path(package, executable)), *words]
+        process = subprocess.Popen(command, cwd=tmp_path, env=environment, **heard)
         while not answers(process, signal.SIGHUP):  # from then on it imports; before, it was Python that started
             assert process.poll() is None
             time.sleep(1e-3)

@@ -14,6 +14,7 @@ import pytest
 
 from setup import compile_kernels, host, kernels, plan, stamp, venv
 from setup.layout import Layout
+from tests.checks import ran
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -82,13 +83,11 @@ def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
 
 
 def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    command = [sys.executable, "-m", "setup.bootstrap"]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+    answer = ran(sys.executable, "-m", "setup.bootstrap", cwd=ROOT, timeout=60)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 2.0, (
-        "s of CPU, however busy the machine"
-    )
+    took = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert took < 2.0, "s of CPU, however busy the machine"
     assert (answer.returncode, answer.stdout, answer.stderr) == (0, "", "")
     assert plan.HERE.root == ROOT
 
@@ -120,13 +119,11 @@ def test_run_hands_over_arguments_process_and_exit_status(tmp_path: Path) -> Non
         out, _ = process.communicate(timeout=60)
     assert out == f"{process.pid}: --ros-args -p speed:=0 two words\n"
     assert process.returncode == 7
-    listed = [sys.executable, str(ROS2), "pkg", "executables", "rig"]
-    assert subprocess.run(listed, env=environment, capture_output=True, text=True, check=True).stdout == "rig echo\n"
+    assert ran(sys.executable, ROS2, "pkg", "executables", "rig", env=environment).stdout == "rig echo\n"
 
 
 def test_what_it_cannot_do_it_says_in_a_sentence() -> None:
     for words, sentence in REFUSED:
-        command = [sys.executable, str(ROS2), *words]
-        answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        answer = ran(sys.executable, ROS2, *words, timeout=60)
         assert (answer.returncode, answer.stdout) == (2, ""), words
         assert sentence in answer.stderr and answer.stderr.count("\n") == 1, answer.stderr

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
@@ -42,7 +41,7 @@ from hydro_bridge.ros.topics import (
     STATE,
 )
 from hydro_bridge.settings import SettingsError
-from tests.checks import status_of
+from tests.checks import ran, status_of
 
 ENCLAVES = [enclave_of(executable) for executable in RIGHTS]
 SERVICES = (ARM_SERVICE, CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE)
@@ -96,22 +95,16 @@ def test_a_keystore_holds_signed_permissions_for_the_topics_of_the_table(tmp_pat
     make_keystore(keystore, policy_xml(), ENCLAVES)
     folders = {enclave: keystore / "enclaves" / enclave.lstrip("/") for enclave in ENCLAVES}
     for enclave, folder in folders.items():
-        signed = subprocess.run(
-            ["openssl", "smime", "-verify", "-text", "-in", folder / "permissions.p7s", "-CAfile"]
-            + [folder / "permissions_ca.cert.pem"],
-            capture_output=True,
-            check=True,
-        ).stdout
+        verify = ("openssl", "smime", "-verify", "-text", "-in", folder / "permissions.p7s", "-CAfile")
+        signed = ran(*verify, folder / "permissions_ca.cert.pem", check=True).stdout
         grant = ElementTree.fromstring(signed).find("permissions/grant")
-        assert grant is not None
         assert grant.findtext("subject_name") == f"CN={enclave}"
         assert grant.findtext("default") == "DENY"
         assert {entry.text for entry in grant.iter("id")} == {str(domain())}
         published = {entry.text for entry in grant.findall("allow_rule/publish/topics/topic")}
         expected = {f"rt{name}" for rights in RIGHTS[enclave[7:]].values() for name in rights.publishes}
         assert {name for name in published if name and name.startswith("rt/")} == expected
-        checked = ["openssl", "verify", "-CAfile", folder / "identity_ca.cert.pem", folder / "cert.pem"]
-        subprocess.run(checked, capture_output=True, check=True)
+        ran("openssl", "verify", "-CAfile", folder / "identity_ca.cert.pem", folder / "cert.pem", check=True)
 
 
 @needs_sros2
@@ -150,14 +143,8 @@ def test_a_node_that_cannot_use_its_keys_ends_with_a_sentence(made: bool, tmp_pa
     keystore = tmp_path / "keys"
     if made:
         (keystore / "enclaves" / "hydro" / "arm").mkdir(parents=True)
-    answer = subprocess.run(
-        [str(executable_path("hydro_bridge", "arm"))],
-        env=os.environ | {ENABLE: "true", KEYSTORE: str(keystore)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    environment = os.environ | {ENABLE: "true", KEYSTORE: str(keystore)}
+    answer = ran(executable_path("hydro_bridge", "arm"), env=environment, timeout=60)
     assert answer.returncode == 2
     assert f"error: ROS does not start with keys ({KEYSTORE}: {keystore})" in answer.stderr
     assert "Traceback" not in answer.stderr

@@ -19,6 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from hydro_bridge.dashboard.server import BEHIND, COMMANDS, VIEWERS, PageServer, RefusedError, check, read
 from hydro_bridge.errors import UserError
+from tests.checks import wait
 
 
 class Answers:
@@ -52,10 +53,7 @@ def viewer(server: PageServer, **words: object) -> ClientConnection:
 
 
 def seen(server: PageServer, count: int) -> None:
-    end = time.monotonic() + 5.0
-    while server.viewers != count:
-        assert time.monotonic() < end, f"{server.viewers} viewers"
-        time.sleep(0.01)
+    wait(lambda: server.viewers == count)
 
 
 def get(server: PageServer, path: str, **headers: str) -> tuple[int, str]:

@@ -11,6 +11,8 @@ import sys
 
 import pytest
 
+from tests.checks import ran
+
 BEGINNING = """
 import os, signal, sys, time
 from hydro_bridge.process import endings
@@ -22,15 +24,8 @@ def me(number):
 
 
 def run(program: str, **more: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        [sys.executable, "-c", BEGINNING + program],
-        capture_output=True,
-        text=True,
-        timeout=20.0,
-        check=False,
-        start_new_session=True,  # whatever it signals is not who runs the tests
-        **more,
-    )
+    """In a session of its own: whatever it signals is not who runs the tests."""
+    return ran(sys.executable, "-c", BEGINNING + program, timeout=20.0, start_new_session=True, **more)
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import resource
 import signal
 import subprocess
 import sys
@@ -16,6 +15,7 @@ import pytest
 
 from hydro_bridge.cli import jobs
 from hydro_bridge.errors import UserError
+from tests.checks import files_of_at_most
 
 
 def drawn(seed: int) -> tuple[float, int]:
@@ -134,13 +134,9 @@ def test_scheduler_is_killed_and_the_same_jobs_are_completed_without_it(cluster:
 
 
 def test_full_disk_is_told_and_the_same_jobs_are_completed_with_room(tmp_path: Path) -> None:
-    kept, limits = tmp_path / "kept", resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (90, limits[1]))
-    try:
-        with pytest.raises(OSError, match="File too large"):
-            jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    kept = tmp_path / "kept"
+    with files_of_at_most(90), pytest.raises(OSError, match="File too large"):
+        jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)
     assert kept.stat().st_size == 90 and not kept.read_bytes().endswith(b"\n")
     assert jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)["19"] == 2**19
     assert len(kept.read_text().splitlines()) == 20

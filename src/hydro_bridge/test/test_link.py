@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -19,13 +18,7 @@ from hydro_bridge.serial.port import Port, PortLostError, PortSettings
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import Command, CorrectionStatus, Flag, Law
-
-
-def wait_until(condition: Callable[[], object], timeout: float = 5.0) -> None:
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.002)
+from tests.checks import wait
 
 
 class Bench:
@@ -47,7 +40,7 @@ class Bench:
         self.law_states.append(state.law_state)
 
     def connected(self) -> Bench:
-        wait_until(lambda: self.link.state is LinkState.CONNECTED and len(self.states) > 20)
+        wait(lambda: self.link.state is LinkState.CONNECTED and len(self.states) > 20)
         return self
 
     def stop(self) -> None:
@@ -71,7 +64,7 @@ def bench(cable, small_box):
 
 def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     it = bench().connected()
-    wait_until(lambda: len(it.states) > 200)
+    wait(lambda: len(it.states) > 200)
     sequences, stamps, _ = zip(*list(it.states), strict=True)
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
     assert all(a < b for a, b in pairwise(stamps))
@@ -91,12 +84,12 @@ def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
         it.link.send(corrected[-1])
         return it.link.guard.correction_fresh(time.monotonic())
 
-    wait_until(corrects)
-    wait_until(lambda: any(frame.command.delta_u == 0.015625 for frame in it.box.commands))
+    wait(corrects)
+    wait(lambda: any(frame.command.delta_u == 0.015625 for frame in it.box.commands))
     frame = next(frame for frame in it.box.commands if frame.command.delta_u == 0.015625)
     assert frame.command.corrects in corrected and frame.command.filter_fresh
     assert 1 <= it.link.report.turnaround.count <= len(corrected)
-    wait_until(lambda: it.link.report.round_trip.count > 0)
+    wait(lambda: it.link.report.round_trip.count > 0)
 
 
 def test_arming_is_confirmed_by_the_box_and_so_is_disarming(bench):
@@ -118,9 +111,9 @@ def test_a_box_that_goes_while_it_is_to_be_armed_is_not_said_to_be_armed(bench):
     arming = threading.Thread(target=lambda: said.append(it.link.arm(True, timeout=5.0)))
     with it.link._news:  # held: the arming thread has asked, and waits to hear
         arming.start()
-        wait_until(lambda: it.link.guard.armed)
+        wait(lambda: it.link.guard.armed)
         it.cable.unplug()
-        wait_until(lambda: it.link.state is LinkState.CLOSED)
+        wait(lambda: it.link.state is LinkState.CLOSED)
     arming.join(2.0)
     assert said == ["the box has gone while it was to be armed: it is not armed"]
     assert it.link.arm(False) == ""
@@ -132,9 +125,9 @@ def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(bench):
     for step in (100_000_000, -100_000_000):
         told, (first, before, _) = len(it.log), it.states[-1]
         shift[0] += step
-        wait_until(lambda told=told: len(it.log) > told)
+        wait(lambda told=told: len(it.log) > told)
         count = len(it.states)
-        wait_until(lambda count=count: len(it.states) > count)
+        wait(lambda count=count: len(it.states) > count)
         last, after, _ = it.states[-1]
         passed = 1_000_000 * (last - first)
         assert abs(after - before - passed - step) < 0.05 * passed + 2e6, "the box's time, slewed by at most 5 %"
@@ -144,7 +137,7 @@ def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(bench):
 def test_a_tripped_box_is_not_armed_before_it_was_disarmed(bench):
     it = bench(obeys=False).connected()
     it.box.flags = Flag.TRIPPED | Flag.FORCE_LIMIT
-    wait_until(lambda: it.link.flags & Flag.TRIPPED)
+    wait(lambda: it.link.flags & Flag.TRIPPED)
     assert it.link.arm(True) == "the box has tripped (TRIPPED, FORCE_LIMIT, FILTER_STALE): disarm it, then arm it"
 
 
@@ -152,14 +145,14 @@ def test_unplugged_and_replugged_it_reconnects_disarmed_and_can_be_armed_anew(be
     it = bench().connected()
     assert it.link.arm(True) == ""
     it.cable.unplug()
-    wait_until(lambda: it.link.state is LinkState.CLOSED)
+    wait(lambda: it.link.state is LinkState.CLOSED)
     assert "there is no box" in it.link.arm(True)
     turns = it.box.sequence
-    wait_until(lambda: it.box.sequence > turns + 1)  # what the box has read before is taken
+    wait(lambda: it.box.sequence > turns + 1)  # what the box has read before is taken
     it.box.commands.clear()
     it.cable.plug_in()
-    wait_until(lambda: it.link.state is LinkState.CONNECTED)
-    wait_until(lambda: len(it.box.commands) > 20)
+    wait(lambda: it.link.state is LinkState.CONNECTED)
+    wait(lambda: len(it.box.commands) > 20)
     assert not any(frame.command.arm for frame in it.box.commands)
     assert it.link.report.reconnects == 1
     assert it.link.arm(True) == ""
@@ -169,7 +162,7 @@ def test_a_silent_box_is_asked_again_and_loses_its_arming(bench):
     it = bench().connected()
     assert it.link.arm(True) == ""
     it.box.stop()
-    wait_until(lambda: it.link.state is not LinkState.CONNECTED)
+    wait(lambda: it.link.state is not LinkState.CONNECTED)
     assert not it.link.guard.armed
     assert any("no byte for 0.3 s" in sentence for sentence in it.log)
 
@@ -178,14 +171,14 @@ def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):
     it = bench(first=100_000).connected()
     assert it.link.arm(True) == ""
     it.box.sequence = 0
-    wait_until(lambda: it.link.counts.restarts == 1)
-    wait_until(lambda: it.states[-1][0] < 100_000 and len(it.states) > 50)
+    wait(lambda: it.link.counts.restarts == 1)
+    wait(lambda: it.states[-1][0] < 100_000 and len(it.states) > 50)
     assert not it.link.guard.armed and it.link.counts.lost < 1000
 
 
 def test_another_protocol_version_is_told_once_and_never_commanded(bench):
     it = bench(version=4)
-    wait_until(lambda: it.log)
+    wait(lambda: it.log)
     time.sleep(0.5)  # for a second sentence, or a command
     assert it.log == [
         "the box speaks protocol version 4, here 1 to 3 are spoken: no command is sent until one is updated"
@@ -204,14 +197,14 @@ def test_a_box_of_version_2_is_followed_once_its_details_came(bench):
     assert MISSED not in it.log and len(said) == 2 and "900 N" in said[0] and "700 N" in said[1]
     assert it.link.arm(True) == ""
     it.box.refused = (3, 1)
-    wait_until(lambda: it.link.refused == (3, 1))
-    wait_until(lambda: [sentence for sentence in it.log if "refused a reference" in sentence])
+    wait(lambda: it.link.refused == (3, 1))
+    wait(lambda: [sentence for sentence in it.log if "refused a reference" in sentence])
 
 
 @pytest.mark.parametrize(("version", "details"), [(2, None), (3, None), (3, replace(DETAILS, laws=3))])
 def test_a_box_that_leaves_out_details_or_law_is_told_of_and_never_commanded(bench, version, details):
     it = bench(version=version, details=details)
-    wait_until(lambda: incomplete(version, details) in it.log)
+    wait(lambda: incomplete(version, details) in it.log)
     assert it.box.commands == [] and it.states == []
 
 
@@ -233,7 +226,7 @@ def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_
     )  # fmt: skip
     it.link.guard.command = lambda now: wanted
     count = len(it.box.commands)
-    wait_until(lambda: len(it.box.commands) > count + 5)
+    wait(lambda: len(it.box.commands) > count + 5)
     assert it.box.commands[-1].command == (wanted if law else Command())
 
 
@@ -247,7 +240,7 @@ def test_another_epoch_means_that_the_box_was_restarted(bench):
     assert it.link.arm(True) == ""
     it.box.stop()  # two threads on one line would mix their frames
     it.box._write(encode_details(1, 0, replace(DETAILS, epoch=6)))
-    wait_until(lambda: any("restarted" in sentence for sentence in it.log))
+    wait(lambda: any("restarted" in sentence for sentence in it.log))
     assert not it.link.guard.armed
 
 

@@ -8,11 +8,9 @@ import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, ClassVar
 
 import pytest
 import yaml
@@ -21,12 +19,12 @@ from rosbags.rosbag2 import Reader
 
 from hydro_bridge.bags.recording import continuity, objects, read_bag
 from hydro_bridge.files import bench_file
-from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame
 from hydro_bridge.signals import Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import BoxInfo, Gains
 from hydro_msgs.srv import Claim
+from tests.checks import wait
 from tests.graph_probe import Probe
 
 pytestmark = pytest.mark.graph
@@ -39,29 +37,25 @@ def probe() -> Iterator[Probe]:
     made.close()
 
 
-@pytest.fixture
-def start() -> Iterator[Callable[..., Companion]]:
-    started: list[Companion] = []
+def bridged(port, probe, start, *words, output=None):
+    """A bridge whose samples are heard."""
+    bridge = start("hydro_bridge bridge", "--port", port, *words, output=output)
+    probe.wait(lambda: len(probe.states) > 20)
+    return bridge
 
-    def begin(executable: str, *arguments: object, output: io.StringIO | None = None) -> Companion:
-        take = output.write if output else None
-        companion = Companion("hydro_bridge", executable, [str(word) for word in arguments], output=take)
-        started.append(companion)
-        return companion
 
-    yield begin
-    for companion in started:
-        companion.stop()
+def told_by(probe) -> list[DiagnosticStatus]:
+    """What a bridge says in its diagnostics, from now on."""
+    told: list[DiagnosticStatus] = []
+    listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
+    create_subscription(probe.node, DIAGNOSTICS, listen)
+    return told
 
 
 def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
     small_box()
-    output = io.StringIO()
-    start("bridge", "--port", cable.path, output=output)
-    told: list[DiagnosticStatus] = []
-    listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
-    create_subscription(probe.node, DIAGNOSTICS, listen)
-    probe.wait(lambda: len(probe.states) > 20)
+    output, told = io.StringIO(), told_by(probe)
+    bridged(cable.path, probe, start, output=output)
     probe.take()
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
     probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
@@ -80,25 +74,15 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
 
 @pytest.fixture
 def steered(cable, small_box, probe, start):
-    """A bridge that is armed, its box, the diagnostics, what it says, and how the probe publishes gains."""
+    """A bridge that is armed, its box, the diagnostics, and what it says."""
 
     class Steered:
-        box, output = small_box(), io.StringIO()
-        bridge = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.gains_timeout:=2.0", output=output)
-        told: ClassVar[list[DiagnosticStatus]] = []
-
-        def gain(self, seconds: float) -> None:
-            end = time.monotonic() + seconds
-            while time.monotonic() < end:
-                probe.commander.gains(32.0, 0.0)
-                probe.spin(0.01)
+        box, output, told = small_box(), io.StringIO(), told_by(probe)
 
         def armed(self) -> bool:
             return bool(self.box.flags & Flag.ARMED)
 
-    listen = lambda array: Steered.told.extend(s for s in array.status if s.name == "bridge")  # noqa: E731
-    create_subscription(probe.node, DIAGNOSTICS, listen)
-    probe.wait(lambda: len(probe.states) > 20)
+    bridged(cable.path, probe, start, "--ros-args", "-p", "guard.gains_timeout:=2.0", output=Steered.output)
     probe.take()
     assert probe.ask(True).success
     return Steered()
@@ -107,7 +91,7 @@ def steered(cable, small_box, probe, start):
 def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_says_so(steered, probe):
     sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5)
     probe.commander.reference(sine)
-    steered.gain(2.5)
+    probe.drive(32.0, 0.0, 2.5)
     assert steered.armed() and steered.box.commands[-1].command.reference == sine
     probe.wait(lambda: not steered.armed(), 10.0)
     assert steered.box.commands[-1].command.reference == ReferenceSignal()
@@ -177,26 +161,24 @@ def test_who_succeeds_a_holder_that_has_fallen_silent_finds_the_plant_disarmed(s
 
 def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):
     box = small_box()
-    alone = start("arm", "--timeout", "0.5")
+    alone = start("hydro_bridge arm", "--timeout", "0.5")
     assert alone.process.wait(20.0) == 2 and "no plant runs here" in alone.last_line
-    start("bridge", "--port", cable.path)
-    probe.wait(lambda: len(probe.states) > 20)
+    bridged(cable.path, probe, start)
     output = io.StringIO()
-    assert start("arm", output=output).process.wait(20.0) == 0
+    assert start("hydro_bridge arm", output=output).process.wait(20.0) == 0
     assert box.flags & Flag.ARMED
     probe.wait(lambda: "armed" in output.getvalue())
-    assert start("arm", "--off").process.wait(20.0) == 0
+    assert start("hydro_bridge arm", "--off").process.wait(20.0) == 0
     assert not box.flags & Flag.ARMED
     cable.unplug()
     probe.wait(lambda: not probe.ask(True).success)  # once the bridge has noticed
-    refused = start("arm")
+    refused = start("hydro_bridge arm")
     assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_line
 
 
 def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start):
     box = small_box()
-    bridge = start("bridge", "--port", cable.path)
-    probe.wait(lambda: len(probe.states) > 20)
+    bridge = bridged(cable.path, probe, start)
     assert probe.ask(True).success
     begin = time.monotonic()
     bridge.process.send_signal(signal.SIGHUP)
@@ -216,22 +198,21 @@ def boxes_heard(probe: Probe) -> list[BoxInfo]:
 
 def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(cable, small_box, probe, start, tmp_path):
     small_box(info=BoxFrame(name="small box 3", base_kp=30.0, base_ki=8.0))
-    bridge = start("bridge", "--port", cable.path)
-    probe.wait(lambda: len(probe.states) > 20)
+    bridge = bridged(cable.path, probe, start)
     heard = boxes_heard(probe)  # later than it was said
     probe.wait(lambda: heard)
     said = heard[0]
     assert (said.plant, said.firmware, said.base_kp, said.base_ki) == ("bridge", "small box 3", 30.0, 8.0)
     assert said.bench_digest == bench_file.digest(bench_file.read_numbers(bench_file.shipped()))
     assert yaml.safe_load(said.bench)["valve_current_max"] == 0.05
-    recorder = start("recorder", "--out", tmp_path / "run")
+    recorder = start("hydro_bridge recorder", "--out", tmp_path / "run")
     probe.wait(lambda: probe.node.count_subscribers(BOX) == 2)
     probe.spin(2.0)
     assert recorder.stop() == 0 and bridge.stop() == 0
     (kept,) = [message for _, message in objects(tmp_path / "run", BOX)]
     assert (kept.bench_digest, kept.base_kp) == (said.bench_digest, 30.0)
     heard.clear()
-    start("replayer", tmp_path / "run", "--loop")
+    start("hydro_bridge replayer", tmp_path / "run", "--loop")
     probe.wait(lambda: heard)
     assert (heard[0].bench_digest, heard[0].base_kp) == (said.bench_digest, 30.0)
 
@@ -239,7 +220,7 @@ def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(cable, 
 def test_a_box_that_differs_from_its_bench_file_is_told_with_both_numbers(cable, small_box, probe, start):
     small_box(info=BoxFrame(name="other box", valve_current_max=0.08))
     output = io.StringIO()
-    start("bridge", "--port", cable.path, output=output)
+    start("hydro_bridge bridge", "--port", cable.path, output=output)
     sentence = "its valve_current_max is 0.08 A, the bench file says 0.05 A"
     probe.wait(lambda: sentence in output.getvalue())
     heard = boxes_heard(probe)
@@ -249,11 +230,12 @@ def test_a_box_that_differs_from_its_bench_file_is_told_with_both_numbers(cable,
 
 def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, start, tmp_path):
     small_box()
-    start("bridge", "--port", cable.path, "--realtime")
-    probe.wait(lambda: len(probe.states) > 20)
+    bridged(cable.path, probe, start, "--realtime")
     attached = tmp_path / "bench.yaml"
     attached.write_text("stroke: 0.08\n")
-    recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached, "--realtime")
+    recorder = start(
+        "hydro_bridge recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached, "--realtime"
+    )
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
     probe.spin(3.0)
     assert recorder.stop() == 0
@@ -272,10 +254,9 @@ def test_a_full_disk_ends_the_recording_as_a_failure_and_leaves_what_was_written
     cable, small_box, probe, start, tmp_path
 ):
     small_box()
-    start("bridge", "--port", cable.path)
-    probe.wait(lambda: len(probe.states) > 20)
+    bridged(cable.path, probe, start)
     output = io.StringIO()
-    recorder = start("recorder", "--out", tmp_path / "run", output=output)
+    recorder = start("hydro_bridge recorder", "--out", tmp_path / "run", output=output)
     file = tmp_path / "run/run_0.mcap"
     probe.wait(lambda: file.exists() and file.stat().st_size > 20_000)
     resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (file.stat().st_size + 20_000,) * 2)
@@ -293,26 +274,11 @@ def test_companions_die_with_their_parent_even_if_it_is_killed(tmp_path):
         f"c = Companion('hydro_bridge', 'recorder', ['--out', {str(tmp_path / 'run')!r}]); "
         "print(c.process.pid, flush=True); time.sleep(60)"
     )
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    reading = threading.Thread(target=_drain, args=(parent.stdout,))
-    reading.start()
-    end = time.monotonic() + 20.0
-    while not (tmp_path / "run/metadata.yaml").exists() and time.monotonic() < end:
-        time.sleep(0.05)
-    parent.kill()
-    parent.wait()
-    reading.join(5.0)
-    end = time.monotonic() + 20.0
-    while _alive(child) and time.monotonic() < end:
-        time.sleep(0.05)
-    assert not _alive(child)
-
-
-def _drain(pipe: IO[str]) -> None:
-    with pipe:
-        pipe.read()
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        child = int(parent.stdout.readline())
+        wait((tmp_path / "run/metadata.yaml").exists, 20.0)
+        parent.kill()
+    wait(lambda: not _alive(child), 20.0)
 
 
 def _alive(pid: int) -> bool:

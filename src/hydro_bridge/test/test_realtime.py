@@ -12,6 +12,7 @@ import time
 import pytest
 
 from hydro_bridge.process.realtime import KILLED_AT, RUN_MAX, Pacer
+from tests.checks import ran
 
 pytest.importorskip("rclpy")
 
@@ -53,12 +54,7 @@ sum(itertools.repeat(0))  # never comes back to the interpreter
 """
 
 
-def may_be_prompt() -> bool:
-    """Whether this user may run a process by SCHED_FIFO."""
-    return subprocess.run(["chrt", "-f", "1", "true"], check=False, capture_output=True).returncode == 0
-
-
-needs_fifo = pytest.mark.skipif(not may_be_prompt(), reason="no right to SCHED_FIFO")
+needs_fifo = pytest.mark.skipif(ran("chrt", "-f", 1, "true").returncode != 0, reason="no right to SCHED_FIFO")
 
 
 def run(program: str) -> tuple[int, str, str, float]:
@@ -67,7 +63,6 @@ def run(program: str) -> tuple[int, str, str, float]:
     process = subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     )
-    assert process.stdout is not None
     said, begin = "", time.monotonic()
     for line in process.stdout:
         said += line

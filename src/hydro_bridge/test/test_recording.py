@@ -120,7 +120,6 @@ def test_mcap_reads_it_and_every_check_sum_holds(bag, states):
     with mcap_of(bag).open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
-        assert summary is not None and summary.statistics is not None
         assert reader.get_header().profile == "ros2"
         assert summary.statistics.message_count == len(states) + 500
         assert all(chunk.message_index_offsets for chunk in summary.chunk_indexes)
@@ -248,7 +247,6 @@ def test_damage_is_found_by_its_check_sum(bag):
     data = bytearray(path.read_bytes())
     with path.open("rb") as stream:
         summary = make_reader(stream).get_summary()
-    assert summary is not None
     data[summary.chunk_indexes[2].chunk_start_offset + summary.chunk_indexes[2].chunk_length // 2] ^= 0x10
     path.write_bytes(data)
     with pytest.raises(RecordingError, match="is damaged"):
@@ -280,37 +278,25 @@ def test_an_interrupted_sequence_is_reported(make_states):
     assert continuity(np.delete(states, slice(100, 103))) == LinkCounts(lost=3)
     assert continuity(np.concatenate([states[:10], states[9:]])) == LinkCounts(duplicates=1)
     assert continuity(make_states(10, first=2**32 - 5)) == LinkCounts(), "the sequence wraps"
-    begun_again = np.concatenate([make_states(5, first=10**7), make_states(5)])
-    assert continuity(begun_again) == LinkCounts(restarts=1)
+    for before in (5_000, 3 * 10**9):
+        begun_again = np.concatenate([make_states(5, first=before), make_states(5)])
+        assert continuity(begun_again) == LinkCounts(restarts=1)
     assert continuity(states[[0, 2, 1, 3]]).reordered == 1
 
 
-@pytest.fixture
-def thousands(tmp_path, make_states):
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_messages_come_at_their_times_freshly_stamped(tmp_path, make_states, speed):
     with BagWriter(tmp_path / "run") as writer:
         writer.write_states(make_states(300, first=1000))
-    return tmp_path / "run"
-
-
-def stamp(data: bytes) -> float:
-    sec, nanosec = np.frombuffer(data[4:12], "<u4")
-    return float(sec) + 1e-9 * float(nanosec)
-
-
-def replayed(thousands, speed):
-    """(stamp, arrival) [s] of each message, shape (n, 2)."""
-    came: list[tuple[float, bytes]] = []
-    Replay(thousands, [STATE_TOPIC], lambda _, data: came.append((time.time(), data)), speed=speed).run()
-    assert [sequence_of(data) for _, data in came] == list(range(1000, 1300))
-    return np.array([(stamp(data), at) for at, data in came])
-
-
-@pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_messages_come_at_their_times_freshly_stamped(thousands, speed):
     late = []
     while len(late) < 5 and min(late, default=1.0) >= 0.02:  # again where the machine was busy with something else
-        stamps, arrivals = replayed(thousands, speed).T
+        came: list[tuple[float, bytes]] = []
+        take = lambda _, data, came=came: came.append((time.time(), data))  # noqa: E731
+        Replay(tmp_path / "run", [STATE_TOPIC], take, speed=speed).run()
+        assert [sequence_of(data) for _, data in came] == list(range(1000, 1300))
+        stamps = np.array([np.frombuffer(data[4:12], "<u4") for _, data in came]) @ (1.0, 1e-9)
         np.testing.assert_allclose(np.diff(stamps), 1e-3 / speed, atol=2e-6)
+        arrivals = np.array([at for at, _ in came])
         assert np.all(arrivals - stamps > -1e-3)
         late.append(np.median(arrivals - stamps))
     assert min(late) < 0.02

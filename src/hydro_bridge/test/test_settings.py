@@ -5,9 +5,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -19,6 +16,7 @@ from hydro_bridge.cli.console import NEW_ONLY, UserError, command, refuse_change
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_bridge.settings import SettingsError, from_mapping, quantity, to_mapping
+from tests.checks import files_of_at_most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,17 +139,6 @@ def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(
     with pytest.raises(UserError, match=f"x cannot be {done}: you may not write to {tmp_path}: choose another place"):
         check(str(tmp_path / "new" / "x"))
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-@contextmanager
-def files_of_at_most(size: int) -> Iterator[None]:
-    """Within, the system refuses to let a file grow beyond `size` bytes, as a full disk does."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
