@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_diagnosis.pipeline import diagnose
 from hydro_policy.compensation.estimator import Compensator

@@ -30,7 +30,7 @@ from scipy.linalg import expm, toeplitz
 from scipy.sparse import csc_matrix
 
 from benchmarks._model_based import Fixed
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.task.cases import Case

@@ -47,7 +47,7 @@ from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, command
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.settings import SettingsError, from_mapping, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator, LoadCell

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import LAW_STATE, STATE, create_subscription
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
 from hydro_policy.nodes.startup.companions import PlantOptions, start_companions

@@ -17,7 +17,7 @@ from hydro_bridge.safety.guard import (
     GuardSettings,
     safe_command,
 )  # fmt: skip
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import NEUTRAL, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
 
 anything = st.floats(allow_nan=True, allow_infinity=True)

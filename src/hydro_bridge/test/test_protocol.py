@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.serial.frames import FEEDBACKS
 from hydro_bridge.serial.protocol import (
+    FEEDBACKS,
     HANDSHAKE,
     MAX_ENCODED,
     VERSION,

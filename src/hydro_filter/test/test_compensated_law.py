@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.serial.frames import LawState
+from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.signals import (
     PLANT_FIELDS,
     SAMPLE_PERIOD,

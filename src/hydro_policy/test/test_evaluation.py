@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import STATE_DTYPE, Flag
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.compensation.live import LiveCompensation

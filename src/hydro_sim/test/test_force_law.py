@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_bridge.serial.protocol import INTEGRAL_FORMS
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_sim.box import force_law, reference
 from hydro_sim.box.reference import REFERENCE_DTYPE

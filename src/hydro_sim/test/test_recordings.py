@@ -12,7 +12,7 @@ import yaml
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.files import bench_file
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping

@@ -15,8 +15,7 @@ from typing import Any
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.conformance.reference import Point, compare, expected, nominal_current
 from hydro_bridge.files import bench_file
-from hydro_bridge.serial.frames import BoxInfo, BoxLaw, LawState
-from hydro_bridge.serial.protocol import State
+from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, LawState, State
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
 
 Bench = Mapping[str, Any] | None

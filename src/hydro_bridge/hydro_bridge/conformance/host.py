@@ -16,8 +16,17 @@ from typing import Any, Protocol
 from cobs import cobs
 
 from hydro_bridge.errors import UserError
-from hydro_bridge.serial.frames import VERSION, BoxLaw, Details, Hello, LawFrame, State
-from hydro_bridge.serial.protocol import encode_command, encode_hello, wrap
+from hydro_bridge.serial.protocol import (
+    VERSION,
+    BoxLaw,
+    Details,
+    Hello,
+    LawFrame,
+    State,
+    encode_command,
+    encode_hello,
+    wrap,
+)
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import Command, Law, ReferenceSignal, Waveform
 

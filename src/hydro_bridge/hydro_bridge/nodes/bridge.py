@@ -21,9 +21,8 @@ from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import differences, known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, no_port
-from hydro_bridge.serial.protocol import State
+from hydro_bridge.serial.protocol import BoxInfo, State
 from hydro_bridge.settings import describe
 from hydro_bridge.size import Size
 

@@ -72,7 +72,7 @@ from hydro_bridge.ros.topics import (
 from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.serial.frames import BoxLaw, LawState
+from hydro_bridge.serial.protocol import BoxLaw, LawState
 from hydro_bridge.signals import Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs.msg import Authority as AuthorityMessage
 from hydro_msgs.msg import Gains, LawCommand

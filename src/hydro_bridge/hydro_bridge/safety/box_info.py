@@ -12,7 +12,7 @@ import yaml
 
 from hydro_bridge.files import bench_file
 from hydro_bridge.safety.readiness import Requirement
-from hydro_bridge.serial.frames import BoxDetails, BoxInfo
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo
 from hydro_bridge.signals import SAMPLE_PERIOD
 
 NO_BOX = (

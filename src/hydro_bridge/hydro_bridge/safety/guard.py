@@ -19,7 +19,7 @@ from math import inf, isfinite
 import numpy as np
 
 from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]

@@ -8,7 +8,7 @@ from math import inf, isfinite
 from struct import Struct
 from typing import Annotated
 
-from hydro_bridge.serial.frames import BoxInfo
+from hydro_bridge.serial.protocol import BoxInfo
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_bridge.size import Size

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_bridge.serial.frames import LawState
+from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, Law
 
 STATES = 8

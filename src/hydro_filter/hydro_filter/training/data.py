@@ -23,7 +23,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, matrix
 from hydro_filter.model.linearization import linearize

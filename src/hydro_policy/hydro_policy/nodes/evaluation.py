@@ -24,7 +24,7 @@ from hydro_bridge.ros.companion import CompanionError, start_page
 from hydro_bridge.ros.node import declare_parameters, refuse_unknown_parameters
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.size import resized
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.compensation.estimator import CompensatorSettings, LoadCell

@@ -23,7 +23,7 @@ from typing import Annotated, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
+from hydro_bridge.serial.protocol import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_bridge.size import resized

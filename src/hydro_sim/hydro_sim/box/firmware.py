@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import LawState
+from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import STATE_DTYPE, FloatArray, Law, StateArray
 from hydro_sim.box.box import BoxConfig

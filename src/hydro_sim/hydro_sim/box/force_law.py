@@ -20,7 +20,7 @@ iteration.
 
 from __future__ import annotations
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_bridge.serial.protocol import INTEGRAL_FORMS
 from hydro_sim.jit import njit
 from hydro_sim.model import hydraulics
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from hydro_bridge.cli.console import command, writable
 from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_bridge.serial.protocol import INTEGRAL_FORMS
 from hydro_bridge.signals import NEUTRAL
 from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.model.bench import Bench

@@ -11,7 +11,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, Law, Waveform
 from hydro_sim.box import force_law, reference
 from hydro_sim.jit import njit
@@ -33,7 +33,7 @@ SETTINGS_DTYPE = np.dtype(
     + [("feedback_channel", np.int64), ("integral_form", np.int64)]
     + [("low", np.float64, (8,)), ("high", np.float64, (8,)), ("paper", LAW_DTYPE), ("compensated", LAW_DTYPE)]
 )
-"""`BoxConfig` for compiled code; `integral_form` is its number in `serial.frames.INTEGRAL_FORMS`, `low` and
+"""`BoxConfig` for compiled code; `integral_form` is its number in `serial.protocol.INTEGRAL_FORMS`, `low` and
 `high` bound each entry of the measurement."""
 
 _COMMANDED = [("delta_kp", np.float64), ("delta_ki", np.float64), ("delta_u", np.float64)]

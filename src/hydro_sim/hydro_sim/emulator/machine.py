@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import LawState
+from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command, law_state

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import PAPER_LAW
+from hydro_bridge.serial.protocol import PAPER_LAW
 from hydro_bridge.signals import (
     SAMPLE_PERIOD,
     SAMPLES_PER_STEP,

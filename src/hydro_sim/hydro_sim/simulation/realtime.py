@@ -26,7 +26,7 @@ from typing import Annotated, Any
 from hydro_bridge.link.clock import HostClock, clock_step_message
 from hydro_bridge.process.realtime import Pacer, exact_timers
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.serial.frames import LawState
+from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state

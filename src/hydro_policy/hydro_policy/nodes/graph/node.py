@@ -39,7 +39,7 @@ from hydro_bridge.ros.topics import (
 from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
-from hydro_bridge.serial.frames import BoxLaw
+from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, LawCommand, ReferenceSignal
 from hydro_bridge.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
