@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conformance test of a box against protocol.md, over the serial line.
 
-`cases` reads and runs the test cases of `cases.yaml`; `conversation` holds the steps that they consist of; `host`
-is the line and what came over it; `checks` evaluates that, by the definitions in `reference`; `command` is the
-executable.
+`command` is the executable, which runs the test cases of `cases.yaml`; `host` is the line, the steps that cases consist
+of, and what came; `checks` evaluates that, by the definitions in `reference`.
 """

@@ -128,11 +128,6 @@ class Host:
         """States since the step began."""
         return self.states[self.marked :]
 
-    @property
-    def new_sent(self) -> list[Sent]:
-        """Commands since the step began."""
-        return self.sent[self.marked_sent :]
-
     def confirmed(self, sequence: int) -> int:
         """Return the index of the first state that confirms this command or a later one; the number of states if none.
 
@@ -154,10 +149,6 @@ class Host:
         self.sequence = (self.sequence + 1 if sequence is None else sequence) % _CIRCLE
         self.sent.append(Sent(self.sequence, self.command, len(self.states)))
         self.line.write(encode_command(self.sequence, int(1e6 * self.clock()), self.command, self.version))
-
-    def write(self, data: bytes) -> None:
-        """Send bytes as they are."""
-        self.line.write(data)
 
     def listen(self, samples: int, each: Callable[[], None] | None = None) -> None:
         """Wait for a number of states, and call a function after each.
@@ -330,10 +321,6 @@ def _once(host: Host, words: dict[str, Any]) -> None:
     host.listen(samples)
 
 
-def _wait(host: Host, words: int) -> None:
-    host.listen(int(words))
-
-
 def _greet(host: Host, words: dict[str, Any]) -> None:
     """Greet as a host of the given versions; checks begin after the answer, if there is one."""
     low, high = words.get("versions", (1, VERSION))
@@ -341,7 +328,7 @@ def _greet(host: Host, words: dict[str, Any]) -> None:
     body[14:16] = bytes((low, high))
     host.mark()
     host.details, host.law, host.greeted_at = None, None, len(host.states)
-    host.write(wrap(bytes(body)))
+    host.line.write(wrap(bytes(body)))
     for _ in range(ANSWER):
         if host.hellos and host.hellos[-1][0] >= host.greeted_at:
             host.mark()
@@ -361,7 +348,7 @@ def _garbage(host: Host, words: dict[str, Any]) -> None:
         nonlocal seen
         seen += 1
         if seen % int(words["every"]) == 0:
-            host.write(random.randbytes(random.randint(1, int(words["longest"]))) + b"\0")
+            host.line.write(random.randbytes(random.randint(1, int(words["longest"]))) + b"\0")
             host.send()
 
     host.listen(int(words["samples"]), each)
@@ -373,7 +360,7 @@ def _damaged(host: Host, words: dict[str, Any]) -> None:
     changes = {key: value for key, value in words.items() if key != "how"}
     frame = encode_command(host.sequence + 1, 0, changed(Command(), changes), host.version)
     host.mark()
-    host.write(damaged(frame, str(words["how"])))
+    host.line.write(damaged(frame, str(words["how"])))
     host.listen(10 + host.lag)
 
 
@@ -396,7 +383,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
 VERBS: dict[str, Callable[[Host, Any], None]] = {
     "commands": _commands,
     "once": _once,
-    "wait": _wait,
+    "wait": lambda host, samples: host.listen(int(samples)),
     "greet": _greet,
     "garbage": _garbage,
     "damaged": _damaged,

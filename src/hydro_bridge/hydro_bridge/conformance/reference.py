@@ -114,7 +114,6 @@ def force_gain(bench: Mapping[str, Any]) -> float:
     return float(_gain(bench, bench["stroke"] / 2, (bench["supply_pressure"] / 2,) * 2, 1.0))
 
 
-_VALUE, _RATE = STATE_FIELDS.index("reference_force"), STATE_FIELDS.index("reference_force_rate")
 _ROUNDING = 1e-6
 """s: rounding of the clock decides whether a fade ends at its 300th or 301st sample."""
 
@@ -154,22 +153,3 @@ def expected(host: Host, force: str) -> Iterator[list[Point | None]]:
             before, after = (shape(signal, time - begun) for signal, begun in (old, new))
             points.append(faded(before, after, time - new[1], fade))
         yield points
-
-
-def compare(host: Host, force: str, tolerance: float, rate_tolerance: float) -> str:
-    """Describe where the box's reference differs [N], [N/s]; empty if right with either rounding of the fade's end."""
-    found = [_compare(host, points, tolerance, rate_tolerance) for points in expected(host, force)]
-    return "" if "" in found else found[0]
-
-
-def _compare(host: Host, points: Sequence[Point | None], tolerance: float, rate_tolerance: float) -> str:
-    for state, point in zip(host.states, points, strict=True):
-        if point is None:
-            continue
-        for name, index, right, allowed in (
-            ("reference_force", _VALUE, point[0], tolerance),
-            ("reference_force_rate", _RATE, point[1], rate_tolerance),
-        ):
-            if not abs(state.values[index] - right) <= allowed + 1e-4 * abs(right):
-                return f"{name} is {state.values[index]:g} in STATE {state.sequence}, {right:g} is right"
-    return "" if any(points) else "it was not armed"
