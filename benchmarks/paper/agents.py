@@ -148,7 +148,7 @@ def train(
     guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
-    session = TrainingSession(settings, learner, PlantSupervisor(graph, True, [learner_ready(learner)]))
+    session = TrainingSession(settings, learner, PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)]))
     graph.run(session, 60.0 * episodes + (600.0 if every else 0.0), learner)
     return session, graph
 

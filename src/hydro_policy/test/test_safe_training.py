@@ -46,7 +46,8 @@ def settings(*, episodes: int = 2, top: float = 75.0, **more: object) -> Trainin
 def start(chosen: TrainingSettings) -> tuple[OfflineGraph, InlineLearner, TrainingSession]:
     guard = GuardSettings(delta_kp_max=chosen.task.gains.delta_kp_max)
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, guard=guard), InlineLearner(chosen)
-    return graph, learner, TrainingSession(chosen, learner, PlantSupervisor(graph, True, [learner_ready(learner)]))
+    watch = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
+    return graph, learner, TrainingSession(chosen, learner, watch)
 
 
 def step(error: float = 0.0, current: np.ndarray | None = None) -> Step:

@@ -45,7 +45,7 @@ def short(episodes: int = 2, steps: int = 150, **task: float) -> TrainingSetting
 
 def start(settings: TrainingSettings, *, config: BoxConfig | None = None, record: RunRecord | None = None):
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=config), InlineLearner(settings)
-    supervisor = PlantSupervisor(graph, True, [learner_ready(learner)])
+    supervisor = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
     return graph, learner, TrainingSession(settings, learner, supervisor, record=record)
 
 

@@ -18,6 +18,8 @@ import yaml
 
 pytest.importorskip("rclpy")
 
+import rclpy
+
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
@@ -26,6 +28,7 @@ from hydro_bridge.signals import Flag
 from hydro_bridge.size import Size
 from hydro_sim.excitation import WORKING_RANGE, Playback, Segment, working_range
 from hydro_sim.model.bench import NOMINAL, Bench
+from hydro_sim.nodes.collect import CollectNode
 from tests.graph_probe import Probe
 
 
@@ -96,6 +99,22 @@ def test_the_working_range_is_a_share_of_the_bench_s_size() -> None:
     assert other["load_force_rate"] == (-37700.0, 37700.0) and other["pressure_b"] == (2.5e6, 7e6)
     assert other["piston_position"] == (0.08, 0.24) and other["valve_current"] == (-0.01, 0.01)
     assert other["proportional_gain"] == (15.0, 75.0)
+
+
+def test_enter_while_the_plant_is_armed_is_no_consent_to_arm_it_again() -> None:
+    rclpy.init()
+    node, asked = CollectNode([Segment(seconds=1.0)], rearm=False), list[bool]()
+    try:
+        node.arm = asked.append  # type: ignore[method-assign]
+        for now, typed, flags in ((0.0, "\n", Flag.ARMED), (0.5, "", 0), (2.0, "", 0), (4.0, "\n", 0), (4.5, "", 0)):
+            if typed:
+                node._keys.put(typed)
+            node.playback.on_sample(flags)
+            node._follow_arming(now)
+            assert asked == ([False, True] if now > 4.0 else [False] if now == 4.0 else []), now
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
 
 
 HOLD = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}

@@ -28,11 +28,6 @@ def environment(package: str, folder: str = "templates") -> Environment:
     )
 
 
-def data_uri(file: Path) -> str:
-    """Return a PNG picture as text for an `img`; raises OSError."""
-    return f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}"
-
-
 class Tabular(Protocol):
     """Rows of results: `hydro_bridge.cli.console.Table` is one."""
 
@@ -67,7 +62,7 @@ def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Sectio
     made = environment("hydro_bridge", "pages/templates")
     made.filters["shown"] = _shown
     pictures = {
-        section.heading: data_uri(section.picture)
+        section.heading: f"data:image/png;base64,{base64.b64encode(section.picture.read_bytes()).decode()}"
         for section in sections
         if section.picture and section.picture.is_file()
     }

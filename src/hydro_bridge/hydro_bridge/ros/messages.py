@@ -111,8 +111,8 @@ _NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.def
 def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
     """Return the message that describes a box; `stamp` is a builtin_interfaces/Time."""
     numbers = {name: float(getattr(box.info, name)) for name in _NUMBERS}
-    texts = {name: getattr(box, name) for name in ("plant", "bench_digest", "bench", "integral")}
-    message = BoxMessage(firmware=box.info.name, **texts, **numbers)
+    texts = {name: getattr(box, name) for name in ("plant", "bench_digest", "bench")}
+    message = BoxMessage(firmware=box.info.name, integral=box.info.integral, **texts, **numbers)
     message.header.stamp = stamp
     return message
 

@@ -37,11 +37,6 @@ class KnownBox:
     """These numbers as bench.yaml; empty: unknown."""
 
     @property
-    def integral(self) -> str:
-        """Form of the law's integral, `bumpless` or `paper`; empty: not reported."""
-        return self.info.integral
-
-    @property
     def base_gains(self) -> tuple[float, float]:
         """K_p [1/s] and K_i [1/s^2] that changes are added to."""
         return self.info.base_kp, self.info.base_ki

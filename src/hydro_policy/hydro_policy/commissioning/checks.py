@@ -29,11 +29,6 @@ _LONGEST_GAP = 1000
 """Samples missing in a row beyond which the recording was interrupted on purpose."""
 
 
-def largest_force(bench: Bench) -> float:
-    """Return the force [N] of the piston at full supply."""
-    return bench.piston_area * bench.supply_pressure
-
-
 def line(states: StateArray, seconds: float) -> tuple[float, float]:
     """Return rate [1/s] and share of lost samples of a recording of so many seconds at rest."""
     steps = np.diff(states["sequence"].astype(np.int64))
@@ -45,7 +40,7 @@ def line(states: StateArray, seconds: float) -> tuple[float, float]:
 
 def sensors(states: StateArray, bench: Bench) -> tuple[dict[str, float], float]:
     """Return the noise of each reading at rest, by field in its unit, and the hydraulic force [N] off the pressures."""
-    most = largest_force(bench)
+    most = bench.piston_area * bench.supply_pressure  # N, of the piston at full supply
     ranges = {
         "pressure_a": (-0.02 * bench.supply_pressure, 1.05 * bench.supply_pressure),
         "pressure_b": (-0.02 * bench.supply_pressure, 1.05 * bench.supply_pressure / bench.area_ratio),

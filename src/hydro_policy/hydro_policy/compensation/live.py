@@ -73,11 +73,6 @@ class LiveCompensation:
         self._steps.clear()
 
     @property
-    def learned(self) -> bool:
-        """Whether the residual acts."""
-        return self._adapted.learned
-
-    @property
     def frozen(self) -> bool:
         """Whether a person holds the coefficients; set it to hold or to release them."""
         return bool(self._estimator.frozen[0])
@@ -108,8 +103,8 @@ class LiveCompensation:
             "at a bound": "yes" if self._estimator.at_bound[0] else "no",
             "frozen": "yes, by a person" if self.frozen else "no",
             "policy steps held": self.held,
-            "learned residual [N]": float(self._adapted.added[0]) if self.learned else "off",
-            "its authority": float(self._residual.authority[0]) if self.learned else "off",
+            "learned residual [N]": float(self._adapted.added[0]) if self._adapted.learned else "off",
+            "its authority": float(self._residual.authority[0]) if self._adapted.learned else "off",
         }
 
     def on_law_state(self, sequence: int, law: int, compensated_reference: float) -> None:

@@ -25,7 +25,8 @@ class Controller(Protocol):
         """Name for tables."""
 
     def reset(self) -> None:
-        """Reset before a run."""
+        """Reset before a run; nothing where there is no state."""
+        return
 
     @property
     def reach(self) -> GainRange:
@@ -33,14 +34,15 @@ class Controller(Protocol):
 
     @property
     def law(self) -> LawCommand:
-        """Force law that it needs, as of now."""
+        """Force law that it needs, as of now; the paper's by default."""
+        return LawCommand()
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """Return (delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
 
 
 @dataclass(frozen=True)
-class FixedGains:
+class FixedGains(Controller):
     """Fixed gains, given as totals (K_p, K_i); the box's base gains are subtracted."""
 
     proportional: float
@@ -63,14 +65,6 @@ class FixedGains:
         """Range of a single point."""
         kp, ki = self.proportional - self.base[0], self.integral - self.base[1]
         return GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
-
-    @property
-    def law(self) -> LawCommand:
-        """The paper's."""
-        return LawCommand()
-
-    def reset(self) -> None:
-        """Do nothing: there is no state."""
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`."""

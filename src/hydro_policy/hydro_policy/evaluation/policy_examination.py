@@ -27,36 +27,16 @@ EXAMINED = "policy"
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of an examination; one value per sine, in the order of the settings."""
+    """Result of an examination that the policy completed."""
 
-    rmse: tuple[float, ...]
-    """Force RMSE of the policy [N], mean over the repeats."""
-    reference: tuple[float, ...]
-    """Force RMSE of the fixed gains [N]."""
-    errors: tuple[float, ...] = ()
-    """Standard errors of `rmse` [N] from the scatter of the repeats; empty without repeats."""
-
-    @property
-    def ratios(self) -> tuple[float, ...]:
-        """Ratios of the policy's RMSE to the fixed gains'."""
-        return tuple(own / other for own, other in zip(self.rmse, self.reference, strict=True))
-
-    @property
-    def score(self) -> float:
-        """Mean of the ratios: below 1 the policy beats the fixed gains on average."""
-        return math.fsum(self.ratios) / len(self.ratios)
-
-    @property
-    def score_error(self) -> float:
-        """Standard error of the score; 0 without repeats. That of the reference is common to all scores of a run."""
-        return math.hypot(*(own / other for own, other in zip(self.errors, self.reference, strict=False))) / len(
-            self.rmse
-        )
-
-    @property
-    def beaten(self) -> int:
-        """Number of sines at which the policy beats the fixed gains."""
-        return sum(ratio < 1.0 for ratio in self.ratios)
+    rmse: list[float]
+    """Force RMSE at each sine [N], in the order of the settings, mean over the repeats."""
+    score: float
+    """Mean of its ratios to that of the fixed gains: below 1 the policy beats them on average."""
+    error: float
+    """Standard error of the score by the scatter of repeats, 0 without; that of the reference is common to a run."""
+    beaten: int
+    """Number of sines at which the policy beats the fixed gains."""
 
 
 def significantly_better(score: float, best: float, errors: Sequence[float], best_error: float = 0.0) -> bool:
@@ -87,10 +67,14 @@ def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[floa
 
 
 def verdict(scores: Sequence[Score], reference: Sequence[float]) -> Verdict:
-    """Return the verdict of an examination that the policy completed."""
+    """Return the verdict of an examination; `reference`: force RMSE of the fixed gains at each sine [N]."""
     runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == EXAMINED])]
-    errors = tuple(float(np.std(one, ddof=1)) / math.sqrt(len(one)) for one in runs if len(one) > 1)
-    return Verdict(tuple(float(np.mean(one)) for one in runs), tuple(reference), errors)
+    rmse = [float(np.mean(one)) for one in runs]
+    ratios = [own / other for own, other in zip(rmse, reference, strict=True)]
+    repeated = [(one, other) for one, other in zip(runs, reference, strict=True) if len(one) > 1]
+    errors = [float(np.std(one, ddof=1)) / math.sqrt(len(one)) / other for one, other in repeated]
+    score, error = math.fsum(ratios) / len(ratios), math.hypot(*errors) / len(ratios)
+    return Verdict(rmse, score, error, sum(ratio < 1.0 for ratio in ratios))
 
 
 def _by_case(scores: Sequence[Score]) -> list[list[Score]]:

@@ -196,11 +196,8 @@ class EvaluationSession:
         self._outputs.say(f"{why}: what is left under the {law.name.lower()} law is left out", warning=True)
         for repeat, case, controller in self.plan[len(self.scores) :]:
             if controller.law.law is law:
-                frequency = case.signal.frequency
-                self.scores.append(
-                    Score(controller=controller.name, case=case.name, frequency=frequency, repeat=repeat, stopped=why)
-                )
-        self._run, self._repeats = None, 0
+                self._score_stopped(repeat, case, controller, why)
+        self._run = None
 
     def _in_law(self, gains: tuple[float, float]) -> tuple[float, float]:
         """Return changes [1/s], [1/s^2] of the paper's base gains as changes of those of the law that acts."""
@@ -299,12 +296,14 @@ class EvaluationSession:
 
     def _leave_out(self, run: _Run, reason: str) -> None:
         """Score a run as stopped."""
-        name, case = run.controller.name, run.case
+        self._score_stopped(run.repeat, run.case, run.controller, reason)
+        self._outputs.say(f"{run.controller.name} at {run.case.name}: {reason}", warning=True)
+
+    def _score_stopped(self, repeat: int, case: Case, controller: Controller, why: str) -> None:
         frequency, self._repeats = case.signal.frequency, 0
         self.scores.append(
-            Score(controller=name, case=case.name, frequency=frequency, repeat=run.repeat, stopped=reason)
+            Score(controller=controller.name, case=case.name, frequency=frequency, repeat=repeat, stopped=why)
         )
-        self._outputs.say(f"{name} at {case.name}: {reason}", warning=True)
 
     def _on_trip(self, flags: int) -> None:
         """Attribute a trip to the run, or to nobody under gains held by a person, or where the machine was held up."""

@@ -74,7 +74,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-@command(ValueError)
+@command(ValueError, FileExistsError)
 def main() -> int:
     """Entry point."""
     options = parser().parse_args()

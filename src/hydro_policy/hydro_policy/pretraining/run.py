@@ -202,7 +202,8 @@ def pretrain(options: argparse.Namespace) -> int:
         raise_if_mismatched(source.trouble())
         settings = training_settings(options, source)
         pretraining = source.pretraining(settings)
-        _create(run, settings, source)
+        run.create().save_settings(settings)
+        source.save(run.path)
     began = time.monotonic()
     try:
         _train(run, pretraining, source)
@@ -251,14 +252,6 @@ def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, 
         settings = replace(settings, episodes=episodes)
         run.save_settings(settings)
     return settings, source
-
-
-def _create(run: RunDirectory, settings: TrainingSettings, source: SimulationSetup) -> None:
-    try:
-        run.create().save_settings(settings)
-        source.save(run.path)
-    except FileExistsError as error:
-        raise UserError(str(error)) from error
 
 
 def _resume(run: RunDirectory, pretraining: Pretraining) -> None:

@@ -34,7 +34,7 @@ from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.snapshot import dump, restore
-from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -137,12 +137,8 @@ class Examination:
             bench = benches[index // len(cases)]
             if bench is not None:
                 fleet.replace(index, self._believed, bench.plant, bench.gain_delay, bench.dead_time)
-                played[index] = _within_reach(case, bench)
+                played[index] = replace(case, signal=bench.within_reach(case.signal))
         return vector_runs.rmse(fleet, played, choose, self._evaluation).reshape(len(benches), len(cases))
-
-
-def _within_reach(case: Case, bench: RandomisedBench) -> Case:
-    return replace(case, signal=bench.within_reach(case.signal))
 
 
 @dataclass(frozen=True, kw_only=True)

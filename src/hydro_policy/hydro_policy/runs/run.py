@@ -139,11 +139,6 @@ class RunDirectory:
             raise ValueError(f"{self.path} holds no run to resume: {error}") from error
 
 
-def new_run(parent: Path, name: str | None) -> RunDirectory:
-    """Return runs/NAME, by default named after date and time."""
-    return RunDirectory(parent / (name or datetime.now().strftime("%Y%m%d-%H%M%S")))
-
-
 class Scalars:
     """Numbers of a run as TensorBoard event files; `tensorboard --logdir runs` shows runs beside each other.
 

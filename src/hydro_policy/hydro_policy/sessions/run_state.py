@@ -16,10 +16,10 @@ from typing import Any
 
 from hydro_bridge.signals import FloatArray
 from hydro_policy.evaluation import policy_examination
+from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import EpisodeRecord
-from hydro_policy.supervision.interfaces import ActingLearner
 from hydro_policy.task.cases import Score
 
 
@@ -67,7 +67,7 @@ class RunState:
     def __init__(
         self,
         settings: TrainingSettings,
-        learner: ActingLearner,
+        learner: LearnerSupervisor,
         progress: Progress | None = None,
         best: bytes | None = None,
         record: RunRecord | None = None,
@@ -121,15 +121,15 @@ class RunState:
         progress, settings = self.progress, self.settings.exam
         progress.reference_rmse = progress.reference_rmse or policy_examination.reference_rmse(settings, scores)
         verdict = policy_examination.verdict(scores, progress.reference_rmse)
-        errors = [*(exam.get("error", 0.0) for exam in progress.exams), verdict.score_error]
+        errors = [*(exam.get("error", 0.0) for exam in progress.exams), verdict.error]
         kept = next((exam.get("error", 0.0) for exam in reversed(progress.exams) if exam["best"]), 0.0)
         best = policy_examination.significantly_better(verdict.score, progress.best_score, errors, kept)
         self.accept(best)
         progress.examined, progress.best_score = progress.episode, verdict.score if best else progress.best_score
         if progress.passed_at < 0 and verdict.beaten == len(verdict.rmse):
             progress.passed_at = progress.episode
-        result = {"episode": progress.episode, "policy": digest, "rmse": list(verdict.rmse), "beaten": verdict.beaten}
-        progress.exams.append({**result, "score": verdict.score, "error": verdict.score_error, "best": best})
+        result = {"episode": progress.episode, "policy": digest, "rmse": verdict.rmse, "beaten": verdict.beaten}
+        progress.exams.append({**result, "score": verdict.score, "error": verdict.error, "best": best})
         self.record.add("exam", **progress.exams[-1], reference_rmse=progress.reference_rmse)
         return best
 

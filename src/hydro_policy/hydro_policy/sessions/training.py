@@ -19,10 +19,10 @@ from hydro_bridge.signals import FAULTS, Flag, FloatArray
 from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
 from hydro_policy.sessions.run_state import Progress, RunState
-from hydro_policy.supervision.interfaces import ActingLearner
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.mdp import Step, StepClock
@@ -50,7 +50,7 @@ class TrainingSession:
     def __init__(
         self,
         settings: TrainingSettings,
-        learner: ActingLearner,
+        learner: LearnerSupervisor,
         watch: PlantSupervisor,
         *,
         state: dict[str, Any] | None = None,

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interfaces of sessions: to the graph, to the learner process, and of a session itself. No call blocks."""
+"""Interfaces of sessions: to the graph, and of a session itself. No call blocks."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from hydro_bridge.safety.arming import ArmingOutputs
 from hydro_bridge.signals import FloatArray, LawCommand
 
 if TYPE_CHECKING:
-    from hydro_policy.sac.algorithm import Losses
-    from hydro_policy.sac.replay import ReplayBuffer
     from hydro_policy.supervision.override import GainOverride
     from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 
@@ -38,46 +36,6 @@ class Outputs(ArmingOutputs, Protocol):
         weights
             Digest of the weights that acted.
         """
-
-
-class ActingLearner(Protocol):
-    """Interface of the learner for acting: `LearnerSupervisor`, or `InlineLearner` in simulation."""
-
-    replay: ReplayBuffer
-
-    @property
-    def ready(self) -> bool:
-        """Whether weights have been published."""
-
-    @property
-    def updates(self) -> int:
-        """Gradient updates so far."""
-
-    @property
-    def entropy_coefficient(self) -> float:
-        """Entropy coefficient alpha."""
-
-    @property
-    def losses(self) -> Losses:
-        """Losses of the last updates; NaN before the first."""
-
-    def snapshot(self) -> bytes | None:
-        """Return the learner's whole state, at most half a second old."""
-
-    def save_policy(self, good: bytes) -> None:
-        """Store this state as the last good one."""
-
-    def roll_back(self) -> None:
-        """Make the learner return to the last good state."""
-
-    def new_weights(self) -> FloatArray | None:
-        """Return the actor's flat parameters if there are newer ones."""
-
-    def restart_if_dead(self) -> str | None:
-        """Restart it if it died; returns the message for the user."""
-
-    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Request a checkpoint."""
 
 
 class Session(Protocol):

@@ -9,16 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from hydro_policy.task.mdp import BASE, GainRange
-
-
-@dataclass(frozen=True)
-class _Held:
-    delta_kp: float
-    delta_ki: float
-    until: float
 
 
 class GainOverride:
@@ -36,7 +28,8 @@ class GainOverride:
     ) -> None:
         self.reach, self.base = reach or GainRange(), base
         self.say = say
-        self._held: _Held | None = None
+        self._held: tuple[float, float] | None = None  # (delta_kp, delta_ki)
+        self._until = math.inf  # s
 
     def hold(self, proportional: float, integral: float, seconds: float, now: float) -> str:
         """Hold K_p [1/s] and K_i [1/s^2], base gains included, for `seconds` (0: until released); returns a report.
@@ -54,7 +47,7 @@ class GainOverride:
                 f"K_i within [{base[1] + reach.delta_ki_min:g}, {base[1] + reach.delta_ki_max:g}]"
             )
             raise ValueError(f"({proportional:g}, {integral:g}) cannot be held here: {allowed}")
-        self._held = _Held(*change, now + seconds if seconds else math.inf)
+        self._held, self._until = change, now + seconds if seconds else math.inf
         how_long = f"for {seconds:g} s" if seconds else "until told otherwise"
         return self._tell(f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}")
 
@@ -67,10 +60,10 @@ class GainOverride:
 
     def gains(self, now: float) -> tuple[float, float] | None:
         """Return the (delta_kp, delta_ki) to publish instead of the controller's at time `now` [s], or None."""
-        if self._held is not None and now >= self._held.until:
+        if self._held is not None and now >= self._until:
             self._held = None
             self._tell("override is over: the gains are the policy's again")
-        return None if self._held is None else (self._held.delta_kp, self._held.delta_ki)
+        return self._held
 
     @property
     def active(self) -> bool:
@@ -81,7 +74,7 @@ class GainOverride:
     def description(self) -> str:
         """Text for /diagnostics: the gains held, or no."""
         held, base = self._held, self.base
-        return "no" if held is None else f"K_p {base[0] + held.delta_kp:g}, K_i {base[1] + held.delta_ki:g}"
+        return "no" if held is None else f"K_p {base[0] + held[0]:g}, K_i {base[1] + held[1]:g}"
 
     def _tell(self, sentence: str) -> str:
         self.say(sentence)

@@ -25,7 +25,7 @@ from hydro_bridge.safety.arming import TOO_EARLY, Arming
 from hydro_bridge.safety.limits import NARROW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import FAULTS, CorrectionStatus, Flag, ReferenceSignal
-from hydro_policy.supervision.interfaces import ActingLearner, Outputs
+from hydro_policy.supervision.interfaces import Outputs
 from hydro_policy.supervision.override import GainOverride
 
 COMPILES = "loading takes some seconds, and a minute more after a change without `make setup`"
@@ -53,10 +53,10 @@ def fitting_filter(ready: Callable[[], bool]) -> Requirement:
     return Requirement(name="a filter that fits", ready=ready, hint=hint, within=300.0, missing=missing)
 
 
-def learner(learning: ActingLearner) -> Requirement:
+def learner(ready: Callable[[], bool]) -> Requirement:
     """The learner has published weights and is compiled."""
     missing = "the learner is not ready after 300 s: nothing would learn, and nothing was armed for it"
-    return Requirement(name="the learner", ready=lambda: learning.ready, hint=COMPILES, within=300.0, missing=missing)
+    return Requirement(name="the learner", ready=ready, hint=COMPILES, within=300.0, missing=missing)
 
 
 FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
@@ -125,25 +126,6 @@ class AuthorityWait:
             raise NotReadyError(f"{refusal}, still after {within:g} s")
 
 
-class PolicySteps:
-    """Publishes `PolicyStep` a hundred times a second, with one reused message object.
-
-    `node`: node that acts.
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._clock, self._message = node.get_clock(), PolicyStep()
-        self._publisher = create_publisher(node, POLICY)
-
-    def publish(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """See `hydro_policy.supervision.interfaces.Outputs.acted`."""
-        message = self._message
-        message.header.stamp = self._clock.now().to_msg()
-        message.step, message.weights, message.reward = step, weights, reward
-        message.mean_delta_kp, message.mean_delta_ki = mean
-        self._publisher.publish(message)
-
-
 TICK = 0.05  # s
 NICE = -15
 """Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
@@ -185,16 +167,17 @@ class GraphNode(Node):
         self._wrong_box, self._sampled = "", math.inf
         self._meeting: Readiness | None = None  # while waiting for a plant to describe its box
         self._session: Session | None = None
-        self._failure: Exception | None = None  # in a callback; raised there, rclpy would print it as well
+        self._failure: Exception | None = None
         self._each_tick: Callable[[], None] = lambda: None
         self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
         self._done = Future()
         self._gains_out = 0.0
         self._gains = Gains()
-        self._steps: PolicySteps | None = None
+        self._step = PolicyStep()  # one object, used again a hundred times a second
+        self._steps: Publisher | None = None
         self._commander = Commander(self, self._on_authority, endings.ask)
         self._wait = AuthorityWait(self, self._commander, self.warn)
-        self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
+        self._override_service = OverrideService(self, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = subscribe(self, STATE, STATES, self._on_state)
         self._mailbox = Mailbox(name)
@@ -284,7 +267,7 @@ class GraphNode(Node):
         def take(message: Any) -> None:
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
 
-        FreezeService(self, compensation, self.warn)
+        FreezeService(self, compensation)
         subscribe(self, LAW_STATE, LAW_STATES, take)  # each before its sample
 
     def destroy_node(self) -> None:
@@ -294,7 +277,7 @@ class GraphNode(Node):
 
     def tell_steps(self) -> None:
         """Publish the policy's result of each step on /hydro/policy from now on."""
-        self._steps = PolicySteps(self)
+        self._steps = create_publisher(self, POLICY)
 
     def listen_for_enter(self) -> None:
         """Let Enter on the terminal arm the plant."""
@@ -311,8 +294,13 @@ class GraphNode(Node):
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """See `hydro_policy.supervision.interfaces.Outputs`."""
-        if self._steps is not None:
-            self._steps.publish(step, mean, reward, weights)
+        if self._steps is None:
+            return
+        message = self._step
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.step, message.weights, message.reward = step, weights, reward
+        message.mean_delta_kp, message.mean_delta_ki = mean
+        self._steps.publish(message)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """See `hydro_policy.supervision.interfaces.Outputs`."""
@@ -377,7 +365,7 @@ class GraphNode(Node):
                 age = seconds(self._gains.header.stamp) - 1e-9 * message.stamp
                 self.timing.add(begin, self._gains_out, age)
         except Exception as error:
-            self._fail(error)
+            self.fail(error)
         if self._session.finished:
             self._finish()
 
@@ -397,7 +385,7 @@ class GraphNode(Node):
             self._read_corrections()
             self._tick(time.monotonic())
         except Exception as error:
-            self._fail(error)
+            self.fail(error)
 
     def _tick(self, now: float) -> None:
         if self._session is None and self._meeting is None:
@@ -430,7 +418,8 @@ class GraphNode(Node):
         else:
             self._override_service.open()
 
-    def _fail(self, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
+        """End the session by an error, which is raised there: in a callback rclpy would print it, too."""
         self._failure = self._failure or error
         self._finish()
 
@@ -452,7 +441,7 @@ class GraphNode(Node):
         self._unarmed_since = min(self._unarmed_since, now)
         self.warn(f"the plant was not armed: {response.message}")
         if now - self._unarmed_since > ALONE_WITHIN:
-            self._fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
+            self.fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
 
     def _on_disarm_answer(self, answer: Future) -> None:
         response = answer.result()

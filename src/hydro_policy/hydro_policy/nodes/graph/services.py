@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from rclpy.node import Node
 from rclpy.service import Service
 from std_srvs.srv import SetBool
 
@@ -14,37 +14,17 @@ from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.topics import FREEZE_SERVICE, OVERRIDE_SERVICE
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.supervision.override import GainOverride
+
+if TYPE_CHECKING:
+    from hydro_policy.nodes.graph.node import GraphNode
 
 
 class OverrideService:
-    """The service of one node.
+    """The service of one node, whose override a request changes. `told`: called with the request and the answer."""
 
-    Parameters
-    ----------
-    node
-        Node that offers the service.
-    override
-        Override that a request changes.
-    warn
-        Called with a sentence when a request is refused.
-    fail
-        Called with the error if the run's record cannot be written, which ends the run.
-    told
-        Called with the request and the answer.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        override: Callable[[], GainOverride],
-        warn: Callable[[str], None],
-        fail: Callable[[Exception], None],
-        told: Callable[[str], None],
-    ) -> None:
-        self._node, self._override = node, override
+    def __init__(self, node: GraphNode, told: Callable[[str], None]) -> None:
+        self._node, self._told = node, told
         self._service: Service | None = None
-        self._warn, self._fail, self._told = warn, fail, told
 
     def open(self) -> None:
         """Offer the service unless it is already offered."""
@@ -63,10 +43,10 @@ class OverrideService:
             answer.success = True
         except ValueError as error:
             answer.success, answer.message = False, str(error)
-            self._warn(f"override refused: {error}")
-        except OSError as error:  # the run's record cannot be written
+            self._node.warn(f"override refused: {error}")
+        except OSError as error:  # the run's record cannot be written, which ends the run
             answer.success, answer.message = False, str(error)
-            self._fail(error)
+            self._node.fail(error)
         refused = "" if answer.success else "refused: "
         self._told(f"{request.name or 'somebody'}: override, {_wanted(request)}: {refused}{answer.message}")
         return answer
@@ -77,9 +57,9 @@ class OverrideService:
         if request.whom not in ("", own):
             raise ValueError(f"{own} chooses the gains here, not {request.whom}")
         if not request.active:
-            return self._override().release()
+            return self._node.override.release()
         gains = (request.proportional_gain, request.integral_gain)
-        return self._override().hold(*gains, request.seconds, time.monotonic())
+        return self._node.override.hold(*gains, request.seconds, time.monotonic())
 
 
 def _wanted(request: OverrideGains.Request) -> str:
@@ -89,14 +69,10 @@ def _wanted(request: OverrideGains.Request) -> str:
 
 
 class FreezeService:
-    """The service and the diagnostics of one estimator.
+    """The service and the diagnostics of the estimator of one node, which a request freezes or releases."""
 
-    `node`: node that runs the estimator. `compensation`: estimator that a request freezes or releases. `say`: called
-    with a sentence for each change.
-    """
-
-    def __init__(self, node: Node, compensation: LiveCompensation, say: Callable[[str], None]) -> None:
-        self._compensation, self._say = compensation, say
+    def __init__(self, node: GraphNode, compensation: LiveCompensation) -> None:
+        self._node, self._compensation = node, compensation
         node.create_service(SetBool, FREEZE_SERVICE, self._on_request)
         DiagnosticsPublisher(node, self._status, name="compensation")
 
@@ -104,7 +80,7 @@ class FreezeService:
         self._compensation.frozen = bool(request.data)
         answer.success = True
         answer.message = "the coefficients are frozen" if request.data else "the coefficients adapt again"
-        self._say(f"by /hydro/freeze_compensation: {answer.message}")
+        self._node.warn(f"by /hydro/freeze_compensation: {answer.message}")
         return answer
 
     def _status(self) -> Status:

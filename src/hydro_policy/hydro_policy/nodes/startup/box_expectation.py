@@ -50,7 +50,8 @@ def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
     expected = plan.base_gains or box.base_gains
     if not all(isclose(*pair, rel_tol=1e-6) for pair in zip(expected, box.base_gains, strict=True)):
         kp, ki = box.base_gains
-        told = f"the box adds changes to base gains ({kp:g}, {ki:g}), this run was planned for {_pair(expected)}"
+        planned = "({:g}, {:g})".format(*expected)
+        told = f"the box adds changes to base gains ({kp:g}, {ki:g}), this run was planned for {planned}"
         return f"{told}: say --base-gains {kp:g} {ki:g}"
     return ""
 
@@ -80,7 +81,3 @@ def training_provenance(box: BoxIdentity) -> MadeFor:
     """Return the provenance of a policy or run trained on this box."""
     kp, ki = box.base_gains or (None, None)
     return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
-
-
-def _pair(gains: tuple[float, float]) -> str:
-    return f"({gains[0]:g}, {gains[1]:g})"

@@ -51,11 +51,6 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Pat
     return words
 
 
-def of_filter(choice: FilterChoice) -> list[str]:
-    """Return key=value words: SHA-256 of the filter's metric and of its prediction model."""
-    return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
-
-
 def describe_policy(path: Path) -> str:
     """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings.
 
@@ -91,23 +86,19 @@ def guard_range(gains: GainRange) -> GainRange:
 def guard_parameters(gains: GainRange, words: Sequence[str]) -> list[str]:
     """Return the ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
 
-    The guard is given the filter on which the wider range relies, by its command line's `words`, and reports it: it is
-    never widened silently, nor without a filter.
+    The guard is given the filter on which the wider range relies, by its command line's `words` with its metric named,
+    and reports it: it is never widened silently, nor without a filter.
     """
     if tuple(words) == NO_FILTER:
         return []
-    default, wanted, relies_on = GuardSettings(), asdict(guard_range(gains)), filter_command(words)
-    changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
-    words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
-    return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
-
-
-def filter_command(words: Sequence[str]) -> str:
-    """Return the filter's command line with its metric named explicitly."""
     from hydro_filter.controller.factory import LEARNED
 
     named = any(word.split("=")[0] == "--metric" for word in words)
-    return " ".join(words if named else (f"--metric {LEARNED}", *words))
+    relies_on = " ".join(words if named else (f"--metric {LEARNED}", *words))
+    default, wanted = GuardSettings(), asdict(guard_range(gains))
+    changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
+    words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
+    return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
 
 
 def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
@@ -115,11 +106,9 @@ def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = 
     if tuple(words) == NO_FILTER:
         return ""
     _, settings = requested_filter(words, bench)
-    if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
-        return ""
-    if settings.bypass:
-        return "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
-    return ""
+    wide = guard_range(gains).delta_kp_max > GuardSettings().delta_kp_max
+    bypassed = "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
+    return bypassed if wide and settings.bypass else ""
 
 
 PLANTS = ("sim", "emulator", "bench", "external")
@@ -215,7 +204,8 @@ def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = weights(options.plant, options.bench, options.policies, options.model)
     if options.filter != NO_FILTER:
-        digests += of_filter(requested_filter(options.filter, options.bench)[0])
+        choice, _ = requested_filter(options.filter, options.bench)
+        digests += [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

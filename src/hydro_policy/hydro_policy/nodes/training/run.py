@@ -159,7 +159,8 @@ def train(options: argparse.Namespace) -> int:
         node.say(gain_range(settings))
         say_policy(node, run.policy, resumed=options.resume is not None)
         record = begin_record(node, prepared, options)
-        learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
+        agent = prepared.start.agent if prepared.start else None
+        learner = LearnerSupervisor(settings, run, prepared.checkpoint, agent)
         recording = start_plant(stack, options, prepared, node)
         session = begin_session(node, prepared, learner, record, rearm=may_rearm(options))
         stack.callback(restore_plant_file, run, settings, options)
@@ -189,7 +190,7 @@ def begin_session(
     session = TrainingSession(
         prepared.settings,
         learner,
-        node.supervisor(plant_supervisor.learner(learner), rearm=rearm),
+        node.supervisor(plant_supervisor.learner(lambda: learner.ready), rearm=rearm),
         state=(prepared.checkpoint.trainer or None) if prepared.checkpoint else None,
         best=prepared.best,
         record=record,
@@ -255,7 +256,7 @@ def drive(
 
 def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
     """Wait for the learner to be ready, with a time-out. Raises NotReadyError: it takes too long."""
-    readiness = Readiness([plant_supervisor.learner(learner)], node.say)
+    readiness = Readiness([plant_supervisor.learner(lambda: learner.ready)], node.say)
     while not readiness.complete:
         if (sentence := learner.restart_if_dead()) is not None:
             node.say(sentence, warning=True)

@@ -7,6 +7,7 @@ import argparse
 import shlex
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -43,7 +44,7 @@ from hydro_policy.nodes.startup.options import (
 )
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
-from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint, new_run
+from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.snapshot import check_agent, dump
@@ -69,11 +70,6 @@ class Prepared:
     """Whether the run's folder was newly created."""
 
     @property
-    def agent(self) -> bytes | None:
-        """Agent to start from; None: a new one, or the checkpoint's."""
-        return self.start.agent if self.start else None
-
-    @property
     def best(self) -> bytes | None:
         """Best agent of the resumed run, if it has one."""
         path = self.run.best / AGENT
@@ -93,7 +89,8 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
         check_run(run, settings, checkpoint)
     else:
-        run, checkpoint = new_run(options.runs, options.name), None
+        run = RunDirectory(options.runs / (options.name or f"{datetime.now():%Y%m%d-%H%M%S}"))
+        checkpoint = None
         writable_folder(run.path)
         run.refuse_existing()
         start = find_initial_agent(options)
