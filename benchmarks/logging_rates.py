@@ -19,17 +19,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numba import njit
 
 from benchmarks._report import parser
-from benchmarks.foreign_truth.logger import logged
+from benchmarks.foreign_truth import plant
+from benchmarks.foreign_truth.bench import numbers
+from benchmarks.foreign_truth.equations import PERIOD, POSITION, PRESSURE_A, PRESSURE_B, STATES, command, sense
 from benchmarks.foreign_truth.plant import FloatArray
-from hydro_bridge.cli.console import Table, command, progress
+from hydro_bridge.cli import console
+from hydro_bridge.cli.console import Table, progress
 from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.recording import InputError
 
 SECONDS = 20.0
-FINEST = 1e-4
-"""s between the states that are kept."""
+ROWS = 10
+"""States that are kept in a millisecond, of which any rate and any jitter can be taken: 10 kHz."""
+FINEST = PERIOD / ROWS
+"""s between them."""
+SUBSTEPS = 10
+"""Of a row: 10 us."""
 COLUMNS = {"hydraulic_force": 0, "load_force": 2, "pressure_a": 4, "pressure_b": 5, "piston_position": 6,
            "valve_current": 8}  # fmt: skip
 BENCHES: dict[str, tuple[dict[str, float], str, str, float]] = {
@@ -59,20 +67,53 @@ CONDITIONS: dict[str, Logger] = {
 }
 
 
+@njit
+def _run(bench, box, wanted, gains, noise, quantum, start, out):
+    step, integral = PERIOD / ROWS / SUBSTEPS, 0.0
+    state, work, before = np.zeros(STATES), np.zeros((3, STATES)), np.zeros(plant.LOGGED)
+    state[PRESSURE_A], state[PRESSURE_B] = start, start / bench.area_ratio
+    state[POSITION] = bench.spring_rest_position
+    for k in range(len(out)):
+        row = out[k]
+        sense(bench, state, noise[k], quantum, row)
+        if k % ROWS == 0:
+            tick = k // ROWS
+            row[7] = before[7] + 0.5 * ((row[6] - before[6]) / PERIOD - before[7])
+            row[10], row[11], row[12], row[13] = wanted[tick, 0], wanted[tick, 1], gains[0], gains[1]
+            integral = command(box, row, integral)
+            before = row
+        row[8] = before[8]
+        for j in range(SUBSTEPS):
+            plant.advance(plant.NONE, bench, k * PERIOD / ROWS + j * step, row[8], state, step, work)
+
+
 @cache
-def _states(bench: str, number: int, seed: int) -> FloatArray:
-    return logged(BENCHES[bench][0], number, seed, SECONDS)[:, list(COLUMNS.values())].astype(np.float64)
+def states(bench: str, number: int, seed: int) -> FloatArray:
+    """What a bench shows in a run of this number, shape (10000 `SECONDS`, 6), by `COLUMNS`.
+
+    At the box's milliseconds a row is what the box itself has read and decided; between them the sensors have fresh
+    noise and the current is held.
+    """
+    kind, gain = list(plant.RUNS.items())[number]
+    count = round(SECONDS / PERIOD)
+    noise = plant.NOISE * np.random.default_rng([seed, number]).standard_normal((count * ROWS, 4))
+    out = np.zeros((count * ROWS, plant.LOGGED))
+    wanted = plant.reference(kind, count, 10 * seed + number)
+    _run(numbers(**BENCHES[bench][0]), numbers(), wanted, (gain, 15.0), noise, plant.QUANTUM, 6e6 + 4e5 * number, out)
+    if not np.all(np.isfinite(out[-1])):
+        raise ArithmeticError("the foreign plant diverges")
+    return out[:, list(COLUMNS.values())]
 
 
-def rows(states: FloatArray, logger: Logger, seed: int) -> pd.DataFrame:
+def rows(kept: FloatArray, logger: Logger, seed: int) -> pd.DataFrame:
     """What a logger writes of the states, in columns by BenchState name."""
     random, step = np.random.default_rng([seed, 7]), 1.0 / logger.rate
-    due = np.arange(0.0, (len(states) - 20) * FINEST, step)
+    due = np.arange(0.0, (len(kept) - 20) * FINEST, step)
     taken = np.sort(due + random.uniform(-1.0, 1.0, len(due)) * logger.sampling)
     stamps = np.sort(taken + random.uniform(-1.0, 1.0, len(due)) * logger.stamps)
-    at = np.clip(np.rint(taken / FINEST).astype(np.int64), 0, len(states) - 1)
+    at = np.clip(np.rint(taken / FINEST).astype(np.int64), 0, len(kept) - 1)
     stamps = stamps if logger.sampling == 0.0 else at * FINEST
-    found = pd.DataFrame(states[at], columns=list(COLUMNS))
+    found = pd.DataFrame(kept[at], columns=list(COLUMNS))
     found.insert(0, "time", np.round(stamps, 7))
     return found[random.uniform(size=len(due)) >= logger.lost]
 
@@ -84,7 +125,7 @@ def outcome(name: str, bench: str, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / "first.csv", Path(folder) / "held.csv"]
         for number, file in enumerate(files):
-            rows(_states(bench, number, seed), CONDITIONS[name], seed + number).to_csv(file, index=False)
+            rows(states(bench, number, seed), CONDITIONS[name], seed + number).to_csv(file, index=False)
         begun = time.process_time()
         try:
             report = diagnose(files[:1], holdout=files[1:]).report
@@ -100,7 +141,7 @@ def outcome(name: str, bench: str, seed: int) -> dict[str, Any]:
     return {**row, "verdict": report.verdict, "cpu": round(time.process_time() - begun, 1)}
 
 
-@command()
+@console.command()
 def main() -> None:
     """Run the conditions that are asked for, and print a row for each diagnosis."""
     options = parser("logging_rates", __doc__)

@@ -38,8 +38,6 @@ class Numbers(NamedTuple):
     spool_bandwidth: float = 0.0
     """Hz, second order; 0: the spool follows at once."""
     spool_damping: float = 0.8
-    spool_rate: float = 0.0
-    """A/s that the spool cannot exceed; 0: no limit."""
     valve_offset: float = 0.0
     """A."""
     valve_overlap: float = 0.0
@@ -80,9 +78,6 @@ class Numbers(NamedTuple):
     force_offset: float = 0.0
     """N."""
 
-    hydraulic_cell_gain: float = 1.0
-    hydraulic_cell_bias: float = 0.0
-    """N."""
     load_cell_gain: float = 1.0
     load_cell_bias: float = 0.0
     """N."""

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench in closed loop: true states in steps of 5 us, the box and its sensors once a millisecond.
+"""The bench in closed loop, its references, and its log as a rosbag2 folder.
+
+True states in steps of 5 us, the box and its sensors once a millisecond.
 
 A step is half a step of dry friction, a step of Runge-Kutta of fourth order for all the rest, half a step of friction
 (Strang): the set-valued force is never differentiated. A mass that is held creeps by half a step's push, um/s, so that
@@ -9,6 +11,7 @@ with dry friction the error falls with the step, not with its square (proof.md h
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +19,18 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics import MEMORY, all_rates, brake, misread, rested
 from benchmarks.foreign_truth.bench import Numbers, numbers
-from benchmarks.foreign_truth.box import PERIOD, command, sense
-from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
+from benchmarks.foreign_truth.equations import (
+    PERIOD,
+    POSITION,
+    PRESSURE_A,
+    PRESSURE_B,
+    STATES,
+    VELOCITY,
+    command,
+    sense,
+)
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
 
 FloatArray = npt.NDArray[np.float64]
 SUBSTEPS = 200
@@ -83,15 +96,15 @@ def _run(physics, bench, box, reference, gains, noise, quantum, start, substeps,
     return len(out)
 
 
-def run(bench: Numbers, reference: FloatArray, *, box: Numbers | None = None, gains: tuple[float, float] = (80.0, 15.0),
+def run(bench: Numbers, reference: FloatArray, *, gains: tuple[float, float] = (80.0, 15.0),
         noise: FloatArray | None = None, quantum: float = 0.0, start: float = 6e6,
         substeps: int = SUBSTEPS, physics: Physics = NONE) -> FloatArray:  # fmt: skip
     """What a box logs that tracks a reference on a bench.
 
     Parameters
     ----------
-    bench, box
-        The truth, and what the force law believes (default: bench.yaml).
+    bench
+        The truth; the force law believes bench.yaml.
     reference
         Force and its rate [N, N/s], shape (n, 2), one a millisecond.
     gains
@@ -116,7 +129,49 @@ def run(bench: Numbers, reference: FloatArray, *, box: Numbers | None = None, ga
     """
     out = np.zeros((len(reference), LOGGED))
     added = np.zeros((len(reference), 4)) if noise is None else noise
-    done = _run(physics, bench, box or numbers(), reference, gains, added, quantum, start, substeps, out)
+    done = _run(physics, bench, numbers(), reference, gains, added, quantum, start, substeps, out)
     if done < len(out):
         raise ArithmeticError(f"the foreign plant diverges after {done} ms")
     return out
+
+
+RUNS = {"sines": 80.0, "steps": 65.0}
+"""K_p [1/s] by reference: the first is fitted, the second held out. K_i is 15 in both."""
+NOISE, QUANTUM = np.array([0.6, 0.6, 6e3, 6e3]), 1e-6
+"""N, N, Pa, Pa (standard deviations); m, the encoder's step."""
+EPOCH = 1_760_000_000.0
+
+
+def reference(kind: str, count: int, seed: int) -> FloatArray:
+    """Force and its rate [N, N/s], shape (count, 2): a multisine, or filtered steps under a sine that sweeps."""
+    time, random = np.arange(count) * PERIOD, np.random.default_rng(seed)
+    if kind == "sines":
+        force = 220.0 * np.sin(2.0 * np.pi * 1.3 * time)
+        for frequency, amplitude in zip((0.37, 0.71, 2.3, 4.1, 6.7, 9.3), (40, 30, 25, 15, 10, 7), strict=True):
+            force += amplitude * np.sin(2.0 * np.pi * frequency * time + random.uniform(0.0, 6.28))
+    else:
+        levels = np.repeat(random.uniform(-280.0, 280.0, count // 700 + 1), 700)[:count]
+        smooth = _lag(_lag(levels, 4.0), 4.0)
+        force = 0.8 * smooth + 50.0 * np.sin(2.0 * np.pi * (0.5 * time + 1.75 / time[-1] * time**2))
+    force *= 1.0 - np.exp(-((time / 0.3) ** 2))
+    return np.column_stack([force, np.gradient(force, PERIOD)])
+
+
+def _lag(signal: FloatArray, bandwidth: float) -> FloatArray:
+    """First-order low-pass, from rest."""
+    out, share = np.zeros_like(signal), PERIOD * 2.0 * np.pi * bandwidth
+    for k in range(1, len(signal)):
+        out[k] = out[k - 1] + share * (signal[k] - out[k - 1])
+    return out
+
+
+def write_bag(folder: Path, log: FloatArray) -> None:
+    """Write a log, shape (n, LOGGED), as a rosbag2 folder that there is not yet."""
+    states = np.zeros(len(log), STATE_DTYPE)
+    states["sequence"] = np.arange(len(log))
+    states["time"] = EPOCH + PERIOD * states["sequence"]
+    for column, name in enumerate(STATE_FIELDS):
+        states[name] = log[:, column]
+    states["flags"] = log[:, len(STATE_FIELDS)]
+    with BagWriter(folder) as bag:
+        bag.write_states(states)

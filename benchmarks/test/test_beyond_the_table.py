@@ -12,9 +12,8 @@ import pytest
 
 from benchmarks.beyond_the_table.__main__ import carried_out
 from benchmarks.beyond_the_table.cases import Case, drawn, simulated
-from benchmarks.beyond_the_table.form import right_form
 from benchmarks.beyond_the_table.kinds import KINDS, Kind
-from benchmarks.beyond_the_table.score import scored, summary
+from benchmarks.beyond_the_table.score import right_form, scored, summary
 from tests.checks import each
 
 pytestmark = pytest.mark.study

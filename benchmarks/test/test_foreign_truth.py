@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks.foreign_truth.bench import Numbers, numbers
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
-from benchmarks.foreign_truth.plant import NONE, FloatArray, advance, run
-from benchmarks.foreign_truth.recordings import reference
+from benchmarks.foreign_truth.plant import NONE, FloatArray, advance, reference, run
 
 pytestmark = pytest.mark.study
 STEP = 5e-6
