@@ -23,7 +23,7 @@ from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
 from benchmarks._report import parser
-from benchmarks.prove.blind import engine
+from benchmarks.prove.blind import ENGINE
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
@@ -184,7 +184,7 @@ def main() -> None:
         print_coverage(chosen.runs)
         return
     bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
-    version = hashlib.sha256(repr((bench.to_mapping(), engine())).encode()).hexdigest()[:12]
+    version = hashlib.sha256(repr((bench.to_mapping(), ENGINE)).encode()).hexdigest()[:12]
     pairs = {f"{version}-{seed}": (bench, seed) for seed in range(chosen.seed, chosen.seed + chosen.runs)}
     found = jobs.complete(trial, pairs, **jobs.where(chosen), kept=chosen.write, label="searching", unit="pair")
     trials = list(found.values())

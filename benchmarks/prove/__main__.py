@@ -25,7 +25,7 @@ from benchmarks.prove import pictures
 from benchmarks.prove.cases import PARTS, Case, draw, draw_parts
 from benchmarks.prove.scores import Result, confusion, failures, standards
 from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
+from hydro_bridge.cli.console import UserError, add_json_argument, command, number, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_sim.model.bench import Bench
@@ -70,9 +70,10 @@ def parser() -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(
         prog="python -m benchmarks.prove", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    options.add_argument("--cases", type=int, default=20, metavar="N", help="benches (default: 20; a proof: 224)")
+    options.add_argument("--cases", type=number(1, 100_000), default=20, metavar="N",
+                         help="benches (default: 20; a proof: 224)")  # fmt: skip
     options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
-    options.add_argument("--seed", type=int, required=True, metavar="S", help="of everything that is drawn")
+    options.add_argument("--seed", type=number(0), required=True, metavar="S", help="of everything that is drawn")
     options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
     jobs.add_arguments(options)
     options.add_argument("--minutes", type=float, default=float("inf"),
@@ -103,15 +104,9 @@ def run(arguments: Sequence[str]) -> int:
         return 3
     answers = unseal(folder / SEALED, digest)
     print("opened: the answers are those that were sealed")
-    results = [
-        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text())) for case in answers
-    ]
-    _show(
-        results,
-        folder,
-        {"seed": str(chosen.seed), "cases": str(len(cases)), "SHA-256": digest},
-        chosen.json,
-    )
+    said = [json.loads((folder / BLIND / case.name / ANSWER).read_text()) for case in answers]
+    results = [Result(case=case, answer=one) for case, one in zip(answers, said, strict=True)]
+    _show(results, folder, {"seed": str(chosen.seed), "cases": str(len(cases)), "SHA-256": digest}, chosen.json)
     return 0
 
 
@@ -122,10 +117,6 @@ def main() -> int:
 
 
 def _drawn(chosen: argparse.Namespace) -> list[Case]:
-    if not 1 <= chosen.cases <= 100_000:
-        raise UserError(f"--cases {chosen.cases}: must be 1 to 100000")
-    if chosen.seed < 0:
-        raise UserError(f"--seed {chosen.seed}: must be 0 or more")
     if not chosen.parts:
         return draw(chosen.cases, chosen.seed)
     parts = dict(word.partition("=")[::2] for word in chosen.parts)
@@ -168,17 +159,16 @@ def _blindly(cases: Sequence[Path]) -> None:
 
 def _forget_other_versions(folder: Path) -> None:
     """Remove what another version of the diagnosis answered."""
-    from benchmarks.prove.blind import ANSWER, engine
+    from benchmarks.prove.blind import ANSWER, ENGINE
 
-    this = engine()
     for answer in (folder / BLIND).glob(f"*/{ANSWER}"):
-        if json.loads(answer.read_text())["engine"] != this:
+        if json.loads(answer.read_text())["engine"] != ENGINE:
             answer.unlink()
 
 
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
     """Print the table; write proof.json, the pictures and proof.html."""
-    from benchmarks.prove.blind import engine
+    from benchmarks.prove.blind import ENGINE
 
     engines = sorted({str(result.answer["engine"]) for result in results})
     about = {**about, "engine": ", ".join(engines)}
@@ -190,8 +180,8 @@ def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_f
     content = {"about": about, "standards": table.rows, "confusion": confusion(results), "failures": failed,
                "floors": pictures.floors(results), "cases": [_row(result) for result in results]}  # fmt: skip
     write_whole(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
-    if engines != [engine()]:
-        others = ", ".join(other for other in engines if other != engine())
+    if engines != [ENGINE]:
+        others = ", ".join(other for other in engines if other != ENGINE)
         print(f"warning: cases were diagnosed by another version ({others}): --again diagnoses them again",
               file=sys.stderr)  # fmt: skip
     print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")

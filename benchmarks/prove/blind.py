@@ -16,7 +16,6 @@ import os
 import signal
 import sys
 import time
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import FrameType
@@ -24,16 +23,15 @@ from typing import Any
 
 import hydro_diagnosis
 import hydro_sim.model
-from benchmarks.prove.cases import FITTED, HELD
+from benchmarks.prove.cases import FITTED, HELD, missing
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import command
+from hydro_bridge.files.atomic import write_whole
 from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
 
 
-@cache
-def engine() -> str:
-    """Digest of the sources at the first call."""
+def _engine() -> str:
     digest = sha256()
     for package in (Path(hydro_diagnosis.__file__).parent, Path(hydro_sim.model.__file__).parent):
         for path in sorted(package.rglob("*.py")):
@@ -41,6 +39,8 @@ def engine() -> str:
     return digest.hexdigest()[:12]
 
 
+ENGINE = _engine()
+"""Digest of the sources that this process has loaded: computed at import, so that later edits do not count."""
 TRUTH = "hydro_sim.emulator"
 """Package whose code makes the recordings."""
 _STARTS = ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system", "os.fork")
@@ -65,23 +65,16 @@ def guard(hidden: Path, seen: Path) -> None:
     def look(event: str, arguments: tuple[Any, ...]) -> None:
         if event in ("open", "os.listdir", "os.scandir"):
             path = arguments[0] if arguments else None
-            if isinstance(path, (str, bytes, os.PathLike)) and _below(path, *pair):
-                raise SealedError(f"{os.fsdecode(path)} is sealed")
+            if isinstance(path, (str, bytes, os.PathLike)):
+                real = Path(os.path.realpath(os.fsdecode(path)))
+                if real.is_relative_to(pair[0]) and not real.is_relative_to(pair[1]):
+                    raise SealedError(f"{os.fsdecode(path)} is sealed")
         elif event == "import" and str(arguments[0]).startswith(TRUTH):
             raise SealedError(f"{arguments[0]} holds the truth")
         elif event in _STARTS:
             raise SealedError("the diagnosis starts no other process")
 
     sys.addaudithook(look)
-
-
-def _below(path: str | bytes | os.PathLike[Any], hidden: str, seen: str) -> bool:
-    real = os.path.realpath(os.fsdecode(path))
-    return _within(real, hidden) and not _within(real, seen)
-
-
-def _within(path: str, folder: str) -> bool:
-    return path == folder or path.startswith(folder + os.sep)
 
 
 ANSWER = "answer.json"
@@ -107,27 +100,16 @@ def diagnosed(case: Path) -> None:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
     answer |= {"wall": time.monotonic() - begun, "cpu": time.process_time() - cpu}
-    scratch = case / f".{ANSWER}"
-    scratch.write_text(json.dumps(answer, indent=1), encoding="utf-8")
-    os.replace(scratch, case / ANSWER)  # whole or not at all
+    write_whole(case / ANSWER, json.dumps(answer, indent=1).encode())
 
 
 def _too_long(number: int, frame: FrameType | None) -> None:
     raise InputError(f"no answer after {LIMIT} s of CPU")
 
 
-ENGINE = engine()
-"""Version of the sources that this process has loaded: computed at import, so that later edits do not count."""
-
-
 def waiting(folder: Path) -> list[Path]:
     """Cases whose recordings are whole and that have no answer yet."""
-    cases = sorted(path for path in folder.glob("case-*") if path.is_dir())
-    return [
-        case
-        for case in cases
-        if not (case / ANSWER).exists() and all((case / name / "metadata.yaml").exists() for name in (*FITTED, HELD))
-    ]
+    return [case for case in sorted(folder.glob("case-*")) if not (case / ANSWER).exists() and not missing(case)]
 
 
 @command(OSError)

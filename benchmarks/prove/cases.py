@@ -7,8 +7,9 @@ noise, to `high`; a faint one from a fifth of `low` up to it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,39 +29,29 @@ class Size:
     step: float = 0.0
     """Grid of the values; 0 for none."""
 
-    def draw(self, rng: np.random.Generator, faint: bool) -> float:
+    def __call__(self, rng: np.random.Generator, faint: bool) -> float:
         """Draw a value."""
         low, high = (FAINTEST * self.low, self.low) if faint else (self.low, self.high)
         size = float(np.exp(rng.uniform(np.log(low), np.log(high)))) * int(rng.choice(self.signs))
         return self.neutral + (self.step * round(size / self.step) if self.step else size)
 
 
-@dataclass(frozen=True)
-class Shape:
+Draw = Callable[[np.random.Generator, bool], Any]
+
+
+def shape(low: float, high: float) -> Draw:
     """A parameter other than the size, drawn evenly on a logarithmic scale."""
-
-    low: float
-    high: float
-
-    def draw(self, rng: np.random.Generator, faint: bool) -> float:
-        """Draw a value."""
-        return float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
+    return lambda rng, faint: float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-@dataclass(frozen=True)
-class Pick:
+def pick(*words: str) -> Draw:
     """A choice among words."""
-
-    words: tuple[str, ...]
-
-    def draw(self, rng: np.random.Generator, faint: bool) -> str:
-        """Draw a word."""
-        return str(rng.choice(self.words))
+    return lambda rng, faint: str(rng.choice(words))
 
 
 def values(entry: Mapping[str, Any], rng: np.random.Generator, *, faint: bool = False) -> dict[str, Any]:
     """Parameters of one effect, as the emulator takes them."""
-    return {key: one.draw(rng, faint) if hasattr(one, "draw") else one for key, one in entry.items()}
+    return {key: one(rng, faint) if callable(one) else one for key, one in entry.items()}
 
 
 def size_of(entry: Mapping[str, Any], drawn: Mapping[str, Any]) -> tuple[str, float] | None:
@@ -83,22 +74,22 @@ def _ratio(low: float, high: float) -> Size:
     return Size(low=low, high=high, neutral=1.0, signs=(-1, 1))
 
 
-_CHAMBER, _CELL = Pick(("a", "b")), Pick(("hydraulic_force", "load_force"))
+_CHAMBER, _CELL = pick("a", "b"), pick("hydraulic_force", "load_force")
 SINGLES: dict[str, dict[str, Any]] = {
     "friction_coulomb": {"force": _size(2.0, 20.0)},
     "friction_coulomb/directional": {"force_positive": _size(6.0, 15.0), "force_negative": _size(2.0, 5.0)},
     "friction_viscous": {"coefficient": _size(8.0, 60.0)},
-    "friction_stribeck": {"breakaway_force": _size(4.0, 15.0), "velocity": Shape(0.01, 0.03)},
+    "friction_stribeck": {"breakaway_force": _size(4.0, 15.0), "velocity": shape(0.01, 0.03)},
     "leakage_internal": {"coefficient": _size(1e-14, 3e-13)},
     "leakage_external": {"coefficient": _size(1e-14, 1e-13), "chamber": _CHAMBER},
     "valve_deadband": {"half_width": _size(5e-5, 1e-3)},
-    "valve_lag": {"bandwidth": Shape(60.0, 180.0), "damping": Shape(0.6, 1.0)},
+    "valve_lag": {"bandwidth": shape(60.0, 180.0), "damping": shape(0.6, 1.0)},
     "transport_delay": {"time": Size(low=3e-4, high=1.5e-3, step=25e-6)},  # the emulator's own step
     "valve_offset": {"current": _signed(3e-5, 5e-4)},
     "valve_gain": {"ratio": _ratio(0.03, 0.15)},
     "valve_gain_asymmetry": {"ratio": _ratio(0.03, 0.2)},
-    "valve_null_leakage": {"coefficient": _size(5e-11, 1e-9), "width": Shape(3e-4, 2e-3)},
-    "supply_droop": {"resistance": _size(1e10, 1e11), "time_constant": Shape(0.02, 0.3)},
+    "valve_null_leakage": {"coefficient": _size(5e-11, 1e-9), "width": shape(3e-4, 2e-3)},
+    "supply_droop": {"resistance": _size(1e10, 1e11), "time_constant": shape(0.02, 0.3)},
     "bulk_modulus": {"ratio": Size(low=0.05, high=0.3, neutral=1.0, signs=(-1,))},
     "entrained_air": {"volume_fraction": _size(2e-3, 2e-2)},
     "load_cell_gain": {"ratio": _ratio(0.02, 0.1), "cell": _CELL},
@@ -108,9 +99,9 @@ SINGLES: dict[str, dict[str, Any]] = {
     "backlash": {"width": _size(1e-4, 1e-3)},
     "moving_mass": {"mass": _size(0.2, 1.0)},
     "valve_gain_drift": {"rate": _signed(2e-3, 8e-3)},
-    "end_cushion": {"stiffness": _size(2e3, 2e4), "position": Shape(0.043, 0.048)},
+    "end_cushion": {"stiffness": _size(2e3, 2e4), "position": shape(0.043, 0.048)},
     "force_offset": {"force": _signed(3.0, 30.0)},
-    "sensor_lag": {"bandwidth": Shape(30.0, 90.0), "sensor": Pick(("hydraulic_force", "pressure_a", "pressure_b"))},
+    "sensor_lag": {"bandwidth": shape(30.0, 90.0), "sensor": pick("hydraulic_force", "pressure_a", "pressure_b")},
 }
 """Named causes, in the form that the table has."""
 
@@ -128,17 +119,17 @@ VALUES: dict[str, dict[str, Any]] = {
 FORMS: dict[str, dict[str, Any]] = {
     "friction_coulomb/lugre": {"force": _size(4.0, 20.0), "form": "lugre"},
     "friction_coulomb/smooth": {"force": _size(4.0, 20.0), "form": "smooth"},
-    "valve_lag/first_order": {"bandwidth": Shape(60.0, 180.0), "damping": 0.8, "order": 1},
-    "valve_lag/rate_limited": {"bandwidth": Shape(80.0, 180.0), "damping": 0.8, "rate_limit": Shape(2.0, 6.0)},
+    "valve_lag/first_order": {"bandwidth": shape(60.0, 180.0), "damping": 0.8, "order": 1},
+    "valve_lag/rate_limited": {"bandwidth": shape(80.0, 180.0), "damping": 0.8, "rate_limit": shape(2.0, 6.0)},
     "valve_deadband/soft": {"half_width": _size(1e-4, 1e-3), "form": "soft"},
     "valve_deadband/lopsided": {"half_width": _size(1e-4, 5e-4), "half_width_negative": _size(1e-4, 5e-4)},
     "entrained_air/isothermal": {"volume_fraction": _size(3e-3, 2e-2), "form": "isothermal"},
     "valve_null_leakage/hyperbolic": {
-        "coefficient": _size(1e-10, 1e-9), "width": Shape(3e-4, 2e-3), "form": "hyperbolic"},
+        "coefficient": _size(1e-10, 1e-9), "width": shape(3e-4, 2e-3), "form": "hyperbolic"},
     "leakage_internal/orifice": {"coefficient": _size(2e-14, 3e-13), "form": "orifice"},
     "backlash/play": {"width": _size(1e-4, 1e-3), "form": "play"},
     "end_cushion/quadratic": {"stiffness": _size(4e3, 2e4), "position": 0.044, "form": "quadratic"},
-    "sensor_lag/damping": {"bandwidth": Shape(15.0, 22.0), "sensor": "load_force", "damping": 0.5},
+    "sensor_lag/damping": {"bandwidth": shape(15.0, 22.0), "sensor": "load_force", "damping": 0.5},
 }  # fmt: skip
 """The same causes in another form."""
 
@@ -199,6 +190,11 @@ class Case:
         """A case from plain data."""
         size = data["size"]
         return cls(**{**data, "size": None if size is None else (size[0], size[1])})
+
+
+def missing(folder: Path) -> list[str]:
+    """Recordings of the case in a folder that are not there, or not whole."""
+    return [name for name in (*FITTED, HELD) if not (folder / name / "metadata.yaml").exists()]
 
 
 def draw(count: int, seed: int) -> list[Case]:

@@ -52,14 +52,12 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
-NAMES = {"confusion": "confusion.png", "errors": "errors.png"}
-"""File names, by what they show."""
 _VERDICTS = ("no_mismatch", "unknown", "partly_explained", "modelled", "explained", "refused")
 
 
 def draw(results: Sequence[Result], folder: Path) -> dict[str, Path]:
     """Draw all pictures into `folder`."""
-    paths = {what: folder / name for what, name in NAMES.items()}
+    paths = {what: folder / f"{what}.png" for what in _CAPTIONS}
     draw_confusion(confusion(results), paths["confusion"])
     draw_errors(results, paths["errors"])
     return paths

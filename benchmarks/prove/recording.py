@@ -1,32 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the cases by the emulator's command, offline.
+"""Recordings of the cases by the emulator, offline.
 
-The truth is written to a temporary folder, which is deleted before any diagnosis begins. A run that cannot be used is
-recorded again as an operator would, decided from the run alone: first lower gains and a smaller reference; if the bench
-still trips or swings from stop to stop, the box assumes a stronger valve, so that its force law compensates the
-velocity term only in part. The diagnosis reads the recorded valve current and is not concerned.
+A run that cannot be used is recorded again as an operator would, decided from the run alone: first lower gains and a
+smaller reference; if the bench still trips or swings from stop to stop, the box assumes a stronger valve, so that its
+force law compensates the velocity term only in part. The diagnosis reads the recorded valve current and is not
+concerned.
 """
 
 from __future__ import annotations
 
 import shutil
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from benchmarks.prove.cases import FITTED, HELD, Case
+from benchmarks.prove.cases import FITTED, HELD, Case, missing
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import Flag
 from hydro_diagnosis.io.table import UnusableRecordingError, read_table
 from hydro_diagnosis.preprocessing.quality import checked
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.emulator.offline import record_offline, with_gain_limits_for, write_bag
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation import schedule_from
 from hydro_sim.model.bench import Bench
 
 USED = 0.5
@@ -53,10 +53,8 @@ class Attempt:
         gains = {"kp": min(self.kp, drawn["kp"]), "ki": min(self.ki, drawn["ki"])}
         return {**drawn, "amplitude": self.amplitude * drawn["amplitude"], **gains}
 
-    def box(self) -> Bench | None:
-        """Bench that the box assumes; None: bench.yaml unchanged."""
-        if self.believed_flow == 1.0:
-            return None
+    def bench(self) -> Bench:
+        """Bench that the box assumes."""
         bench = Bench.nominal()
         return replace(bench, valve_nominal_flow=self.believed_flow * bench.valve_nominal_flow)
 
@@ -83,12 +81,6 @@ def usable(bag: Path) -> bool:
     return recording.seconds >= USED * 1e-3 * len(flags)
 
 
-SLICE = 8
-"""Cases that one process of the emulator records."""
-Run = tuple[Case, str]
-"""A case and the name of a recording."""
-
-
 def record(cases: Sequence[Case], folder: Path, until: float, **where: Any) -> bool:
     """Record the missing runs of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side.
 
@@ -96,84 +88,28 @@ def record(cases: Sequence[Case], folder: Path, until: float, **where: Any) -> b
     -------
     False if `until`, a time of `time.monotonic`, came before the end.
     """
-    missing = [case for case in cases if not all(whole(folder / case.name / name) for name in (*FITTED, HELD))]
-    slices = {missing[at].name: (missing[at : at + SLICE], folder) for at in range(0, len(missing), SLICE)}
-    done = jobs.complete(_record, slices, **where, until=until, label="recording", unit="slice")
-    return len(done) == len(slices)
+    left = {case.name: (case, folder / case.name) for case in cases if missing(folder / case.name)}
+    done = jobs.complete(_record, left, **where, until=until, label="recording", unit="case")
+    return len(done) == len(left)
 
 
-def _record(cases: Sequence[Case], folder: Path) -> None:
-    """Record one slice."""
-    runs = [(case, name) for case in cases for name in (*FITTED, HELD) if not whole(folder / case.name / name)]
-    left = runs
-    for attempt in ATTEMPTS:
-        _play(left, attempt, folder)
-        left = [(case, name) for case, name in left if not usable(fresh(folder / case.name / name))]
-    for case, name in runs:
-        fresh(folder / case.name / name).rename(folder / case.name / name)
+def _record(case: Case, folder: Path) -> None:
+    """Record the missing runs of a case; each has another name until it is accepted."""
+    for name in missing(folder):
+        fresh = folder / f"{name}-fresh"
+        for attempt in ATTEMPTS:
+            shutil.rmtree(fresh, ignore_errors=True)  # what a Ctrl-C or a trip has left
+            _play(case, name, attempt, fresh)
+            if usable(fresh):
+                break
+        fresh.rename(folder / name)
 
 
-def _play(runs: Sequence[Run], attempt: Attempt, folder: Path) -> None:
-    """Record runs, each as `fresh`, in one process."""
-    if not runs:
-        return
-    with tempfile.TemporaryDirectory(prefix="hydro-truth-") as scratch:
-        batch = []
-        for case, name in runs:
-            out = clear(folder / case.name / name)
-            paths = written(case, name, attempt, Path(scratch))
-            batch.append({"out": str(out), "seed": run_seed(case, name), **paths})
-        file = Path(scratch) / "batch.yaml"
-        file.write_text(yaml.safe_dump({"jobs": batch}), encoding="utf-8")
-        run_emulator(["--offline", "--batch", str(file)])
-
-
-def fresh(bag: Path) -> Path:
-    """Temporary folder of a recording until it is accepted."""
-    return bag.with_name(f"{bag.name}-fresh")
-
-
-def clear(bag: Path) -> Path:
-    """Return `fresh`, emptied of what a Ctrl-C or a trip has left."""
-    shutil.rmtree(fresh(bag), ignore_errors=True)
-    bag.parent.mkdir(parents=True, exist_ok=True)
-    return fresh(bag)
-
-
-def written(case: Case, name: str, attempt: Attempt, scratch: Path) -> dict[str, str]:
-    """Write truth, schedule and the box's bench file for the emulator; return their paths by option."""
-    files = {"truth": truth_of(case), "schedule": {"segments": [attempt.schedule(case.schedules[name])]}}
-    box = attempt.box()
-    if box is not None:
-        files["bench"] = box.to_mapping()
-    paths = {}
-    for option, content in files.items():
-        path = scratch / f"{case.name}.{name}.{option}.yaml"
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        paths[option] = str(path)
-    return paths
-
-
-def truth_of(case: Case) -> dict[str, Any]:
-    """The case as the emulator's truth file: the nominal bench, whatever the box assumes, plus the concealed causes."""
-    effects = {name: dict(values) for name, values in case.effects.items()}
-    outside = {name: dict(values) for name, values in case.outside.items()}
+def _play(case: Case, name: str, attempt: Attempt, out: Path) -> None:
+    """Record one run on the nominal bench, whatever the box assumes, with the concealed causes."""
     parts = {"bench": Bench.nominal().to_mapping(), "sensors": {"noise_scale": case.noise}}
-    return {"profile": "nominal", **parts, "effects": effects, "outside": outside}
-
-
-def run_seed(case: Case, name: str) -> int:
-    """Seed of one run's noise."""
-    return 10 * case.seed + (*FITTED, HELD).index(name)
-
-
-def run_emulator(words: Sequence[str]) -> None:
-    """Run the emulator's command to its end; raises UserError with its last line if it fails."""
-    done = subprocess.run(["ros2", "run", "hydro_sim", "emulator", *words], check=False, capture_output=True, text=True)
-    if done.returncode:
-        raise UserError(f"the emulator could not record: {(done.stderr.strip() or 'it was ended').splitlines()[-1]}")
-
-
-def whole(bag: Path) -> bool:
-    """Return whether a recording was finished."""
-    return (bag / "metadata.yaml").exists()
+    truth = truth_from_mapping({"profile": "nominal", **parts, "effects": case.effects, "outside": case.outside})
+    segments = schedule_from({"segments": [attempt.schedule(case.schedules[name])]}, case.name)
+    bench, seed = attempt.bench(), 10 * case.seed + (*FITTED, HELD).index(name)
+    box = with_gain_limits_for(segments, BoxConfig().of_bench(bench))
+    write_bag(out, record_offline(truth, segments, bench=bench, box=box, seed=seed), bench)

@@ -13,10 +13,10 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import sqrt
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from benchmarks.prove.cases import Case
 from hydro_bridge.cli.console import Table
@@ -221,14 +221,10 @@ COLUMNS = {
 }
 
 
-def wilson(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    if not count:
-        return 0.0, 1.0
-    z, share = 1.959964, hits / count
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    reach = z / (1 + z * z / count) * sqrt(share * (1 - share) / count + z * z / (4 * count * count))
-    return max(middle - reach, 0.0), min(middle + reach, 1.0)
+def wilson(hits: int, count: int) -> str:
+    """95 % interval of a share (Wilson 1927), as it is shown."""
+    found = binomtest(hits, count).proportion_ci(method="wilson")
+    return f"{found.low:.1%} to {found.high:.1%}"
 
 
 def standards(results: Sequence[Result]) -> Table:
@@ -263,17 +259,12 @@ def _share(
     """A row with a share; a negative goal is an upper limit."""
     if not results:
         return
-    hits = sum(test(result) for result in results)
-    _row(table, standard, goal, hits, len(results))
-
-
-def _row(table: Table, standard: str, goal: float | None, hits: int, count: int) -> None:
-    low, high = wilson(hits, count)
+    hits, count = sum(map(test, results)), len(results)
     share = hits / count
     words = "" if goal is None else f">= {goal:.0%}" if goal > 0 else f"<= {-goal:.0%}"
     met = "" if goal is None else _said(share >= goal if goal > 0 else share <= -goal)
     table.add(standard=standard, goal=words, reached=f"{hits}/{count} = {share:.1%}", count=count,
-              wilson=f"{low:.1%} to {high:.1%}", met=met)  # fmt: skip
+              wilson=wilson(hits, count), met=met)  # fmt: skip
 
 
 def _figure(table: Table, standard: str, goal: str, reached: str, count: int, met: bool) -> None:
@@ -297,10 +288,9 @@ def _numbers(table: Table, results: Sequence[Result]) -> None:
     table.add(standard="the same over the effect's size (of a ratio of 1.05, over 0.05)", goal="", met="", wilson="",
               reached=f"median {middle:.2%}, p95 {tail:.2%}", count=len(estimates))  # fmt: skip
     hits = sum(one.inside for one in estimates)
-    low, high = wilson(hits, len(estimates))
     share = hits / len(estimates)
     table.add(standard="95 % intervals that hold the truth", goal="92% to 98%", reached=f"{share:.1%}",
-              count=len(estimates), wilson=f"{low:.1%} to {high:.1%}", met=_said(0.92 <= share <= 0.98))  # fmt: skip
+              count=len(estimates), wilson=wilson(hits, len(estimates)), met=_said(0.92 <= share <= 0.98))  # fmt: skip
 
 
 def _fits(table: Table, results: Sequence[Result]) -> None:
