@@ -29,7 +29,8 @@ from hydro_bridge.serial.port import PortLostError
 from hydro_bridge.settings import SettingsError
 
 __all__ = [
-    "Table", "UserError", "add_json_argument", "command", "fail", "number", "progress", "writable", "writable_folder",
+    "Table", "UserError", "add_json_argument", "command", "command_line", "fail", "number", "progress", "writable",
+    "writable_folder",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -204,6 +205,12 @@ class Table:
 def plural(count: int, noun: str) -> str:
     """Return a count with its noun: `1 episode`, `2 episodes`."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def command_line(name: str, text: str | None, **more: Any) -> argparse.ArgumentParser:
+    """Return the parser of a command whose help begins with `text`, line by line; `more` as argparse takes it."""
+    raw = argparse.RawDescriptionHelpFormatter
+    return argparse.ArgumentParser(prog=name, description=text, formatter_class=raw, **more)
 
 
 def add_json_argument(parser: argparse.ArgumentParser) -> None:

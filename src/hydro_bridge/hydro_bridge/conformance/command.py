@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import yaml
 
-from hydro_bridge.cli.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, add_json_argument, command, command_line, progress
 from hydro_bridge.conformance.checks import CHECKS, NotToldError, OpenError
 from hydro_bridge.conformance.host import PUNCTUAL, VERBS, Host, SilentError, UnreadableError, begin, end
 from hydro_bridge.conformance.reference import force_gain
@@ -168,9 +168,7 @@ COLUMNS = {
 
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line."""
-    parser = argparse.ArgumentParser(
-        prog="conformance", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line("conformance", __doc__)
     parser.add_argument("--port", help="device of the box, or link to one")
     parser.add_argument("--baud", type=int, default=PortSettings().baud, help="bit/s; default: %(default)s")
     parser.add_argument(

@@ -11,7 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from hydro_bridge.cli.console import UserError, command, writable, writable_folder
+from hydro_bridge.cli.console import UserError, command, command_line, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.ros.keys import (
     ENABLE,
@@ -28,9 +28,7 @@ from hydro_bridge.ros.topics import RIGHTS
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = argparse.ArgumentParser(
-        prog="create_keystore", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    result = command_line("create_keystore", __doc__)
     result.add_argument("keystore", nargs="?", type=writable_folder, metavar="KEYSTORE", help="folder to make")
     result.add_argument("--policy", type=writable, metavar="FILE", help="also write the policy, as SROS2 reads it")
     return result
@@ -48,13 +46,9 @@ def main() -> None:
         print(f"{asked.policy}: the policy of {len(RIGHTS)} enclaves", file=sys.stderr)
     if asked.keystore is not None:
         make_keystore(asked.keystore, policy, map(enclave_of, RIGHTS))
-    if asked.keystore is not None:
-        print(_next_steps(asked.keystore), file=sys.stderr)
-
-
-def _next_steps(keystore: Path) -> str:
-    return (
-        f"{keystore}: keys of {len(RIGHTS)} enclaves for ROS_DOMAIN_ID {domain()}, readable by you only. "
-        "In each shell that starts a node:\n"
-        f"  export {KEYSTORE}={keystore.resolve()} {ENABLE}=true {STRATEGY}={ENFORCE}"
-    )
+        print(
+            f"{asked.keystore}: keys of {len(RIGHTS)} enclaves for ROS_DOMAIN_ID {domain()}, readable by you only. "
+            "In each shell that starts a node:\n"
+            f"  export {KEYSTORE}={asked.keystore.resolve()} {ENABLE}=true {STRATEGY}={ENFORCE}",
+            file=sys.stderr,
+        )

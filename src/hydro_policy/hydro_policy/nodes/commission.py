@@ -15,7 +15,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from hydro_bridge.cli.console import UserError, command, writable_folder
+from hydro_bridge.cli.console import UserError, command, command_line, writable_folder
 from hydro_bridge.files import bench_file, site
 from hydro_bridge.ros.companion import CompanionError
 from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
@@ -28,9 +28,7 @@ LOG = "commission.log"
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = argparse.ArgumentParser(
-        prog="commission", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    result = command_line("commission", __doc__)
     result.add_argument("--site", required=True, type=writable_folder, metavar="DIR", help="folder of this bench")
     plant = result.add_mutually_exclusive_group()
     plant.add_argument("--port", metavar="PATH", help="serial port of the box; a site keeps it")

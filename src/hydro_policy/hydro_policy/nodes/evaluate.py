@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hydro_bridge.cli.console import command, writable, writable_folder
+from hydro_bridge.cli.console import command, command_line, writable, writable_folder
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
@@ -20,9 +20,7 @@ from hydro_policy.nodes.startup.options import LAWS, add_plant_options, take_sit
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = argparse.ArgumentParser(
-        prog="evaluate", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    result = command_line("evaluate", __doc__)
     add_plant_options(result)
     what = result.add_argument_group("what")
     what.add_argument(

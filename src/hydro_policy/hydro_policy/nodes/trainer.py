@@ -12,7 +12,7 @@ from pathlib import Path
 
 import rclpy
 
-from hydro_bridge.cli.console import NEW_ONLY, command, explicit_options, refuse_changes
+from hydro_bridge.cli.console import NEW_ONLY, command, command_line, explicit_options, refuse_changes
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
@@ -42,9 +42,7 @@ every setting is a ROS parameter, too: --ros-args -p sac.discount:=0.98 -p task.
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = argparse.ArgumentParser(
-        prog="trainer", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    result = command_line("trainer", __doc__, epilog=EPILOG)
     result.add_argument("--demo", action="store_true", help="the main job: see the examples")
     add_plant_options(result)
     run = result.add_argument_group("run")

@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
-from hydro_bridge.cli.console import add_json_argument, command, writable_folder
+from hydro_bridge.cli.console import add_json_argument, command, command_line, writable_folder
 from hydro_bridge.files import site
 from hydro_policy.envs import FILTERS
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
@@ -22,9 +22,7 @@ from hydro_sim.box.box import Integral
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    result = argparse.ArgumentParser(
-        prog="pretrain", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    result = command_line("pretrain", __doc__)
     where = result.add_mutually_exclusive_group(required=True)
     where.add_argument("--out", type=writable_folder, metavar="RUN", help="folder of a new run")
     where.add_argument(

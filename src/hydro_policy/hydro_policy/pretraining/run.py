@@ -196,7 +196,9 @@ def pretrain(options: argparse.Namespace) -> int:
         settings, source = resumed(run, sys.argv[1:])
         raise_if_mismatched(source.trouble())
         pretraining = source.pretraining(settings)
-        _resume(run, pretraining)
+        if any(run.latest.glob("*")):  # else interrupted during the first round: it starts again
+            best = run.path / AGENT
+            pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
     else:
         source = simulation_setup(options)
         raise_if_mismatched(source.trouble())
@@ -254,24 +256,24 @@ def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, 
     return settings, source
 
 
-def _resume(run: RunDirectory, pretraining: Pretraining) -> None:
-    if not run.latest.exists() or not any(run.latest.iterdir()):
-        return  # interrupted during the first round: it starts again
-    best = run.path / AGENT
-    pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
-
-
 def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
     """Run the remaining rounds; checkpoints after the first, the last, and every `SAVE_PERIOD` in between."""
     settings = pretraining.settings.training
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
     bar.update(pretraining.episode * settings.task.steps_per_episode)
-    stop, due, scalars = _StopRequest(), 0.0, Scalars(run.path)
+    due, scalars, asked = 0.0, Scalars(run.path), list[int]()
+
+    def ask(number: int, frame: object) -> None:
+        endings.let_go_of_terminal()
+        asked.append(number)
 
     def each_step(transitions: Transitions) -> None:
-        stop.check()
+        if asked:  # looked at between steps: an exception raised anywhere could be dropped in a finalizer
+            raise endings.Ended(asked[-1])
         bar.update(len(transitions.reward))
+
+    endings.answer(ask)
 
     while not pretraining.finished:
         entry = pretraining.round(each_step)
@@ -281,23 +283,6 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
             due = time.monotonic() + SAVE_PERIOD
         bar.set_postfix_str(f"{entry['score']:.2f} of fixed gains' RMSE, best {pretraining.best_score:.2f}")
     bar.close()
-
-
-class _StopRequest:
-    """Termination request, checked between steps: an exception raised anywhere could be dropped in a finalizer."""
-
-    def __init__(self) -> None:
-        self._asked = 0
-        endings.answer(self._ask)
-
-    def _ask(self, number: int, frame: object) -> None:
-        endings.let_go_of_terminal()
-        self._asked = number
-
-    def check(self) -> None:
-        """Raise `Ended` if termination was requested."""
-        if self._asked:
-            raise endings.Ended(self._asked)
 
 
 def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
