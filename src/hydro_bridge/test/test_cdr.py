@@ -24,10 +24,6 @@ def typestore():
     return store
 
 
-def layout_of(name: str):
-    return fixed_layout(definition(name).text, name)
-
-
 @pytest.mark.parametrize("frame_id", ["bench", "", "a", "four", "longer than that"])
 def test_states_agree_with_an_independent_codec(typestore, make_states, frame_id):
     states = make_states(5)
@@ -38,7 +34,7 @@ def test_states_agree_with_an_independent_codec(typestore, make_states, frame_id
         assert message.sequence == state["sequence"] and message.flags == state["flags"]
         assert [getattr(message, name) for name in STATE_FIELDS] == [state[name] for name in STATE_FIELDS]
         assert bytes(typestore.serialize_cdr(message, STATE_TYPE)) == row.tobytes()
-    back = layout_of(STATE_TYPE).decode(rows, np.zeros(5, np.int64))
+    back = fixed_layout(STATE_TYPE).decode(rows, np.zeros(5, np.int64))
     np.testing.assert_allclose(back["time"], states["time"], atol=1e-6, rtol=0)
     back["time"] = states["time"]
     assert np.array_equal(back, states)
@@ -54,7 +50,7 @@ def test_what_is_no_message_of_the_type_is_refused(make_states, damage):
     else:
         rows[:, 12] = 250
     with pytest.raises(ValueError, match=r"bytes|CDR"):
-        layout_of(STATE_TYPE).decode(rows, np.zeros(1, np.int64))
+        fixed_layout(STATE_TYPE).decode(rows, np.zeros(1, np.int64))
 
 
 @pytest.mark.parametrize("name", PACKAGED)

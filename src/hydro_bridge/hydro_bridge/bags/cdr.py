@@ -119,11 +119,12 @@ class FixedLayout:
         return kinds
 
 
-def fixed_layout(text: str, type_name: str) -> FixedLayout:
-    """Return the layout of a type from its ros2msg text.
+def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:
+    """Return the layout of a type from its ros2msg text, by default that of its known definition.
 
     Raises NotFixedError: the type is not numbers only with at most a leading header.
     """
+    text = definition(type_name).text if text is None else text
     _, members = get_types_from_msg(text, type_name)[type_name]
     has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == _HEADER
     fields = []
@@ -136,4 +137,4 @@ def fixed_layout(text: str, type_name: str) -> FixedLayout:
 
 def encode_states(states: StateArray, frame_id: str = "bench") -> ByteRows:
     """Encode `STATE_DTYPE` records as serialized BenchState messages, shape (n, bytes)."""
-    return fixed_layout(definition(STATE_TYPE).text, STATE_TYPE).encode(states, frame_id)
+    return fixed_layout(STATE_TYPE).encode(states, frame_id)

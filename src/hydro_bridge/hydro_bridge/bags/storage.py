@@ -305,7 +305,7 @@ class BagSource:
         name, text = self.type_of(scan, channel)
         if (name, text) not in self._layouts:
             try:
-                self._layouts[name, text] = fixed_layout(text, name)
+                self._layouts[name, text] = fixed_layout(name, text)
             except NotFixedError:
                 self._layouts[name, text] = None
             except Exception as error:

@@ -29,7 +29,7 @@ from hydro_bridge.serial.port import PortLostError
 from hydro_bridge.settings import SettingsError
 
 __all__ = [
-    "Table", "UserError", "add_json_argument", "command", "command_line", "fail", "number", "progress", "writable",
+    "Table", "UserError", "add_json_argument", "command", "command_line", "number", "progress", "writable",
     "writable_folder",
 ]  # fmt: skip
 
@@ -54,12 +54,6 @@ def number(low: N, high: float = inf) -> Callable[[str], N]:
     return convert
 
 
-def fail(sentence: str) -> NoReturn:
-    """End the command with a sentence on standard error and exit status 2."""
-    endings.complain(sentence)
-    raise SystemExit(2)
-
-
 def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
     """Decorate a `main`: known errors are printed as one sentence, its return value becomes the exit status.
 
@@ -81,16 +75,15 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
                     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 sys.stderr.close()
                 status = 0
-            except endings.Ended as ended:
-                if ended.sentence:
-                    endings.complain(ended.sentence)
-                status = 128 + ended.number
-            except KeyboardInterrupt:
-                status = 130
+            except KeyboardInterrupt as interruption:
+                if isinstance(interruption, endings.Ended) and interruption.sentence:
+                    endings.complain(interruption.sentence)
+                status = endings.status(interruption)
             except Exception as error:
-                if isinstance(error, known) or is_file_error(error):
-                    fail(user_message(error))
-                raise
+                if not (isinstance(error, known) or is_file_error(error)):
+                    raise
+                endings.complain(user_message(error))
+                status = 2
             sys.exit(status)
 
         return wrapped

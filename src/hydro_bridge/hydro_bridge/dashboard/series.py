@@ -22,8 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.bags.cdr import FixedLayout, fixed_layout
-from hydro_bridge.bags.types import definition
+from hydro_bridge.bags.cdr import FixedLayout
 from hydro_bridge.signals import Flag, FloatArray
 
 STATE_TYPE = "hydro_msgs/msg/BenchState"
@@ -76,20 +75,11 @@ def described() -> list[list[dict[str, str]]]:
     return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in SERIES]
 
 
-class Decoder:
-    """Vectorised decoder of serialized messages of one type into a table.
-
-    `type_name`: type of numbers only, with a header.
-    """
-
-    def __init__(self, type_name: str) -> None:
-        self._layout: FixedLayout = fixed_layout(definition(type_name).text, type_name)
-
-    def table(self, messages: Sequence[bytes]) -> npt.NDArray[np.void]:
-        """Return records with `time` [s, header stamp] and the message's fields; skips messages of another length."""
-        alike = [message for message in messages if len(message) == len(messages[-1])]
-        rows = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), -1)
-        return self._layout.decode(rows, np.zeros(len(alike), np.int64))
+def decoded(layout: FixedLayout, messages: Sequence[bytes]) -> npt.NDArray[np.void]:
+    """Return serialized messages with a header as a table; skips messages of another length than the last."""
+    alike = [message for message in messages if len(message) == len(messages[-1])]
+    rows = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), -1)
+    return layout.decode(rows, np.zeros(len(alike), np.int64))
 
 
 def state_values(table: npt.NDArray[np.void]) -> FloatArray:

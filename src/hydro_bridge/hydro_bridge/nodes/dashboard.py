@@ -31,6 +31,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from hydro_bridge.bags.cdr import fixed_layout
 from hydro_bridge.cli.console import command, number
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.dashboard.series import SLOT, Thinner
@@ -69,7 +70,7 @@ class Samples:
     def __init__(self) -> None:
         self._mailbox = Mailbox("dashboard")
         kinds = {STATE: series.STATE_TYPE, CORRECTION: series.CORRECTION_TYPE, LAW_STATE: series.LAW_TYPE}
-        self._queues = {topic: (self._queued(topic), series.Decoder(kind)) for topic, kind in kinds.items()}
+        self._queues = {topic: (self._queued(topic), fixed_layout(kind)) for topic, kind in kinds.items()}
         self._sequence = -1
         self.series = tuple(Thinner(len(columns)) for columns in series.SERIES)
         """Thinners of the samples, of the corrections and of the compensated law."""
@@ -110,10 +111,10 @@ class Samples:
 
     def _fetched(self, topic: str) -> npt.NDArray[np.void] | None:
         """Return the queued messages as a table; None if there are none, or of a plant of another version."""
-        subscription, decoder = self._queues[topic]
+        subscription, layout = self._queues[topic]
         messages = [data for data, _ in self._mailbox.fetch(subscription, QUEUE)]
         try:
-            return decoder.table(messages) if messages else None
+            return series.decoded(layout, messages) if messages else None
         except ValueError:  # unknown layout
             return None
 
