@@ -21,7 +21,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
-import rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -80,7 +79,6 @@ def verify_keys() -> None:
             parameter_overrides=[no_services],
         ).destroy_node()
     except RuntimeError as error:
-        rclpy.try_shutdown()
         raise key_error(error) from None
 
 

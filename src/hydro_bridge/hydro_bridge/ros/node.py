@@ -14,8 +14,8 @@ import gc
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from difflib import get_close_matches
 from importlib import resources
@@ -157,8 +157,9 @@ def ros_arguments() -> tuple[list[str], list[str]]:
     return rest[:begin] + rest[end:], rest[begin:end]
 
 
-def start_ros(ros: Sequence[str] = ()) -> None:
-    """Start ROS without its signal handlers; ours leave time to disarm.
+@contextmanager
+def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
+    """Context in which ROS runs, without its signal handlers: ours leave time to disarm.
 
     See `network` for the discovery range, `keys.enclave` for the keys used if security is enabled.
 
@@ -173,8 +174,12 @@ def start_ros(ros: Sequence[str] = ()) -> None:
             raise key_error(error) from None
         sentence = re.sub(r",? at /\S+:\d+", "", str(error))
         raise SettingsError(f"ROS refuses its arguments: {' '.join(sentence.split())}") from None
-    if keys:
-        verify_keys()
+    try:
+        if keys:
+            verify_keys()
+        yield
+    finally:
+        rclpy.try_shutdown()
 
 
 def spin(node: Node, until: Future | None = None) -> bool:
@@ -226,23 +231,22 @@ def call_service(
     Raises UserError: with `absent` if it is not there within `found_within` [s], with `unanswered` if no answer comes
     `within` [s]; with its own message behind `refused` if it refuses.
     """
-    start_ros(ros)
-    node = Node(name)
-    try:
-        client = node.create_client(kind, service)
-        if not client.wait_for_service(timeout_sec=found_within):
-            raise UserError(absent)
-        answer = client.call_async(request)
-        rclpy.spin_until_future_complete(node, answer, timeout_sec=within)
-        if not answer.done():
-            raise UserError(unanswered)
-        message = str(answer.result().message)
-        if not answer.result().success:
-            raise UserError(refused + message)
-        return message
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with running_ros(ros):
+        node = Node(name)
+        try:
+            client = node.create_client(kind, service)
+            if not client.wait_for_service(timeout_sec=found_within):
+                raise UserError(absent)
+            answer = client.call_async(request)
+            rclpy.spin_until_future_complete(node, answer, timeout_sec=within)
+            if not answer.done():
+                raise UserError(unanswered)
+            message = str(answer.result().message)
+            if not answer.result().success:
+                raise UserError(refused + message)
+            return message
+        finally:
+            node.destroy_node()
 
 
 def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
@@ -253,17 +257,16 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
     callback, since the next one would find no context. Its method `close`, if any, is called while the context is still
     valid. `ros`: arguments from `--ros-args` on.
     """
-    start_ros(ros)
-    node = None
-    try:
-        node = make()
-        refuse_unknown_parameters(node)
-        getattr(node, "begin", lambda: None)()
-        spin(node, getattr(node, "done", None))
-        return node
-    finally:
-        if node is not None:
-            with endings.undisturbed():
-                getattr(node, "close", lambda: None)()
-                node.destroy_node()
-        rclpy.try_shutdown()
+    with running_ros(ros):
+        node = None
+        try:
+            node = make()
+            refuse_unknown_parameters(node)
+            getattr(node, "begin", lambda: None)()
+            spin(node, getattr(node, "done", None))
+            return node
+        finally:
+            if node is not None:
+                with endings.undisturbed():
+                    getattr(node, "close", lambda: None)()
+                    node.destroy_node()

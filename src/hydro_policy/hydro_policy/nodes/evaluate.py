@@ -13,7 +13,7 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import command, command_line, writable, writable_folder
 from hydro_bridge.ros.companion import CompanionError
-from hydro_bridge.ros.node import ros_arguments, start_ros
+from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.nodes.startup.options import LAWS, add_plant_options, take_site
 
@@ -83,12 +83,7 @@ def main() -> int:
     own, ros = ros_arguments()
     options = parser().parse_args(own)
     take_site(options)
-    import rclpy
-
     from hydro_policy.nodes.evaluation import evaluate  # with compiled code: not for --help or a wrong option
 
-    start_ros(ros)
-    try:
+    with running_ros(ros):
         return evaluate(options)
-    finally:
-        rclpy.try_shutdown()

@@ -10,11 +10,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import rclpy
-
 from hydro_bridge.cli.console import NEW_ONLY, command, command_line, explicit_options, refuse_changes
 from hydro_bridge.ros.companion import CompanionError
-from hydro_bridge.ros.node import ros_arguments, start_ros
+from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options, take_site
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration_of
@@ -114,8 +112,5 @@ def main() -> int:
     options.configuration = options.configuration or "paper"
     from hydro_policy.nodes.training.run import train  # with torch, which takes seconds: not for --help or a slip
 
-    start_ros(ros)
-    try:
+    with running_ros(ros):
         return train(options)
-    finally:
-        rclpy.try_shutdown()

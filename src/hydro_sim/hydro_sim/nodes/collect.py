@@ -26,7 +26,6 @@ from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import rclpy
 import yaml
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -49,7 +48,7 @@ from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch, add_page_option, start_page
 from hydro_bridge.ros.diagnostics import publisher_conflicts
 from hydro_bridge.ros.messages import subscribe_to_box
-from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, spin, start_ros
+from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, running_ros, spin
 from hydro_bridge.ros.topics import COMMANDS, STATE, create_subscription
 from hydro_bridge.safety.arming import TOO_EARLY, Arming
 from hydro_bridge.safety.authority import BY_HAND
@@ -287,8 +286,7 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
     Raises UserError if it was interrupted, the recorder ended, another node drives the plant, or its box believes
     another bench.
     """
-    start_ros(ros)
-    try:
+    with running_ros(ros):
         node = CollectNode(schedule, None if options.rearm is None else options.rearm == "auto")
         try:
             refuse_unknown_parameters(node)
@@ -298,8 +296,6 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
         finally:
             node.leave()
             node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
     if lost:
         raise UserError(f"the recorder has ended, so the plant was disarmed: {lost}")
     if broken:

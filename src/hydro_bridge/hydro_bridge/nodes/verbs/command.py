@@ -27,7 +27,7 @@ from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.nodes.verbs.launch import launch
 from hydro_bridge.ros.companion import CompanionError
-from hydro_bridge.ros.node import spin, start_ros
+from hydro_bridge.ros.node import running_ros, spin
 
 _ELEMENT = re.compile(r"(?:sequence<)?(\w+/\w+)(?:\[\d+\]|(?:, \d+)?>)?")
 _LONG = (bytes, bytearray, str)
@@ -121,13 +121,12 @@ _LOOK = 0.05
 @contextmanager
 def visiting() -> Iterator[Node]:
     """Yield a node that offers nothing and is hidden from lists by the leading `_` of its name."""
-    start_ros()
-    node = Node(f"_ros2cli_{os.getpid()}", start_parameter_services=False, enable_rosout=False)
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with running_ros():
+        node = Node(f"_ros2cli_{os.getpid()}", start_parameter_services=False, enable_rosout=False)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
 
 
 def settle(node: Node) -> None:
