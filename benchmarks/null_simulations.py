@@ -36,8 +36,7 @@ from hydro_diagnosis.experiment_design import simulated_recording
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_sim.model.bench import Bench
 
 Trial = tuple[float, float | None, str]

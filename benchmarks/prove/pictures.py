@@ -17,7 +17,7 @@ from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.selection.outcome import SearchSettings
+from hydro_diagnosis.selection.search import SearchSettings
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure
 
 _CAPTIONS = {

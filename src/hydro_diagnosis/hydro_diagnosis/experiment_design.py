@@ -27,7 +27,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError, RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Recording
-from hydro_diagnosis.selection.outcome import CLOSE, Outcome
+from hydro_diagnosis.selection.search import CLOSE, Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law

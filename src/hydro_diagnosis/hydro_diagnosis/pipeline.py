@@ -11,12 +11,11 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from hydro_bridge.process import endings
-from hydro_diagnosis.estimation.budget import Budget
+from hydro_diagnosis.estimation.problem import Budget
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import DiagnosisInterrupted
-from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
-from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.search import NAMES, Search, SearchSettings
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_claims, search_causes
 from hydro_diagnosis.stages.reading import Progress, Question
@@ -62,7 +61,7 @@ def diagnose(
     settings
         Of the search.
     seconds
-        Budget of work [s of CPU, counted: `estimation.budget`]: then the best answer so far is given. Default: 60, in
+        Budget of work [s of CPU, counted: `estimation.problem`]: then the best answer so far is given. Default: 60, in
         proportion beyond 60,000 samples.
     progress
         Is told the stages.

@@ -39,8 +39,7 @@ def _equations() -> None:
     model = SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), Bench.nominal())
     begins = np.arange(20, 40, 10)
     for claims in ((), (Claim(LeakageInternal(), {"coefficient": 0.0}),), (Claim(ValveGain(), {"ratio": 1.0}),)):
-        run = model.observer.chamber_run(claims)
-        model.arc_residual(run), model.pressure_residuals(run), model.motion_residual(claims)
+        model.chamber_residuals(claims), model.motion_residual(claims)
         plant = Plant.of(model, claims)
         plant.run(plant.start(begins), begins, 3)
 

@@ -30,10 +30,7 @@ from hydro_diagnosis.report.plots import svg
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED
 
 NEUTRAL: Mapping[str, FitParameter] = {
-    f"{effect.id}.{one.name}": one
-    for effect in LIBRARY
-    for one in effect.parameters
-    if one.smallest > 0.0 and isfinite(one.neutral)
+    f"{effect.id}.{one.name}": one for effect in LIBRARY for one in effect.amplitudes if isfinite(one.neutral)
 }
 """Numbers with a value at which their cause is absent."""
 KNOWN = frozenset(f"{effect.id}.{one.name}" for effect in LIBRARY for one in effect.parameters)

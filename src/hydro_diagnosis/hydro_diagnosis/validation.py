@@ -312,9 +312,9 @@ def _weighted(problem: Problem, name: str, residual: FloatArray) -> float:
     layout = problem.layout
     squares = weights = 0.0
     for k in range(len(problem.models)):
-        own = residual[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)]
-        squares += float(np.sum(np.square(own)))
-        weights += float(np.sum(np.broadcast_to(np.square(1.0 / problem.deviation(name, k)), own.shape)))
+        own = (layout.channel == CHANNELS.index(name)) & (layout.segment == k)
+        squares += float(np.sum(np.square(residual[own])))
+        weights += float(np.sum(np.square(1.0 / problem.deviations[own])))
     return float(np.sqrt(squares / weights))
 
 

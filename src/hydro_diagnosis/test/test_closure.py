@@ -22,7 +22,7 @@ from hydro_diagnosis.closure.model_selection import closures, merged, renamed, s
 from hydro_diagnosis.closure.screen import Screen, laws, threshold
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
+from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.verdict import assess
@@ -137,7 +137,7 @@ def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers() -> N
     found = fit(problem, [overlap, Claim(law, {"coefficient": -0.9, "level": 0.013})], iterations=24)
     screen = Screen(problem, fit(problem, ()), laws(problem))
     better = _exchanged(problem, found, ForwardSelection(screen), list(NAMES.values()))
-    assert not noticeable(problem, found.residual) and better.score < found.score
+    assert not problem.noticeable(found.residual) and better.score < found.score
     assert set(values_of(better)) == {"valve_gain", "closure:actuation:rounded gain"}
     assert values_of(better)["valve_gain"]["ratio"] == pytest.approx(0.94, abs=2e-3)
 
@@ -182,7 +182,7 @@ def test_the_name_beside_which_a_law_leaves_nothing_opens() -> None:
     alone = screen.gains(nothing)[1]
     weighed, first = next(starting_points(problem, nothing, screen, LIKELY, alone))
     assert [claim.effect.label for claim in first.claims] == ["valve_offset"]
-    assert noticeable(weighed, first.residual)
+    assert weighed.noticeable(first.residual)
     assert not list(starting_points(problem, nothing, screen, LIKELY, 1.0))  # next to nothing is left
 
 
@@ -196,7 +196,7 @@ def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name() -> N
     assert values["valve_offset"]["current"] == pytest.approx(2.5e-4, rel=0.01)
     assert values["closure:pressure_a:relief"]["coefficient"] == pytest.approx(3.5e-13, rel=0.02)
     assert values["closure:pressure_a:relief"]["threshold"] == pytest.approx(6.3e6, rel=0.005)
-    assert not noticeable(found.problem, found.fit.residual)
+    assert not found.problem.noticeable(found.fit.residual)
 
 
 def test_a_law_that_leaves_nothing_alone_gets_no_name() -> None:
@@ -209,7 +209,7 @@ def test_a_law_that_leaves_nothing_alone_gets_no_name() -> None:
 def test_a_name_that_the_held_out_recordings_do_not_have_goes() -> None:
     problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC, RING))
     closed = closed_by(problem, {"valve_gain": {"ratio": 0.95}}, ("motion", "quadratic drag"))
-    assert noticeable(closed.problem, closed.fit.residual)
+    assert closed.problem.noticeable(closed.fit.residual)
     assert without_harmful_names(closed, problem_of(effects=(WEAKER,), closures=(QUADRATIC, RING))) is closed
     assert set(values_of(without_harmful_names(closed, problem_of(closures=(QUADRATIC, RING))).fit)) == {FORM}
 
@@ -217,7 +217,7 @@ def test_a_name_that_the_held_out_recordings_do_not_have_goes() -> None:
 def test_where_nothing_remains_all_names_stay() -> None:
     problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC,))
     closed = closed_by(problem, {"valve_gain": {"ratio": 0.95}}, ("motion", "quadratic drag"))
-    assert not noticeable(closed.problem, closed.fit.residual)
+    assert not closed.problem.noticeable(closed.fit.residual)
     assert without_harmful_names(closed, problem_of(closures=(QUADRATIC,))) is closed
 
 
@@ -245,7 +245,7 @@ def test_a_large_law_of_the_forces_hides_none_of_the_flows() -> None:
     assert values[FORM]["coefficient"] == pytest.approx(5000.0, rel=0.002)
     assert values[LEAK]["coefficient"] == pytest.approx(1.5e-14, rel=0.05)
     assert values["load_cell_gain:load_force"]["ratio"] == pytest.approx(1.003, abs=2e-4)
-    assert not noticeable(problem, found.residual)
+    assert not problem.noticeable(found.residual)
 
 
 def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(rubbed: Problem) -> None:
@@ -256,7 +256,7 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(rubbed: 
     assert set(values) == {FORM, "friction_coulomb"}
     assert values["friction_coulomb"]["force"] == pytest.approx(8.0, rel=0.05)
     assert values[FORM]["coefficient"] == pytest.approx(600.0, rel=0.02)
-    assert law.form == "law" and not noticeable(law.problem, law.fit.residual)
+    assert law.form == "law" and not law.problem.noticeable(law.fit.residual)
     # dry friction leaves its sign in doubt: there, not in the judgement
     assert rubbed.uncertainty != law.problem.uncertainty
 

@@ -14,7 +14,7 @@ from hydro_diagnosis.closure.model_selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag, limited
-from hydro_diagnosis.estimation.fit import fit, noticeable
+from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.memory import RecordMemory
@@ -228,7 +228,7 @@ def test_a_law_is_found_with_all_of_its_numbers(
     nothing = fit(problem, ())
     found = next(closures(problem, assess(problem, nothing, nothing)))
     assert [claim.effect.label for claim in found.fit.claims] == [f"closure:{equation}:{form}"]
-    assert not noticeable(problem, found.fit.residual)
+    assert not problem.noticeable(found.fit.residual)
     for bound, value in zip(intervals(problem, found.fit), numbers.values(), strict=True):
         assert bound.value == pytest.approx(value, rel=tolerance)
 

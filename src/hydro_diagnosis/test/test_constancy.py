@@ -15,10 +15,9 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.selection.effect_summary import describe
-from hydro_diagnosis.selection.outcome import Outcome
-from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.search import Outcome, Search
 from hydro_diagnosis.selection.verdict import assess, without_varying
+from hydro_diagnosis.stages.reporting import describe
 from hydro_sim.model.bench import Bench
 from tests.segments import problem_of
 

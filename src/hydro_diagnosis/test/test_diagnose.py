@@ -26,7 +26,7 @@ from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.stages.reading import recording_entry
-from hydro_diagnosis.stages.reporting import confirmed
+from hydro_diagnosis.stages.unclaimed import confirmed
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 from tests.segments import frame, record
@@ -84,8 +84,8 @@ def test_wrong_modulus_and_valve_gain_become_numbers_of_the_bench(problem: Probl
     assert corrected.valve_gain == pytest.approx(1.05 * problem.bench.valve_gain)
     model = problem.models[0]
     as_effects, as_numbers = (
-        model.observer.chamber_run(claims),
-        SegmentModel(model.segment, corrected).observer.chamber_run(()),
+        model.chamber_run(claims),
+        SegmentModel(model.segment, corrected).chamber_run(()),
     )
     np.testing.assert_allclose(as_numbers.innovations, as_effects.innovations, rtol=1e-9, atol=1e-3)
 

@@ -9,8 +9,8 @@ import pytest
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.free_form import free_forms
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout
+from hydro_diagnosis.selection.localisation import free_forms
 from hydro_diagnosis.stages.reporting import line_of
 from hydro_sim.model.bench import Bench
 from tests.segments import frame, problem_of, record

@@ -16,7 +16,7 @@ from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.selection.effect_summary import not_predicted
+from hydro_diagnosis.stages.reporting import not_predicted
 from hydro_diagnosis.validation import HORIZON, MOST, Comparison, compare
 from hydro_sim.model.bench import Bench
 from tests.segments import frame, problem_in, record, segment

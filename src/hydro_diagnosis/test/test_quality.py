@@ -15,17 +15,16 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
-from hydro_diagnosis.estimation.fit import fit, mean_squares
-from hydro_diagnosis.estimation.intervals import without_insignificant
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.intervals import all_significant, without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError, RawTable, read_table
 from hydro_diagnosis.preprocessing.quality import checked, counted, frozen_encoder, repeats, uneven
 from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.report.corrected_bench import corrected_bench
-from hydro_diagnosis.selection.search import all_significant
 from hydro_diagnosis.stages import naming, reading
 from hydro_diagnosis.stages.reading import Question
-from hydro_diagnosis.stages.reporting import undetectable_causes
+from hydro_diagnosis.stages.unclaimed import undetectable_causes
 from hydro_sim.model.bench import Bench
 from tests.segments import frame, record
 
@@ -138,7 +137,7 @@ def test_slow_clean_recordings_are_noise(nominal: StateArray, spacing: int) -> N
     """Without the doubt of missing rows the chambers at 200 Hz are at 4 times the noise's mean square."""
     problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
     assert problem.models[0].spacing == spacing and problem.models[0].step == pytest.approx(1e-3)
-    assert max(mean_squares(problem, problem.residual(())).values()) < 1.35
+    assert max(problem.mean_squares(problem.residual(())).values()) < 1.35
 
 
 @pytest.mark.parametrize("spacing", [2, 4, 5])
@@ -191,7 +190,7 @@ def test_lost_rows_and_their_neighbours_are_not_judged(nominal: StateArray) -> N
     assert isinstance(rows, np.ndarray) and len(rows) > 800 and np.min(np.diff(rows)) >= 5
     assert np.min(np.abs(rows[:, None] - lost[None, :])) > 6
     problem = Problem([segment], BENCH)
-    assert max(mean_squares(problem, problem.residual(())).values()) < 1.35
+    assert max(problem.mean_squares(problem.residual(())).values()) < 1.35
 
 
 def test_uneven_stamps_of_even_samples_change_nothing(nominal: StateArray) -> None:

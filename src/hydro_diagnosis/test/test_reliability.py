@@ -16,9 +16,10 @@ from hydro_diagnosis.estimation.intervals import Interval, intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.reliability import contradicted, differing, doubted, explained_shares, moved, objections
 from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
 from hydro_diagnosis.selection.verdict import seen_at_steady_speed
+from hydro_diagnosis.stages.naming import contradicted, differing, moved
+from hydro_diagnosis.stages.reporting import doubted, explained_shares, objections
 from hydro_sim.model.bench import Bench
 from tests.segments import frame
 

@@ -11,15 +11,14 @@ import pytest
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FitParameter
-from hydro_diagnosis.estimation.budget import Budget
-from hydro_diagnosis.estimation.fit import fit, mean_squares, noticeable
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.intervals import is_significant
+from hydro_diagnosis.estimation.problem import CHANNELS, Budget, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.report.corrected_bench import corrected_bench
-from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
-from hydro_diagnosis.selection.search import Search, is_significant
+from hydro_diagnosis.selection.search import Outcome, Search, SearchSettings
 from hydro_sim.model.bench import Bench
 from tests.segments import problem_of, record
 
@@ -34,7 +33,7 @@ def search(problem: Problem) -> Outcome:
 
 
 def test_residuals_of_a_matching_bench_are_noise(problem: Problem) -> None:
-    squares = mean_squares(problem, problem.residual([]))
+    squares = problem.mean_squares(problem.residual([]))
     assert all(0.75 < square < 1.25 for square in squares.values()), squares
 
 
@@ -106,7 +105,7 @@ def test_what_remains_is_judged_by_how_many_residuals_tell(problem: Problem, squ
     """12 s: 2300 residuals in most channels, but 117 means over 100 ms, whose mean square chance brings to 1.4."""
     for index, name in enumerate(CHANNELS):
         residual = np.where(problem.layout.channel == index, square**0.5, 1.0)
-        assert noticeable(problem, residual) == (name in remains), name
+        assert problem.noticeable(residual) == (name in remains), name
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +120,7 @@ def worn_out() -> Problem:
 def test_a_search_that_ends_early_says_why(worn_out: Problem, settings: dict[str, int], why: str) -> None:
     outcome = Search(worn_out, ADAPTED, SearchSettings(restarts=1, **settings)).run()
     assert why in outcome.cut_short
-    assert noticeable(worn_out, outcome.fit.residual)
+    assert worn_out.noticeable(outcome.fit.residual)
 
 
 def test_budget_of_work_ends_it_with_the_best_answer_so_far(worn: list[Path], tmp_path: Path) -> None:
@@ -203,7 +202,7 @@ def test_a_number_that_was_given_is_estimated_beside_the_causes() -> None:
     """Seen: what 0.4 mA of overlap do was taken for oil ten times as stiff, and the overlap not named."""
     causes = {"valve_deadband": (2e-3,), "valve_lag": (70.0, 0.8), "leakage_internal": (1e-12,)}
     problem = problem_with(*(claim_of(label, *sizes) for label, sizes in causes.items()))
-    problem.estimated = estimated_claims(NOMINAL, ["bulk_modulus"])
-    found = Search(problem, ADAPTED, given=True).run().fit
+    numbers = estimated_claims(NOMINAL, ["bulk_modulus"])
+    found = Search(problem.estimating(numbers), ADAPTED, given=True).run().fit
     assert {claim.effect.id for claim in found.judged} == set(causes)
     assert found.claims[0].effect.estimated and found.claims[0].values["ratio"] == pytest.approx(1.0, abs=0.02)

@@ -16,7 +16,7 @@ import numpy as np
 from hydro_diagnosis.closure.forward_selection import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import by_claim, fit, holdout_gain, noticeable
+from hydro_diagnosis.estimation.fit import by_claim, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -31,7 +31,7 @@ HARMFUL_SHARE = 0.01
 def without_harmful_names(closed: ClosureFit, holdout: Problem) -> ClosureFit:
     """The model without names that make the held-out residual larger, the worst first; as it is if nothing remains."""
     problem = closed.problem
-    while noticeable(problem, closed.fit.residual):
+    while problem.noticeable(closed.fit.residual):
         names = [claim for claim in closed.fit.removable if not isinstance(claim.effect, Closure)]
         fewer = [fit(problem, closed.fit.but(claim)) for claim in names]
         gains = [holdout_gain(holdout, one, closed.fit) for one in fewer]

@@ -21,16 +21,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import (
-    FORM_ERROR,
-    QUANTILE,
-    SHORTEST,
-    Fit,
-    fit,
-    noticeable,
-    orthogonal,
-    residual_variances,
-)
+from hydro_diagnosis.estimation.fit import FORM_ERROR, QUANTILE, SHORTEST, Fit, fit, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 
@@ -62,7 +53,7 @@ class HeldOutBlocks:
         squares = np.einsum("fcii->i", self._products)
         self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), SHORTEST)
         self._products = self._products / (self._scale[:, None] * self._scale)
-        weight = 1.0 / residual_variances(problem, found.residual)
+        weight = 1.0 / problem.variances(found.residual)
         self._weighted = np.einsum("fcij,c->fij", self._products, weight)
         self._count = layout.count
 
@@ -86,7 +77,7 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
 
     Where one is not, the law is another in disguise: friction that warms over an endless path is dry friction.
     """
-    weight = 1.0 / residual_variances(problem, found.residual)[problem.layout.channel]
+    weight = 1.0 / problem.variances(found.residual)[problem.layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0.0))
     deviations[np.diag(normal) <= UNSEEN * np.max(np.diag(normal), initial=0.0)] = np.inf  # the pseudo-inverse has 0
@@ -153,12 +144,10 @@ def _columns(
     """Yield a start and the signatures of a cause's amplitudes there, for each choice of its shape parameters."""
     if not effect.blocks & set(problem.blocks):
         return
-    amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
-    shapes = [one for one in effect.parameters if one.smallest == 0.0]
-    for chosen in product(*(one.probes for one in shapes)):
+    for chosen in product(*(one.probes for one in effect.shapes)):
         values = {one.name: one.neutral for one in effect.parameters}
-        values |= dict(zip((one.name for one in shapes), chosen, strict=True))
-        moved = [{**values, one.name: one.probes[0]} for one in amplitudes] or [values]
+        values |= dict(zip((one.name for one in effect.shapes), chosen, strict=True))
+        moved = [{**values, one.name: one.probes[0]} for one in effect.amplitudes] or [values]
         columns = np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
         yield Claim(effect, values), columns
 
@@ -201,7 +190,7 @@ def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
 
     Never so where something remains before and nothing after: a wrong form leaves a remainder under any name.
     """
-    if noticeable(problem, before.residual) and not noticeable(problem, after.residual):
+    if problem.noticeable(before.residual) and not problem.noticeable(after.residual):
         return False
     named = tuple(claim for claim in before.claims if not isinstance(claim.effect, Closure))
     if len(named) == len(before.claims):

@@ -22,9 +22,9 @@ from hydro_diagnosis.closure.evidence import (
 from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
 from hydro_diagnosis.effects.base import Claim, Effect, values_key
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
+from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import screen as screen_names
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.score_test import screen as screen_names
 from hydro_sim.model.effects.catalogue import CLOSURES
 from hydro_sim.model.laws import REVERSING, SIGN_VELOCITY, TURN, Law, rounded
 
@@ -71,13 +71,13 @@ class ForwardSelection:
 
     def __init__(self, screen: Screen) -> None:
         self.screen = screen
-        self._known: dict[tuple[Any, ...], tuple[Any, tuple[list[Fit], frozenset[str]]]] = {}
+        self._known: dict[tuple[Any, ...], tuple[Problem, tuple[list[Fit], frozenset[str]]]] = {}
 
     def fits(self, problem: Problem, current: Fit, tried: Collection[str] = ()) -> tuple[list[Fit], frozenset[str]]:
         """Return fits with one more significant law, of the best not in `tried`, and all that are tried now."""
-        key = id(problem.weights), values_key(current.claims), frozenset(tried)
+        key = id(problem), values_key(current.claims), frozenset(tried)
         if key not in self._known:
-            self._known[key] = problem.weights, self._fitted(problem, current, set(tried))
+            self._known[key] = problem, self._fitted(problem, current, set(tried))
         return self._known[key][1]
 
     def _fitted(self, problem: Problem, current: Fit, tried: set[str]) -> tuple[list[Fit], frozenset[str]]:
@@ -90,7 +90,7 @@ class ForwardSelection:
             if one.gain < max(toll, LEAST * there_is, enough) or problem.budget.exhausted:
                 break
             better = from_starts(problem, current, one.starts)
-            if noticeable(problem, better.residual):
+            if problem.noticeable(better.residual):
                 better = with_reversal_velocity(problem, better)
             tried.add(one.effect.label)
             if current.score - better.score < toll or within_form_error(problem, current, better):
@@ -101,7 +101,7 @@ class ForwardSelection:
                 continue
             elif held_out_gain(problem, current, better) >= toll:
                 fits.append(better)
-                clean = clean or not noticeable(problem, better.residual)
+                clean = clean or not problem.noticeable(better.residual)
         return fits, frozenset(tried)
 
 
@@ -150,7 +150,7 @@ def select_laws(problem: Problem, base: Fit, forward: ForwardSelection, names: S
     current, tried = base, frozenset[str]()
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     for _ in range(room + (NAMES if names else 0)):
-        if not noticeable(weighed, current.residual) or problem.budget.exhausted:
+        if not weighed.noticeable(current.residual) or problem.budget.exhausted:
             break
         fits: list[Fit] = []
         if count_terms(current) - count_terms(base) < room:

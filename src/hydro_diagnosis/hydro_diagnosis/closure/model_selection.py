@@ -43,12 +43,11 @@ from hydro_diagnosis.closure.forward_selection import (
 from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Prospect, Screen, laws, shown, tables, ways_beside
 from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, fit, noticeable
+from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import screen as screen_names
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.score_test import screen as screen_names
 from hydro_diagnosis.model.responses import Responses
-from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.selection.verdict import MOST_OF_THE_GAP, Assessment, coincidence
 from hydro_sim.model.effects.catalogue import CLOSURES
 from hydro_sim.model.tables import Table
@@ -70,7 +69,7 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     if problem.budget.exhausted:
         yield from [by_law] if by_law.gain > 0.0 else []
         return
-    left = noticeable(by_law.problem, by_law.fit.residual)
+    left = by_law.problem.noticeable(by_law.fit.residual)
     if not left and by_law.gain > 0.0:
         by_law = renamed(merged(by_law), names)
         yield by_law
@@ -92,7 +91,7 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
     if upon is not None:
         return upon
     beside = select_laws(problem, base, forward, names)
-    complete = beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual)
+    complete = beside.gain > 0.0 and not beside.problem.noticeable(beside.fit.residual)
     if problem.budget.exhausted or (complete and _sound(beside)):
         return beside
     alone = select_laws(problem, base, forward) if _names(beside.fit) != _names(base) else beside
@@ -105,7 +104,7 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
     weighed, found = together(problem, names, list(likely.values()))
     gain = held_out_gain(weighed, fit(weighed, base.claims), found)
     both = ClosureFit(found, "law", gain, weighed, screen)
-    return both if not noticeable(weighed, found.residual) and _sound(both) else alone
+    return both if not weighed.noticeable(found.residual) and _sound(both) else alone
 
 
 def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> tuple[Problem, Fit]:
@@ -125,16 +124,16 @@ def _upon_others(
 ) -> ClosureFit | None:
     """Return a law beside other names than the present ones, if it leaves no remainder and no law beside these does."""
     first = [base, *forward.fits(problem, base)[0]]
-    if not all(noticeable(problem, one.residual) for one in first):
+    if not all(problem.noticeable(one.residual) for one in first):
         return None
     left = min(screen.gains(one)[1] for one in first)
     for weighed, opening in starting_points(problem, base, screen, names, left):
         if problem.budget.exhausted:
             break
-        if all(noticeable(weighed, one.residual) for one in forward.fits(weighed, opening)[0]):
+        if all(weighed.noticeable(one.residual) for one in forward.fits(weighed, opening)[0]):
             continue
         grown = select_laws(weighed, opening, forward, names)
-        if grown.gain > 0.0 and not noticeable(grown.problem, grown.fit.residual) and _sound(grown):
+        if grown.gain > 0.0 and not grown.problem.noticeable(grown.fit.residual) and _sound(grown):
             gain = held_out_gain(grown.problem, fit(grown.problem, base.claims), grown.fit)
             return replace(grown, gain=gain)
     return None
@@ -171,7 +170,7 @@ def _grown_by_table(problem: Problem, base: Fit, terms: Sequence[Claim]) -> Fit:
     current, taken, ways = base, 0, ways_beside(problem, base)
     tried = [(one, _columns(problem, base, ways, one)) for one in terms]
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
-    while taken < room and tried and noticeable(problem, current.residual) and not problem.budget.exhausted:
+    while taken < room and tried and problem.noticeable(current.residual) and not problem.budget.exhausted:
         before = HeldOutBlocks(problem, current).deviance()
         there_is = before - float(np.sum(problem.layout.count))  # a residual that is noise alone leaves one each
         gains = [before - HeldOutBlocks(problem, current, [columns]).deviance((0,)) for _, columns in tried]
@@ -192,8 +191,7 @@ def _grown_by_table(problem: Problem, base: Fit, terms: Sequence[Claim]) -> Fit:
 
 def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
     """Responses of the residual to a table's values at neutral, in spans; shape (n, values)."""
-    probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
-              if one.smallest > 0.0]  # fmt: skip
+    probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.amplitudes]
     columns = np.zeros((len(problem.layout.channel), len(probes)))
     for channel, responses in shown(problem, base, ways, probes).items():
         columns[problem.layout.channel == channel] = responses.T
@@ -214,7 +212,7 @@ TRIED = 9
 def merged(closed: ClosureFit) -> ClosureFit:
     """Return the model with several claims replaced by one law that does as well; only where nothing remains."""
     problem, screen = closed.problem, closed.screen
-    while screen is not None and not noticeable(problem, closed.fit.residual):
+    while screen is not None and not problem.noticeable(closed.fit.residual):
         better = next(_simpler(problem, closed.fit, screen), None)
         if better is None:
             break
@@ -240,10 +238,10 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
             if problem.budget.exhausted:
                 return
             made = from_starts(problem, base, prospect.starts)
-            if noticeable(problem, made.residual):
+            if problem.noticeable(made.residual):
                 made = with_reversal_velocity(problem, made)
             new = made.claims[-1]
-            if noticeable(problem, made.residual) or made.score > found.score:
+            if problem.noticeable(made.residual) or made.score > found.score:
                 continue
             if has_identified_shapes(problem, made, new) and not equals_ruled_out(problem, made, new):
                 yield made
@@ -281,7 +279,7 @@ def renamed(closed: ClosureFit, names: Sequence[Effect]) -> ClosureFit:
     Only where nothing remains: else no name is forced.
     """
     problem = closed.problem
-    if noticeable(problem, closed.fit.residual):
+    if problem.noticeable(closed.fit.residual):
         return closed
     while True:
         found = closed.fit
@@ -294,7 +292,7 @@ def renamed(closed: ClosureFit, names: Sequence[Effect]) -> ClosureFit:
         others = [(term, found.but(term)) for term in terms]
         tried = (fit(problem, (*rest, name)) for term, rest in others
                  for name in equivalent_causes(problem, found, term, free, ALIKE))  # fmt: skip
-        better = next((one for one in tried if one.score <= worst and not noticeable(problem, one.residual)),
+        better = next((one for one in tried if one.score <= worst and not problem.noticeable(one.residual)),
                       None)  # fmt: skip
         if better is None:
             return closed

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure, SnubberClosure, closure
 from hydro_diagnosis.effects.kernels import held_lag
-from hydro_diagnosis.estimation.fit import SHORTEST, Fit, residual_variances
+from hydro_diagnosis.estimation.fit import SHORTEST, Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Layout, Problem
 from hydro_diagnosis.model.responses import Responses
 from hydro_sim.model import grammar
@@ -301,7 +301,7 @@ class Screen:
         lengths = np.maximum(np.linalg.norm(base, axis=0), SHORTEST)
         base = base / lengths
         responses = self._responses
-        weight = 1.0 / residual_variances(self.problem, found.residual)
+        weight = 1.0 / self.problem.variances(found.residual)
         size = float(lengths[0]) ** 2
         products = responses.products(base)
         gains, before = column_gains(*products, responses.square, weight, responses.count, size)
@@ -309,13 +309,13 @@ class Screen:
 
 
 def _probed(claim: Claim) -> Claim:
-    sizes = {one.name: one.probes[0] for one in claim.effect.parameters if one.smallest > 0.0}
+    sizes = {one.name: one.probes[0] for one in claim.effect.amplitudes}
     return Claim(claim.effect, {**claim.values, **sizes})
 
 
 def _apart(terms: Sequence[Claim]) -> tuple[Claim, ...]:
     """The best start, and of a law with several further numbers the best with each other value of the first."""
-    names = [one.name for one in terms[0].effect.parameters if one.smallest == 0.0]
+    names = [one.name for one in terms[0].effect.shapes]
     if len(names) < 2:
         return tuple(terms[:1])
     found: dict[float, Claim] = {}

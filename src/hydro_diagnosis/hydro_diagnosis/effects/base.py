@@ -8,10 +8,10 @@ through `Memory`, which either filters a whole record or advances one step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import nan
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
 """Of chamber A and of chamber B."""
 Values = Mapping[str, float]
+Kept = TypeVar("Kept")
 _DISPLAY_UNITS = {
     "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
     "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
@@ -210,6 +211,16 @@ class Effect:
         """Id and options: unique among the candidates."""
         return ":".join([self.id, *self.options.values()])
 
+    @property
+    def amplitudes(self) -> tuple[FitParameter, ...]:
+        """Parameters that have a size worth claiming; the others are `shapes`."""
+        return tuple(one for one in self.parameters if one.smallest > 0.0)
+
+    @property
+    def shapes(self) -> tuple[FitParameter, ...]:
+        """Shape parameters."""
+        return tuple(one for one in self.parameters if one.smallest == 0.0)
+
     def sentence(self, values: Values) -> str:
         """Description of the effect for a person at the bench."""
         units = {one.name: one.unit for one in self.parameters}
@@ -291,9 +302,55 @@ class Claim:
     effect: Effect
     values: Values
 
+    @property
+    def amplitudes(self) -> list[float]:
+        """Values of the amplitudes."""
+        return [self.values[one.name] for one in self.effect.amplitudes]
+
+    @property
+    def shapes(self) -> list[float]:
+        """Values of the shape parameters."""
+        return [self.values[one.name] for one in self.effect.shapes]
+
+    @property
+    def acts(self) -> bool:
+        """Whether it acts: a term without a name and without amplitude does not."""
+        return self.effect.named or any(self.amplitudes) or not self.effect.amplitudes
+
     def to_mapping(self) -> dict[str, Any]:
         """Return the entry of corrected.yaml."""
         return {"id": self.effect.id, **self.effect.options, "parameters": dict(self.values)}
+
+
+class BoundedCache:
+    """Results by key, up to a total size; the least recently used go first."""
+
+    def __init__(self, room: float) -> None:
+        self._room, self._size = room, 0.0
+        self._found: dict[tuple[object, ...], tuple[Any, float]] = {}
+
+    def __contains__(self, key: tuple[object, ...]) -> bool:
+        return key in self._found
+
+    def kept(
+        self, key: tuple[object, ...], compute: Callable[[], Kept], size: Callable[[Kept], float] = lambda _: 1.0
+    ) -> Kept:
+        """Return the entry of a key, computed and stored with its size if there is none."""
+        if key in self._found:
+            self._found[key] = self._found.pop(key)
+        else:
+            found = compute()
+            self._found[key] = found, size(found)
+            self._size += size(found)
+        while self._size > self._room and len(self._found) > 1:
+            self._size -= self._found.pop(next(iter(self._found)))[1]
+        what: Kept = self._found[key][0]
+        return what
+
+    def clear(self) -> None:
+        """Drop all entries."""
+        self._found.clear()
+        self._size = 0.0
 
 
 def values_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
@@ -301,6 +358,11 @@ def values_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
     return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
-def changes(claim: Claim, hook: str) -> bool:
-    """Whether a claim's effect acts in this hook of `Effect`."""
-    return getattr(type(claim.effect), hook) is not getattr(Effect, hook)
+def changes(claim: Claim, *hooks: str) -> bool:
+    """Whether a claim's effect acts in any of these hooks of `Effect`."""
+    return any(getattr(type(claim.effect), hook) is not getattr(Effect, hook) for hook in hooks)
+
+
+def acting(claims: Iterable[Claim], *hooks: str) -> list[Claim]:
+    """The claims whose effects act in any of these hooks of `Effect`, in their order."""
+    return [claim for claim in claims if changes(claim, *hooks)]

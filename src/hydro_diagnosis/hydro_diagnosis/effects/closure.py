@@ -118,9 +118,8 @@ class Closure(Effect):
     def nothing(self) -> list[dict[str, float]]:
         """Values at which the term vanishes: one set for each choice of start values of its further numbers."""
         still = {one.name: 0.0 for one in self.parameters}
-        shapes = [one for one in self.parameters if one.smallest == 0.0]
-        choices = product(*(one.probes for one in shapes))
-        return [{**still, **dict(zip((one.name for one in shapes), chosen, strict=True))} for chosen in choices]
+        choices = product(*(one.probes for one in self.shapes))
+        return [{**still, **dict(zip((one.name for one in self.shapes), chosen, strict=True))} for chosen in choices]
 
     def to_closure(self, values: Values) -> dict[str, Any]:
         """Return the entry under `closures` in corrected.yaml."""

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray, values_key
+from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray, Values
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.equation_residuals import Key, intervening, is_active, shapes, split_additive
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model.tables import Table
 
 Part = TypeVar("Part")
@@ -64,53 +66,24 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, fi
     owners = [claim for claim in claims for _ in claim.effect.parameters]
     keeping = any(isinstance(effect, Closure) for effect in effects)
     columns = np.empty((len(residual), len(values) - first))
+
+    def slope(moved: FloatArray, scale: float) -> FloatArray:
+        return (problem.residual(unpack(effects, moved)) - residual) * scale
+
     for k, parameter in enumerate(parameters[first:], first):
         step = STEP * parameter.span
         if values[k] + step > parameter.high:
             step = -step
-        key = _key(problem, claims, owners[k], parameter) if keeping else ()
-        known = problem.columns.get(key) if keeping else None
-        if known is None:
-            moved = values.copy()
-            moved[k] += step
-            known = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
-            if keeping:
-                problem.columns.put(key, known, known.nbytes)
-        else:
-            problem.count(1)
-        columns[:, k - first] = known
+        moved = values.copy()
+        moved[k] += step
+        compute = partial(slope, moved, parameter.span / step)
+        columns[:, k - first] = problem.column(claims, owners[k], parameter, compute) if keeping else compute()
     return columns
-
-
-def _key(problem: Problem, claims: Sequence[Claim], claim: Claim, parameter: FitParameter) -> Key:
-    """All that a column depends on: beside the doubt the values of the claims that reach its equations.
-
-    Of terms that add, their own amplitudes and other such terms do not count; nor do terms without amplitude.
-    """
-    adding, others = split_additive((*problem.baseline, *claims, _present(claim)))
-    adds = any(one.effect is claim.effect for one in adding)
-    beside = intervening(claim, others) if adds else [
-        one for one in claims if one is not claim and is_active(one) and one.effect.blocks & claim.effect.blocks
-    ]  # fmt: skip
-    own = shapes(claim) if adds and parameter.smallest > 0.0 else [*claim.values.values()]
-    rounded = tuple(one.effect.label for one in claims if one.effect.lagged)
-    limits = getattr(claim.effect, "limits", ())
-    return problem.uncertainty, claim.effect.label, parameter.name, limits, *own, rounded, values_key(beside)
-
-
-def _present(claim: Claim) -> Claim:
-    """A claim with amplitudes that act."""
-    sizes = {one.name: one.span for one in claim.effect.parameters if one.smallest > 0.0}
-    return Claim(claim.effect, {**claim.values, **sizes})
 
 
 STRAIGHT = 0.05
 """Share of a step's effect that slopes may have missed and still hold at its end."""
 QUANTILE = 1.96
-NOTICEABLE = 0.35
-"""Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
-CHANCE = 4.0
-"""Standard deviations of the mean of n squares of white noise, sqrt(2 / n), that it must exceed 1 by too."""
 FORM_ERROR = 0.035
 """Share of a claim's signature that its form may be off by: another of its family must explain more."""
 SHORTEST = 1e-100
@@ -159,21 +132,6 @@ class Fit:
         return self.deviance + self.free * float(np.log(len(self.residual)))
 
 
-def residual_variances(problem: Problem, residual: FloatArray) -> FloatArray:
-    """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
-    layout = problem.layout
-    count = np.maximum(layout.count, 1.0)
-    return np.maximum(layout.squares(residual) / count, 1.0)
-
-
-def deviance(problem: Problem, residual: FloatArray) -> float:
-    """-2 log likelihood up to a constant, with a channel's variance at its most likely value of 1 or more."""
-    layout = problem.layout
-    squares = layout.squares(residual)
-    variance = np.maximum(squares / np.maximum(layout.count, 1.0), 1.0)
-    return float(np.sum(layout.count * np.log(variance) + squares / variance))
-
-
 def fit(
     problem: Problem,
     claims: Sequence[Claim],
@@ -190,19 +148,20 @@ def fit(
     being computed at each. Beside tables that do not just add, a Jacobian that predicted a step serves for the next
     one too; what is reached by it is confirmed by a fresh one.
     """
-    claims = problem.with_estimated(claims)
+    among = {claim.effect.label for claim in claims if claim.effect.estimated}
+    claims = (*(one for one in problem.estimated if one.effect.label not in among), *claims)
     effects = [claim.effect for claim in claims]
     values = pack(claims)[1]
     span = np.array([parameter.span for parameter in pack(claims)[0]])
     residual = problem.residual(claims)
-    best = deviance(problem, residual)
+    best = problem.deviance(residual)
     slopes = None if problem.estimated else slopes  # numbers begin far from where they end: too far for secants
     damping, secant = 1e-4, slopes is not None
     slopes = jacobian(problem, claims, residual) if slopes is None else slopes
     lasting = not secant and any(_many(effect) for effect in effects)
     old = False
     for _ in range(iterations if len(values) else 0):
-        weight = 1.0 / residual_variances(problem, residual)[problem.layout.channel]
+        weight = 1.0 / problem.variances(residual)[problem.layout.channel]
         found = _stepped(problem, effects, values, residual, best, slopes, weight, damping, fixed)
         if found is None and not old:
             break
@@ -244,7 +203,7 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
         damped = normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)
         trial = np.clip(values - np.linalg.lstsq(damped, force, rcond=None)[0] * span, low, high)
         outcome = problem.residual(unpack(effects, trial))
-        reached = deviance(problem, outcome)
+        reached = problem.deviance(outcome)
         if reached < best:
             return trial, outcome, reached, damping
         damping *= 20.0
@@ -283,40 +242,119 @@ def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float 
     return fit(problem, others, tolerance=tolerance, slopes=slopes)
 
 
-def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
-    """Each channel's mean square over the noise's."""
-    layout = problem.layout
-    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
-    count = layout.count
-    return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
-
-
-def noise_thresholds(problem: Problem) -> dict[str, float]:
-    """Each channel's mean square over the noise's above which it holds more than noise.
-
-    The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
-    """
-    count = problem.layout.count
-    return {
-        name: 1.0 + max(NOTICEABLE, CHANCE * float(np.sqrt(2.0 / count[k])))
-        for k, name in enumerate(CHANNELS)
-        if count[k]
-    }
-
-
-def remaining(problem: Problem, residual: FloatArray) -> dict[str, float]:
-    """Mean square over the noise's of those channels that hold more than noise."""
-    limit = noise_thresholds(problem)
-    return {name: square for name, square in mean_squares(problem, residual).items() if square > limit[name]}
-
-
-def noticeable(problem: Problem, residual: FloatArray) -> bool:
-    """Return whether any channel holds more than noise."""
-    return bool(remaining(problem, residual))
-
-
 def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
     """Share of the held-out squared residual, beyond that of all claims, that a claim removes; below 0: it adds."""
     squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
     nothing, fewer, everything = squares
     return (fewer - everything) / max(nothing - everything, 1e-12)
+
+
+NEARLY = 0.02
+"""Share of the way from a bound to the neutral value, and no less, at which a search begins."""
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """A candidate with starting values and the gain in deviance that they promise."""
+
+    claim: Claim
+    gain: float
+
+
+class Signatures:
+    """Changes of the residual by the candidates at their starts, kept for claims that differ by a few.
+
+    What a candidate does depends little on the other claims: to rank candidates, not to fit them, it may be old.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple[object, ...], npt.NDArray[np.float32]] = {}
+
+    def of(self, problem: Problem, found: Fit, claim: Claim) -> FloatArray:
+        """A candidate's signature beside a fit, over the residuals' present deviations."""
+        key = (claim.effect.label, *claim.values.values())
+        if key not in self._seen:
+            signature = problem.residual((*found.claims, claim)) - found.residual
+            self._seen[key] = (signature * problem.deviations).astype(np.float32)
+            return signature
+        return self._seen[key] / problem.deviations
+
+
+def allowed(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence[str]) -> Iterator[Effect]:
+    """Candidates that may join the claims: another cause, its prerequisites claimed, visible in these channels."""
+    taken = {cause(claim.effect) for claim in claims}
+    ids = {claim.effect.id for claim in claims}
+    for effect in library:
+        if cause(effect) not in taken and set(effect.needs) <= ids and effect.blocks & set(blocks):
+            yield effect
+
+
+def cause(effect: Effect) -> tuple[str, ...]:
+    """Key that identifies a cause: id and options, but not the form unless it has no name."""
+    telling = {key: value for key, value in effect.options.items() if key != "form" or not effect.named}
+    return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
+
+
+def screen(
+    problem: Problem, found: Fit, library: Sequence[Effect], signatures: Signatures | None = None
+) -> list[Prospect]:
+    """Prospects, the most promising first; `signatures` that are known already are not computed again."""
+    weight = problem.weight(found.residual)
+    basis = _basis(found.jacobian * weight[:, None])
+    left = _without(basis, found.residual * weight)
+    known = signatures or Signatures()
+    prospects = []
+    for effect in allowed(library, found.claims, problem.blocks):
+        looks = []
+        for start in _starts(effect):
+            claim = Claim(effect, start)
+            direction = _without(basis, known.of(problem, found, claim) * weight)
+            looks.append(_look(problem, claim, direction, weight, left))
+        prospects.append(max(looks, key=lambda prospect: prospect.gain))
+    return sorted(prospects, key=lambda prospect: -prospect.gain)
+
+
+def _basis(columns: FloatArray) -> FloatArray:
+    if not columns.shape[1]:
+        return columns
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.linalg.qr(scaled)[0]
+
+
+def _without(basis: FloatArray, vector: FloatArray) -> FloatArray:
+    return vector - basis @ (basis.T @ vector)
+
+
+def _starts(effect: Effect) -> Iterator[dict[str, float]]:
+    names = [parameter.name for parameter in effect.parameters]
+    for values in product(*(parameter.probes for parameter in effect.parameters)):
+        yield dict(zip(names, values, strict=True))
+
+
+def _look(problem: Problem, claim: Claim, direction: FloatArray, weight: FloatArray, left: FloatArray) -> Prospect:
+    effect, power = claim.effect, float(direction @ direction)
+    if power <= 1e-12:
+        return Prospect(claim, 0.0)
+    amount = -float(direction @ left) / power
+    if len(effect.parameters[0].probes) > 1:
+        amount = min(amount, 3.0)
+    if amount <= 0.0 and _bounded(effect):
+        return Prospect(claim, 0.0)
+    reached = problem.deviance((left + amount * direction) / weight)
+    moved = Claim(effect, _moved(effect, claim.values, amount))
+    return Prospect(moved, problem.deviance(left / weight) - reached)
+
+
+def _bounded(effect: Effect) -> bool:
+    main = effect.parameters[0]
+    return main.neutral in (main.low, main.high)
+
+
+def _moved(effect: Effect, start: Values, amount: float) -> dict[str, float]:
+    """Starting values: amplitudes scaled by what the first-order look suggests, shapes as probed."""
+    moved = dict(start)
+    for parameter in effect.amplitudes:
+        scaled = parameter.neutral + amount * (start[parameter.name] - parameter.neutral)
+        low, high = (end + NEARLY * (parameter.neutral - end) for end in (parameter.low, parameter.high))
+        moved[parameter.name] = float(np.clip(scaled, low, high))
+    return moved

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.special import stdtrit
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
-from hydro_diagnosis.estimation.fit import QUANTILE, Fit, by_claim, fit, pack, residual_variances, unpack
+from hydro_diagnosis.estimation.fit import QUANTILE, Fit, by_claim, fit, pack, unpack
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ParameterEstimate
 
@@ -35,12 +35,59 @@ def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
     counts = [len(claim.effect.parameters) for claim in found.claims]
     if problem.thinner is None or not counts:
         return [np.zeros(count) for count in counts]
-    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
+    weight = problem.weight(found.residual)
     slopes, change = found.jacobian * weight[:, None], problem.change(found.claims) * weight
     lengths = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
     spans = np.array([parameter.span for parameter in pack(found.claims)[0]])
     moved = np.abs(np.linalg.lstsq(slopes / lengths, change, rcond=1e-10)[0]) / lengths * spans
     return np.split(moved, np.cumsum(counts)[:-1])
+
+
+ABSENT = 0.05
+"""Share of a shape's neutral value within which an effect without amplitudes is absent."""
+ATTENUATIONS = 2.0
+"""Multiple of `Problem.attenuation`, and of the change by half of the rows, that a claim must exceed."""
+
+
+def is_significant(claim: Claim) -> bool:
+    """Return whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
+
+    An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
+    """
+    amplitudes = claim.effect.amplitudes
+    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
+        return False
+    if not amplitudes:
+        return any(
+            abs(claim.values[one.name] - one.neutral) > ABSENT * abs(one.neutral) for one in claim.effect.parameters
+        )
+    return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+
+
+def all_significant(problem: Problem, found: Fit) -> bool:
+    """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
+    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.judged):
+        return False
+    moved = zip(found.claims, shifts(problem, found), strict=True)
+    return all(claim.effect.estimated or _beyond(claim, shift) for claim, shift in moved)
+
+
+def _beyond(claim: Claim, shift: FloatArray) -> bool:
+    """Return whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
+    pairs = list(zip(claim.effect.parameters, shift, strict=True))
+    amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
+    return any(abs(claim.values[one.name] - one.neutral) >= ATTENUATIONS * moved for one, moved in amplitudes)
+
+
+def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
+    least = ATTENUATIONS * problem.attenuation.get(claim.effect.id, 0.0)
+    return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
+
+
+def _at_its_end(parameter: FitParameter, value: float) -> bool:
+    """Return whether a value stands at a bound that is not its neutral value."""
+    near = 1e-3 * parameter.smallest
+    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
 
 
 SYSTEMATIC = 0.03
@@ -137,7 +184,7 @@ def _intervals(problem: Problem, found: Fit, which: Sequence[int]) -> list[Inter
 def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
     """Standard deviations by curvature, in spans, and how much wider the sandwich says they are."""
     layout = problem.layout
-    weight = 1.0 / residual_variances(problem, found.residual)[layout.channel]
+    weight = 1.0 / problem.variances(found.residual)[layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     covariance = np.linalg.pinv(normal, hermitian=True)
     scores = found.jacobian * (found.residual * weight)[:, None]

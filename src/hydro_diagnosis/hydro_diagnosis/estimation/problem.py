@@ -1,35 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recordings as one least-squares problem: claims in, residuals in units of the measured noise out.
 
+Each block of equations is computed once for the claims that act in it. A residual with additive terms is that without
+them, and a sum of their responses times their amplitudes; responses are computed once for each set of a term's further
+parameters. They depend on other claims only by what stands between the equation and the sensors: the oil's stiffness,
+the readings that flows are computed from, and the sensors.
+
 The deviation of each residual is what it may be off if nothing is missing: the sensors' noise, measured by the white
 part of the recordings; the uncertainty of velocity reversals and of flows; rows that were not recorded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from math import hypot
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.bench_numbers import connected
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.budget import Budget
-from hydro_diagnosis.estimation.equation_residuals import EquationResiduals, ResidualParts
-from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
-from hydro_diagnosis.model.segment_record import BLOCK
-from hydro_diagnosis.preprocessing.smoothing import (
-    ACCELERATION_NOISE_GAIN,
-    TOTAL_NOISE_GAIN,
-    VELOCITY_NOISE_GAIN,
-    white_noise,
+from hydro_diagnosis.effects.base import (
+    HYDRAULIC,
+    LOAD,
+    MOTION,
+    PRESSURE,
+    BoundedCache,
+    Claim,
+    Effect,
+    FitParameter,
+    FloatArray,
+    acting,
+    changes,
+    values_key,
 )
+from hydro_diagnosis.estimation.noise import SegmentNoise, mass_attenuation, sensor_noise
+from hydro_diagnosis.model.responses import Responses
+from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_sim.model.bench import Bench
 
@@ -85,145 +95,93 @@ class Layout:
         return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
-def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
-    """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units.
+SECOND = 5e7
+"""Work that an AMD EPYC core did in a second, in samples of one equation; `benchmarks.real_recordings` has the CPU of
+each rig beside its work.
+"""
+CALL = 13000
+"""Work [samples] of an evaluation that does not grow with the recordings."""
+LEAST = 60.0
+"""Default budget [s], for up to 60 s at 1 kHz; beyond, in proportion to the samples."""
 
-    It does not depend on the logger: of recordings at several rates, those of the highest estimate it best.
+
+@dataclass
+class Budget:
+    """Work done and allowed, in seconds of CPU by `SECOND`."""
+
+    seconds: float | None = None
+    """Allowed; None until it is known how much is recorded."""
+    spent: float = 0.0
+    evaluations: int = 0
+    """Evaluations of all residuals: the measure of a search's effort."""
+
+    def allow(self, samples: int) -> None:
+        """Set what is allowed by default for so many recorded samples, unless it was chosen."""
+        if self.seconds is None:
+            self.seconds = max(LEAST, 1e-3 * samples)
+
+    def spend(self, samples: float, calls: int = 1) -> None:
+        """Count work of so many samples of an equation, `calls` times."""
+        self.spent += calls * (CALL + samples) / SECOND
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether no further search may begin."""
+        return self.seconds is not None and self.spent > self.seconds
+
+
+ROOM = 96e6
+"""Memory limit of a cache [byte]."""
+ResidualParts = dict[tuple[str, int], FloatArray]
+"""Residuals by channel and segment, physical unit; of responses each of shape (amplitudes, n)."""
+_BETWEEN = {
+    MOTION: ("measure",),
+    LOAD: ("measure", "bench"),
+    PRESSURE: ("measure", "unmeasure", "bench", "stiffness", "command"),
+}
+"""By block: hooks of effects that change the response of the residual to an additive term."""
+
+
+def _split_additive(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
+    """Split claims into additive ones and others; terms without amplitude are left out."""
+    acting = [claim for claim in claims if claim.acts]
+    bent: set[str] = set().union(*(one.effect.blocks for one in acting if one.effect.breaks_superposition))
+    adding = [one for one in acting if one.effect.additive and not one.effect.blocks & bent]
+    return adding, tuple(one for one in acting if not any(one is other for other in adding))
+
+
+def _split_cached(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
+    """Split active claims into those whose responses are cached, and the others.
+
+    Behind a claim that is being fitted, whatever is not `known`, responses would change with each of its values.
     """
-    found: dict[str, list[tuple[int, float]]] = {}
-    densest = min(model.spacing for model in models)
-    for model in (model for model in models if model.spacing == densest):
-        measured = model.segment.measured
-        recorded = slice(model.segment.phase, None, model.spacing)
-        for channel, signal in _nearly_white(model).items():
-            noise = white_noise(signal[recorded], None if measured is None else measured[recorded])
-            found.setdefault(channel, []).append((len(signal), noise))
-    return {channel: _pooled(parts) for channel, parts in found.items()}
+    adding, others = _split_additive(claims)
+    fitted = [one for one in others if not any(one is other for other in known)]
+    kept = [one for one in adding if not _intervening(one, fitted)]
+    return kept, tuple(one for one in claims if one.acts and not any(one is other for other in kept))
 
 
-def _pooled(parts: list[tuple[int, float]]) -> float:
-    counts, deviations = np.array(parts).T
-    return float(np.sqrt(np.average(np.square(deviations), weights=counts)))
-
-
-def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
-    """Channels without the kinks that the nominal model knows of: the current's steps bend pressures and f_h."""
-    signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
-    if model.has_position and model.has_pressures and "valve_current" in model.channels:
-        run = model.observer.chamber_run(())
-        signals["pressure_a"], signals["pressure_b"] = run.innovations
-        if "hydraulic_force" in signals:
-            signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
-    return signals
-
-
-_SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
-"""Lower bound [Pa, N] by the residuals' own discretization (diagnosis.md, "Noise floor")."""
-
-
-def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
-    """Standard deviation of each residual if nothing is missing, in its physical unit; `step` between recorded rows."""
-    position = sensors.get("piston_position", 0.0)
-    inertia = bench.moving_mass * position * ACCELERATION_NOISE_GAIN / step**2
-    damping = bench.viscous_friction * position * VELOCITY_NOISE_GAIN / step
-    spring = bench.spring_stiffness * position * TOTAL_NOISE_GAIN
-    area = bench.piston_area
-    by_pressure = hypot(area * sensors.get("pressure_a", 0.0), bench.area_ratio * area * sensors.get("pressure_b", 0.0))
-    cell = sensors.get("hydraulic_force", by_pressure)
-    noise = {
-        "motion": hypot(cell * TOTAL_NOISE_GAIN, inertia, damping, spring),
-        "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
-        "hydraulic": hypot(cell, by_pressure) / (BLOCK / step) ** 0.5,
-    }
-    for chamber in "ab":
-        noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN
-    return {channel: hypot(deviation, FLOOR[channel]) for channel, deviation in noise.items()}
+def _intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Return the other claims that change the response of the residual to a term."""
+    hooks = {block: _BETWEEN[block] for block in claim.effect.blocks}
+    return tuple(
+        one for one in others
+        if any(block in one.effect.blocks and changes(one, *own) for block, own in hooks.items())
+    )  # fmt: skip
 
 
 LEVEL = 1.0
 """Averaging time [s] of the error that missing rows may hide."""
-
-
-class Noise:
-    """What the sensors' noise makes of the residuals, whatever is claimed.
-
-    `models`, `blocks`, `bench`: segments, blocks of equations that they check, and the assumed bench. `sensors`: noise
-    of each sensor by its channel, SI units.
-    """
-
-    def __init__(
-        self, models: Sequence[SegmentModel], blocks: Sequence[str], bench: Bench, sensors: dict[str, float]
-    ) -> None:
-        self.models, self.sensors = models, sensors
-        self.residuals = [residual_noise(sensors, bench, model.step * model.spacing) for model in models]
-        """Noise of each segment's residuals by channel, physical units."""
-        self.flows = [model.observer.pressure_uncertainty(sensors) for model in models] if PRESSURE in blocks else []
-        """By segment: deviations of the pressures' residuals by noise in the flows."""
-
-    def mass_attenuation(self, mass: float) -> float:
-        """Share of a moving mass [kg] that the encoder's noise hides: that of noise in the acceleration's power.
-
-        Least squares with a noisy regressor are off by up to that (errors in variables: Fuller 1987); through the
-        controller the noise is also in the motion itself, so that the exact amount is not known.
-        """
-        step = min(model.step * model.spacing for model in self.models)
-        noise = self.sensors.get("piston_position", 0.0) * ACCELERATION_NOISE_GAIN / step**2
-        power = float(np.mean(np.square(np.concatenate([model.finish(model.a) for model in self.models]))))
-        return mass * noise**2 / max(power - noise**2, noise**2, 1e-12)
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Deviation of every residual under claims."""
-
-    noise: Noise
-    reversals: Sequence[FloatArray] = ()
-    """By segment: force [N] in doubt because the sign of dry friction is."""
-    unseen: Mapping[tuple[str, int], FloatArray] = field(default_factory=dict)
-    """By channel and segment: what the rows that are missing may hide, physical unit."""
-    _known: dict[tuple[str, int], FloatArray | float] = field(default_factory=dict)
-
-    @property
-    def uncertainty(self) -> tuple[float, ...]:
-        """Sum of the uncertainty per segment: identifies the weights."""
-        return tuple(float(np.sum(doubt)) for doubt in (*self.reversals, *self.unseen.values()))
-
-    def deviation(self, channel: str, segment: int) -> FloatArray | float:
-        """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
-        key = channel, segment
-        if key not in self._known:
-            self._known[key] = self._deviation(channel, segment)
-        return self._known[key]
-
-    def deviations(self, layout: Layout) -> FloatArray:
-        """`deviation` of every residual in the order of `layout`."""
-        found = np.empty(len(layout.time))
-        for name in (CHANNELS[index] for index in np.unique(layout.channel)):
-            for k in range(len(self.noise.models)):
-                found[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)] = self.deviation(name, k)
-        return found
-
-    def _deviation(self, channel: str, segment: int) -> FloatArray | float:
-        deviation: FloatArray | float = self.noise.residuals[segment][channel]
-        if channel == "motion":
-            deviation = np.hypot(deviation, self.reversals[segment])
-        if channel in ("pressure_a", "pressure_b"):
-            deviation = np.hypot(deviation, self.noise.flows[segment][CHANNELS.index(channel)])
-        if (channel, segment) in self.unseen:
-            return np.asarray(np.maximum(deviation, self.unseen[channel, segment]))
-        return deviation
-
-
-def _level(model: SegmentModel, change: FloatArray) -> FloatArray:
-    """Root mean square of a change over `LEVEL` seconds around each residual."""
-    duration = len(model.time) * model.step
-    count = max(round(LEVEL * len(change) / duration), 1)
-    return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
+NOTICEABLE = 0.35
+"""Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
+CHANCE = 4.0
+"""Standard deviations of the mean of n squares of white noise, sqrt(2 / n), that it must exceed 1 by too."""
+_CACHE = 25
+"""Sets of claims whose residuals of a block are kept."""
 
 
 class Problem:
-    """Segments, the assumed bench, and the weights of the residuals; only caches and the count of evaluations change.
+    """Segments, the assumed bench, and the deviations of the residuals; only caches and the count of work change.
 
     Parameters
     ----------
@@ -263,24 +221,28 @@ class Problem:
         self.models: list[SegmentModel] = [
             SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)
         ]
+        self.samples = sum(len(model.time) for model in self.models)
         self.blocks = self._checked_blocks()
-        self._noise = Noise(self.models, self.blocks, bench, noise or sensor_noise(self.models))
-        self.sensor_noise = self._noise.sensors
+        self.layout = Layout.of(self.blocks, self.models)
+        self.sensor_noise = noise or sensor_noise(self.models)
         """Noise of each sensor by its channel, SI units."""
-        self.noise = self._noise.residuals[0]
-        """Noise of the first segment's residuals; those of others differ where the logger's rate does (`deviation`)."""
+        flows = PRESSURE in self.blocks
+        self._noises = [SegmentNoise(model, self.sensor_noise, flows=flows) for model in self.models]
+        self.noise = self._noises[0].residuals
+        """Noise of the first segment's residuals by channel, physical units; others differ where their rate does."""
+        self.attenuation = {}
+        """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
+        if MOTION in self.blocks:
+            hidden = mass_attenuation(self.models, self.sensor_noise, bench.moving_mass)
+            self.attenuation["moving_mass"] = hidden
+        self._cache = BoundedCache(_CACHE)
+        self.columns = BoundedCache(ROOM)
+        """Cached responses to additive terms, and columns of Jacobians."""
         thinner = [segment.thinner or segment for segment in segments]
         lacking = like is None and any(segment.thinner for segment in segments)
         self.thinner = Problem(thinner, bench, baseline, self.sensor_noise, self) if lacking else None
         """The same problem from half of the rows where rows are missing; None where none are."""
-        self.equations = EquationResiduals(self.models, self.blocks, self.baseline)
-        self.parts, self.columns = self.equations.parts, self.equations.columns
-        self.weights = self._weights(())
-        self.layout = Layout.of(self.blocks, self.models)
-        self.samples = sum(len(model.time) for model in self.models)
-        moves = MOTION in self.blocks
-        self.attenuation = {"moving_mass": self._noise.mass_attenuation(bench.moving_mass)} if moves else {}
-        """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
+        self._weigh(())
 
     def _checked_blocks(self) -> tuple[str, ...]:
         have = set.intersection(*(set(model.channels) for model in self.models))
@@ -298,40 +260,51 @@ class Problem:
         """
         return max(model.unseen_ringing for model in self.models) if PRESSURE in self.blocks else 0.0
 
+    # -- deviations ----------------------------------------------------------------------------------------------------
+
     def weighed(self, claims: Sequence[Claim]) -> Problem:
         """Return the problem with residuals weighed down where these claims leave the sign of friction uncertain.
 
-        Missing rows weigh residuals down, too. All else is shared, caches and the count of evaluations among them.
+        Missing rows weigh residuals down, too. All else is shared, caches and the count of work among them.
         """
         other = copy(self)
-        other.weights = self._weights(claims)
+        other._weigh(claims)
         return other
 
-    def _weights(self, claims: Sequence[Claim]) -> Weights:
-        """Weights under the baseline and these claims."""
+    def estimating(self, numbers: Sequence[Claim]) -> Problem:
+        """Return the problem with these start values of the numbers that every fit estimates; all else is shared."""
+        other = copy(self)
+        other.estimated = tuple(numbers)
+        return other
+
+    def _weigh(self, claims: Sequence[Claim]) -> None:
+        """Set the deviations under the baseline and these claims."""
         everything, doubt = (*self.baseline, *claims), list[FloatArray]()
         if MOTION in self.blocks:
-            count = sum(model.reversals for model in self.models)
-            doubt = [model.kept(model.friction_uncertainty(everything, count)) for model in self.models]
-        changes = self._changes(claims) if self.thinner is not None else {}
-        return Weights(
-            self._noise, doubt, {key: _level(self.models[key[1]], change) for key, change in changes.items()}
-        )
+            count = sum(noise.reversals for noise in self._noises)
+            doubt = [noise.friction(everything, count) for noise in self._noises]
+        hidden = self._changes(claims) if self.thinner is not None else {}
+        unseen = {key: self._level(key[1], change) for key, change in hidden.items()}
+        self.uncertainty = tuple(float(np.sum(one)) for one in (*doubt, *unseen.values()))
+        """Sum of the uncertainty per segment, all zeros without any: identifies the deviations."""
+        self.deviations = np.empty(len(self.layout.time))
+        """Standard deviation of every residual if nothing is missing, physical unit, in the order of `layout`."""
+        for index in np.unique(self.layout.channel):
+            for k, noise in enumerate(self._noises):
+                deviation: FloatArray | float = noise.residuals[CHANNELS[index]]
+                if CHANNELS[index] == "motion":
+                    deviation = np.hypot(deviation, doubt[k])
+                if noise.flows is not None and CHANNELS[index] in BLOCKS[PRESSURE]:
+                    deviation = np.hypot(deviation, noise.flows[index])
+                if (CHANNELS[index], k) in unseen:
+                    deviation = np.maximum(deviation, unseen[CHANNELS[index], k])
+                self.deviations[(self.layout.channel == index) & (self.layout.segment == k)] = deviation
 
-    @property
-    def uncertainty(self) -> tuple[float, ...]:
-        """Sum of the uncertainty per segment, all zeros without any: identifies the weights."""
-        return self.weights.uncertainty
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations of all residuals: the measure of a search's effort."""
-        return self.equations.evaluations
-
-    def count(self, evaluations: int) -> None:
-        """Count evaluations, also those that a cache has spared: a search's effort is the same."""
-        self.equations.evaluations += evaluations
-        self.budget.spend(self.samples * len(self.blocks), evaluations)
+    def _level(self, segment: int, change: FloatArray) -> FloatArray:
+        """Root mean square of a change over `LEVEL` seconds around each residual."""
+        model = self.models[segment]
+        count = max(round(LEVEL * len(change) / (len(model.time) * model.step)), 1)
+        return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
 
     def _changes(self, claims: Sequence[Claim]) -> ResidualParts:
         """Change of each residual if half of the rows are left out, physical unit."""
@@ -341,26 +314,42 @@ class Problem:
 
     def change(self, claims: Sequence[Claim]) -> FloatArray:
         """Change of each residual if half of the rows are left out, over its deviation."""
-        changes = self._changes(claims).items()
-        return np.concatenate([change / self.deviation(*key) for key, change in changes])
+        return np.concatenate([*self._changes(claims).values()]) / self.deviations
 
-    def deviation(self, channel: str, segment: int) -> FloatArray | float:
-        """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
-        return self.weights.deviation(channel, segment)
-
-    def deviations(self) -> FloatArray:
-        """`deviation` of every residual in the order of `layout`."""
-        return self.weights.deviations(self.layout)
-
-    def with_estimated(self, claims: Sequence[Claim]) -> tuple[Claim, ...]:
-        """The claims, before them the estimated numbers that are not among them."""
-        among = {claim.effect.label for claim in claims if claim.effect.estimated}
-        return (*(one for one in self.estimated if one.effect.label not in among), *claims)
+    # -- residuals -----------------------------------------------------------------------------------------------------
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
-        """Every residual over its noise, one vector in the order of `layout`."""
+        """Every residual over its deviation, one vector in the order of `layout`."""
         self.count(1)
-        return np.concatenate([part / self.deviation(*key) for key, part in self.parts(claims).items()])
+        return np.concatenate([*self.parts(claims).values()]) / self.deviations
+
+    def count(self, evaluations: int) -> None:
+        """Count evaluations, also those that a cache has spared: a search's effort is the same."""
+        self.budget.evaluations += evaluations
+        self.budget.spend(self.samples * len(self.blocks), evaluations)
+
+    def column(
+        self, claims: Sequence[Claim], claim: Claim, parameter: FitParameter, compute: Callable[[], FloatArray]
+    ) -> FloatArray:
+        """A column of the Jacobian under claims, of a parameter of one of them; computed, unless it is known.
+
+        It depends, beside the deviations, on the values of the claims that reach its equations. Of terms that add,
+        their own amplitudes and other such terms do not count; nor do terms without amplitude.
+        """
+        sizes = {one.name: one.span for one in claim.effect.amplitudes}
+        acting = Claim(claim.effect, {**claim.values, **sizes})
+        adding, others = _split_additive((*self.baseline, *claims, acting))
+        adds = any(one.effect is claim.effect for one in adding)
+        beside = _intervening(claim, others) if adds else [
+            one for one in claims if one is not claim and one.acts and one.effect.blocks & claim.effect.blocks
+        ]  # fmt: skip
+        own = claim.shapes if adds and parameter.smallest > 0.0 else [*claim.values.values()]
+        rounded = tuple(one.effect.label for one in claims if one.effect.lagged)
+        limits = getattr(claim.effect, "limits", ())
+        key = (self.uncertainty, claim.effect.label, parameter.name, limits, *own, rounded, values_key(beside))
+        if key in self.columns:
+            self.count(1)
+        return self.columns.kept(key, compute, lambda found: found.nbytes)
 
     def joined(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
         """By channel: responses of its residuals, over their deviation, to so many terms; shape (terms, residuals).
@@ -369,11 +358,111 @@ class Problem:
         """
         found = {}
         for index, name in enumerate(CHANNELS):
-            if not any(name in one for one in shown):
-                continue
-            own = []
-            for k, one in enumerate(shown):
-                there = (self.layout.channel == index) & (self.layout.segment == k)
-                own.append(one.get(name, np.zeros((terms, np.count_nonzero(there)))) / self.deviation(name, k))
-            found[index] = np.concatenate(own, axis=1)
+            if any(name in one for one in shown):
+                here = self.layout.channel == index
+                counts = np.bincount(self.layout.segment[here], minlength=len(shown))
+                own = [one.get(name, np.zeros((terms, count))) for one, count in zip(shown, counts, strict=True)]
+                found[index] = np.concatenate(own, axis=1) / self.deviations[here]
         return found
+
+    def parts(self, claims: Sequence[Claim]) -> ResidualParts:
+        """Residuals of the baseline and these claims, by channel and segment in the order of `layout`."""
+        adding, rest = _split_cached((*self.baseline, *claims), self.baseline)
+        parts = self._evaluated(rest)
+        for claim in adding:
+            for key, response in self._responses(claim).items():
+                parts[key] = parts[key] + np.array(claim.amplitudes) @ response
+        return parts
+
+    def _responses(self, claim: Claim) -> ResidualParts:
+        """Response of the residual to each amplitude of an additive term, shape (amplitudes, n)."""
+        beside = _intervening(claim, self.baseline)
+        limits = getattr(claim.effect, "limits", ())
+        key = ("response", claim.effect.label, limits, *claim.shapes, values_key(beside))
+
+        def found() -> ResidualParts:
+            sizes = {one.name: one.span for one in claim.effect.amplitudes}
+            neutral = {**claim.values, **dict.fromkeys(sizes, 0.0)}
+            terms = [Claim(claim.effect, {**neutral, name: size}) for name, size in sizes.items()]
+            shown, spans = self._shown(terms, beside), np.array([*sizes.values()])[:, None]
+            return {key: part / spans for key, part in shown.items() if part.any()}
+
+        return self.columns.kept(key, found, lambda parts: sum(one.nbytes for one in parts.values()))
+
+    def _shown(self, terms: Sequence[Claim], beside: tuple[Claim, ...]) -> ResidualParts:
+        """Return the responses to terms of one law beside the claims between it and the sensors, shape (terms, n)."""
+        touched = terms[0].effect.blocks & set(self.blocks)
+        if acting(beside, "measure"):
+            without = self._evaluated(beside, touched)
+            moved = [self._evaluated((*beside, one), touched) for one in terms]
+            return {key: np.stack([one[key] - part for one in moved]) for key, part in without.items()}
+        ways = [Responses(model, touched, beside).of(terms) for model in self.models]
+        return {(name, k): part for k, way in enumerate(ways) for name, part in way.items()}
+
+    def _evaluated(self, everything: Sequence[Claim], only: Collection[str] = ()) -> ResidualParts:
+        """Return residuals of claims without superposition; `only`: in these blocks, the arcs left out."""
+        blocks = only or self.blocks
+        parts: ResidualParts = {}
+        arcs: list[FloatArray] | None = None
+        if PRESSURE in blocks:
+            chambers = self._block(PRESSURE, everything, SegmentModel.chamber_residuals)
+            parts |= {("pressure_a", k): part for k, (part, _, _) in enumerate(chambers)}
+            parts |= {("pressure_b", k): part for k, (_, part, _) in enumerate(chambers)}
+            arcs = None if only else [arc for _, _, arc in chambers]
+        if MOTION in blocks:
+            motions = self._block(MOTION, everything, SegmentModel.motion_residual)
+            rounded = any(claim.effect.lagged == "hydraulic_force" for claim in everything)
+            for k, part in enumerate(motions):
+                parts["motion", k] = part if arcs is None or rounded else part + arcs[k]
+        for block, compute in ((LOAD, SegmentModel.load_residual), (HYDRAULIC, SegmentModel.hydraulic_residual)):
+            if block in blocks:
+                parts |= {(block, k): part for k, part in enumerate(self._block(block, everything, compute))}
+        return parts
+
+    def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
+        acting = tuple(claim for claim in claims if block in claim.effect.blocks)
+        return self._cache.kept(
+            (block, *values_key(acting)), lambda: [compute(model.placed(acting), acting) for model in self.models]
+        )
+
+    # -- what residuals hold -------------------------------------------------------------------------------------------
+
+    def variances(self, residual: FloatArray) -> FloatArray:
+        """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
+        return np.maximum(self.layout.squares(residual) / np.maximum(self.layout.count, 1.0), 1.0)
+
+    def weight(self, residual: FloatArray) -> FloatArray:
+        """Weight of each residual: 1 over the root of its channel's variance."""
+        return np.sqrt(1.0 / self.variances(residual))[self.layout.channel]
+
+    def deviance(self, residual: FloatArray) -> float:
+        """-2 log likelihood up to a constant, with a channel's variance at its most likely value of 1 or more."""
+        squares = self.layout.squares(residual)
+        variance = np.maximum(squares / np.maximum(self.layout.count, 1.0), 1.0)
+        return float(np.sum(self.layout.count * np.log(variance) + squares / variance))
+
+    def mean_squares(self, residual: FloatArray) -> dict[str, float]:
+        """Each channel's mean square over the noise's."""
+        squares = np.bincount(self.layout.channel, np.square(residual), len(CHANNELS))
+        count = self.layout.count
+        return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
+
+    @property
+    def noise_thresholds(self) -> dict[str, float]:
+        """Each channel's mean square over the noise's above which it holds more than noise.
+
+        The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
+        """
+        chances = {
+            name: CHANCE * float(np.sqrt(2.0 / n)) for name, n in zip(CHANNELS, self.layout.count, strict=True) if n
+        }
+        return {name: 1.0 + max(NOTICEABLE, chance) for name, chance in chances.items()}
+
+    def remaining(self, residual: FloatArray) -> dict[str, float]:
+        """Mean square over the noise's of those channels that hold more than noise."""
+        limit = self.noise_thresholds
+        return {name: square for name, square in self.mean_squares(residual).items() if square > limit[name]}
+
+    def noticeable(self, residual: FloatArray) -> bool:
+        """Return whether any channel holds more than noise."""
+        return bool(self.remaining(residual))

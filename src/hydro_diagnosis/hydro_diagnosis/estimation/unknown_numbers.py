@@ -17,7 +17,7 @@ import numpy as np
 from hydro_diagnosis.bench_numbers import lacks, numbers, told
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, Effect, changed
-from hydro_diagnosis.estimation.fit import Fit, fit, residual_variances
+from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_sim.model.bench import Bench
@@ -85,7 +85,7 @@ def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence
     for size in SIZES:
         start = _start(bench, names, size, short)
         tried.append(_settled(short, start, baseline, names))
-        if np.max(residual_variances(tried[-1][1], tried[-1][2].residual)) < EXPLAINED:
+        if np.max(tried[-1][1].variances(tried[-1][2].residual)) < EXPLAINED:
             break
     return min(tried, key=lambda one: _left(one[1], one[2]))[0]
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Memory, Oil, Openings, Pair, changes
+from hydro_diagnosis.effects.base import Claim, FloatArray, Memory, Oil, Openings, Pair, acting
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
@@ -159,7 +159,7 @@ def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim])
 
     An unshaped current is constant within a sample and needs only one substep.
     """
-    moving = sorted((claim for claim in claims if changes(claim, "command")), key=lambda claim: claim.effect.stage)
+    moving = sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage)
     if current.ndim == 1:
         current = np.repeat(current[:, None], SUBSTEPS if moving else 1, axis=1)
     spool = current
@@ -172,13 +172,13 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     """Flow [m3/s] into chamber A and into chamber B, leaks included."""
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
-    if any(changes(claim, "openings") or changes(claim, "supply") for claim in claims):
+    if acting(claims, "openings", "supply"):
         edges, supply = _fed(bench, oil, claims, memory)
         openings = edges.supply_a, edges.a_tank, edges.supply_b, edges.b_tank
         edge_flows(*flows, *openings, p_a, p_b, supply, tank)
     else:
         nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, tank)
-    for claim in claims:
+    for claim in acting(claims, "flows", "inflows"):
         flows = claim.effect.flows(flows, oil.pressures, tank, claim.values)
         flows = claim.effect.inflows(flows, oil, memory, claim.values)
     return flows
@@ -187,11 +187,11 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
 def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[Openings, FloatArray]:
     """The valve's edges and the supply pressure [Pa] under the claims."""
     edges = nominal_openings(bench, oil.spool)
-    for claim in claims:
+    for claim in acting(claims, "openings"):
         edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
     p_a, p_b = oil.pressures
     supply = np.full_like(p_a, bench.supply_pressure)
-    sagging = [claim for claim in claims if changes(claim, "supply")]
+    sagging = acting(claims, "supply")
     for _ in range(3 if sagging else 0):
         (drop_a, _), (_, drop_b) = eq.edge_drops(supply, bench.tank_pressure, p_a, p_b)
         demand = edges.supply_a * eq.signed_root(drop_a) + edges.supply_b * eq.signed_root(drop_b)
@@ -203,7 +203,7 @@ def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tup
 
 def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> Pair:
     """beta/V [Pa/m3] of both chambers."""
-    softer = [claim for claim in claims if changes(claim, "stiffness")]
+    softer = acting(claims, "stiffness")
     moduli: list[FloatArray | float] = [bench.bulk_modulus, bench.bulk_modulus]
     if softer:
         moduli = [_modulus(bench, pressure, softer) for pressure in oil.pressures]

@@ -30,8 +30,7 @@ from hydro_diagnosis.effects.closure import (
 )
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
-from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
-from hydro_diagnosis.model.segment_record import OBSERVER_MEMORY, SLOPE_STEP
+from hydro_diagnosis.model.segment_model import BLOCKS, OBSERVER_MEMORY, SLOPE_STEP, SegmentModel
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
 
@@ -53,7 +52,7 @@ class Responses:
 
     @cached_property
     def _oil(self) -> Oil:
-        return self.model.observer.oil(self.claims)
+        return self.model.oil(self.claims)
 
     @cached_property
     def _stiff(self) -> Pair:
@@ -190,7 +189,7 @@ class Responses:
     @cached_property
     def _built(self) -> Pair:
         """Pressure [Pa] that each sample builds in both chambers."""
-        return self.model.observer.built(self.bench, self._oil, self.claims)[1]
+        return self.model.built(self.bench, self._oil, self.claims)[1]
 
     @cached_property
     def _by_pressure(self) -> dict[str, Pair]:
@@ -202,7 +201,7 @@ class Responses:
                 pressures = list(self._oil.pressures)
                 pressures[k] = pressures[k] + sign * SLOPE_STEP
                 shifted = replace(self._oil, pressures=(pressures[0], pressures[1]))
-                moved.append(self.model.observer.built(self.bench, shifted, self.claims)[1])
+                moved.append(self.model.built(self.bench, shifted, self.claims)[1])
             a, b = ((up - down) / (2.0 * SLOPE_STEP) for up, down in zip(*moved, strict=True))
             found[name] = a, b
         return found

@@ -12,65 +12,302 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import correlate1d, distance_transform_edt
-from scipy.special import ndtr
+from scipy.ndimage import correlate1d
+from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import (
     HYDRAULIC,
     LOAD,
     MOTION,
     PRESSURE,
+    BoundedCache,
     Claim,
     FloatArray,
+    Kept,
     Kinematics,
+    Oil,
     Pair,
-    changes,
+    acting,
     values_key,
 )
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
+from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
-from hydro_diagnosis.model.segment_record import BoundedCache, ChamberObserver, SegmentRecord
-from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
+from hydro_diagnosis.model.memory import RecordMemory
+from hydro_diagnosis.preprocessing.smoothing import (
+    KINEMATIC_WIDTH,
+    STRIDE,
+    finish,
+    finish_at,
+    kinematics,
+    second_derivative,
+    smooth,
+    smooth_at,
+)
 from hydro_diagnosis.recording import Segment
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
-VELOCITY_UNCERTAINTY = 1e-3
-"""Uncertainty [m/s] of the velocity's zero."""
-SLIDING = 3.0 * VELOCITY_UNCERTAINTY
-"""Speed [m/s] from which on the direction of motion is known."""
-_FAST = 1.0
-"""Velocity [m/s] beyond which friction is that of sliding."""
+BLOCK = 0.1
+"""Averaging time [s] of the hydraulic balance."""
+TAIL = 20
+"""Recorded rows at a segment's end that are not judged, and `MARGIN` before and after one that is missing."""
+MARGIN = 6
+SETTLE = 0.3
+"""Time [s] at the start of a segment that is not judged: filters and observer settle."""
+CACHE_SIZE = 10
+"""Largest number of intermediate results that a segment keeps."""
+LAG_ITERATIONS = 3
+"""Iterations between the pressures behind lagging sensors and the flows that they drive."""
+OBSERVER_MEMORY = 0.12
+"""Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
+SLOPE_STEP = 1e3
+"""Step [Pa] of the differences that give the slope of a curved reading."""
 _GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
 PLACES = 4
 """Corrected positions that a segment keeps."""
+BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
+"""Channels of residuals in each block."""
 
 
-class SegmentModel(SegmentRecord):
-    """A segment, the forces on its mass, and its residuals under some claims, in physical units."""
+class SegmentModel:
+    """A segment, the bench that is believed, the piston's smoothed motion, and residuals under claims, physical units.
 
-    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
-        super().__init__(segment, bench, like)
-        self.observer = ChamberObserver(self)
-        self._placed = BoundedCache(PLACES)
+    `like`: the same stretch with more rows, whose judged samples are judged here too.
+    """
+
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentModel | None = None) -> None:
+        self.segment = segment
+        self.base = bench
+        """The bench as believed, no claim written into it."""
+        self.step = segment.step
+        self.spacing = segment.spacing
+        self.time = segment.time
+        channels = segment.channels
+        self.channels = channels
+        self.has_position = "piston_position" in channels
+        self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
+        self.settle = min(round(SETTLE / self.step), len(segment) // 4)
+        end = len(segment) - TAIL * self.spacing
+        self.rows: npt.NDArray[np.int64] | slice = (
+            like.rows if like else segment.judged(self.settle, end, STRIDE, MARGIN)
+        )
+        """Samples that are judged."""
+        self._judged = np.arange(len(segment))[self.rows]
+        if self.has_position:
+            self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
+            pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
+            self.kinematics = Kinematics(self.time, self.x, self.v, pressures, self.a)
+            bent = second_derivative(channels["piston_position"], self.step)
+            self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
+        self.beside = self._beside()
+        """Signals that a sensor's reading may depend on besides its own, shape (n,) each."""
+        self.memory = RecordMemory(segment.step, self.beside)
+        self._cache, self._placed = BoundedCache(CACHE_SIZE), BoundedCache(PLACES)
+
+    def _beside(self) -> dict[str, FloatArray]:
+        """A reading is taken under the current that was held until then."""
+        found = {name: self.channels[name] for name in ("pressure_a", "pressure_b") if name in self.channels}
+        if self.has_position:
+            found |= {"position": self.channels["piston_position"], "velocity": self.v, "acceleration": self.a}
+        if "valve_current" in self.channels:
+            current = self.channels["valve_current"]
+            found["current"] = np.concatenate([current[:1], current[:-1]])
+        return found
+
+    def bench(self, claims: Sequence[Claim]) -> Bench:
+        """The bench with the values that the claims replace."""
+        bench = self.base
+        for claim in acting(claims, "bench"):
+            bench = claim.effect.bench(bench, claim.values)
+        return bench
+
+    @cached_property
+    def unseen_ringing(self) -> float:
+        """Frequency [Hz] at which the believed mass rings on the oil; 0 where the rows show it, twice in a period."""
+        if self.spacing == 1 or not (self.has_position and self.has_pressures):
+            return 0.0
+        bench, moduli = self.base, (self.base.bulk_modulus, self.base.bulk_modulus)
+        stiff_a, stiff_b = eq.stiffnesses(bench, moduli, float(np.mean(self.channels["piston_position"])))
+        stiffness = bench.piston_area**2 * (stiff_a + bench.area_ratio**2 * stiff_b)
+        ringing = float(np.sqrt(stiffness / bench.moving_mass) / (2.0 * np.pi))
+        return ringing if 2.0 * ringing * self.step * self.spacing > 1.0 else 0.0
+
+    def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
+        """A channel with the sensors' gains and biases taken out."""
+        signal = self.channels[channel]
+        for claim in acting(claims, "unmeasure"):
+            signal = claim.effect.unmeasure(channel, signal, self.memory, claim.values)
+        return signal
+
+    def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim], smoothed: bool = False) -> FloatArray:
+        """Return the reading of a channel's sensor for a true signal; `smoothed`: through the test function."""
+        self.memory.beside = self._smooth_beside if smoothed else self.beside
+        for claim in acting(claims, "measure"):
+            signal = claim.effect.measure(channel, signal, self.memory, claim.values)
+        self.memory.beside = self.beside
+        return signal
+
+    def behind_cell(self, force: FloatArray, bench: Bench) -> FloatArray:
+        """Load's force [N] behind the amplifier of its cell, if the bench states one."""
+        if bench.load_cell_bandwidth is None:
+            return force
+        return self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
+
+    @cached_property
+    def _smooth_beside(self) -> dict[str, FloatArray]:
+        smoothed = {name: self.smooth(signal) for name, signal in self.beside.items() if name != "acceleration"}
+        return smoothed | ({"acceleration": self.finish(self.a)} if self.has_position else {})
+
+    def kept(self, signal: FloatArray) -> FloatArray:
+        """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""
+        return signal[self.rows]
+
+    def smooth(self, signal: FloatArray) -> FloatArray:
+        """A measured signal through the test function, shape (n,)."""
+        return smooth(signal, self.spacing)
+
+    def finish(self, signal: FloatArray) -> FloatArray:
+        """Smooth a result of the smoothed motion to the test function's width, shape (n,)."""
+        return finish(signal, self.spacing)
+
+    def kept_smooth(self, signal: FloatArray) -> FloatArray:
+        """`smooth` at the judged samples alone."""
+        return smooth_at(signal, self._judged, self.spacing)
+
+    def kept_finish(self, signal: FloatArray) -> FloatArray:
+        """`finish` at the judged samples alone."""
+        return finish_at(signal, self._judged, self.spacing)
+
+    def means(self, signal: FloatArray) -> FloatArray:
+        """Means over blocks of `BLOCK` of a settled signal."""
+        length, settled = round(BLOCK / self.step), signal[self.settle :]
+        return settled[: len(settled) // length * length].reshape(-1, length).mean(axis=1)
+
+    def kept_time(self) -> FloatArray:
+        """s, of the decimated residuals."""
+        return self.kept(self.time)
+
+    def block_time(self) -> FloatArray:
+        """s, of the means over blocks."""
+        length = round(BLOCK / self.step)
+        count = (len(self.time) - self.settle) // length
+        return self.time[self.settle] + (np.arange(count) + 0.5) * length * self.step
+
+    # -- chambers, from recorded current, position and pressures -------------------------------------------------------
+
+    def oil(self, claims: Sequence[Claim]) -> Oil:
+        """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
+        moving = sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage)
+        spool = self._cached("spool", moving, self._spool)
+        p_a, p_b = self._cached("pressures", acting(claims, "unmeasure"), self._middle_pressures)
+        position = self._cached("position", (), lambda claims: chambers.middle(self.channels["piston_position"]))
+        velocity = self._cached("velocity", (), lambda claims: chambers.middle(self.v))
+        return Oil(self.time, position, (p_a, p_b), spool, velocity)
+
+    def _spool(self, claims: Sequence[Claim]) -> FloatArray:
+        """Each claim's spool is kept back, so that what comes later in the command's path begins there."""
+        if not claims:
+            return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, ())
+        *before, last = claims
+        spool = self._cached("spool", before, self._spool) if before else self._held_current
+        return last.effect.command(spool, self.step / chambers.SUBSTEPS, last.values)
+
+    @cached_property
+    def _held_current(self) -> FloatArray:
+        """A, shape (n, substeps)."""
+        return np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS, axis=1)
+
+    def _middle_pressures(self, claims: Sequence[Claim]) -> Pair:
+        p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
+        return p_a, p_b
+
+    def _cached(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
+        """Return the result for these claims, computed once as long as only others change."""
+        return self._cache.kept((what, *values_key(claims)), lambda: compute(claims))
+
+    def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
+        """Innovations and arcs under the claims."""
+        bench = self.bench(claims)
+        oil = self.oil(claims)
+        stiff, (built_a, built_b) = self.built(bench, oil, claims)
+        lagging = any(claim.effect.lagged.startswith("pressure") for claim in claims)
+        for _ in range(LAG_ITERATIONS if lagging else 0):
+            oil = self._ahead_of_lag(oil, (built_a, built_b), claims)
+            stiff, (built_a, built_b) = self.built(bench, oil, claims)
+        innovations = tuple(
+            self._innovation(channel, built, claims)
+            for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
+        )
+        force = eq.hydraulic_force(bench, built_a, built_b)
+        arc = chambers.force_arc(bench, oil, stiff, self.a, self.step)
+        return ChamberRun((innovations[0], innovations[1]), arc, force)
+
+    def built(self, bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[Pair, Pair]:
+        """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
+        into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
+        stiff = chambers.compliances(bench, oil, claims)
+        return stiff, eq.pressure_rates(bench, stiff, (into_a * self.step, into_b * self.step), self._moved)
+
+    @cached_property
+    def _moved(self) -> FloatArray:
+        """Change [m] of the position from each sample to the next."""
+        position = self.channels["piston_position"]
+        return np.diff(position, append=position[-1])
+
+    def _ahead_of_lag(self, oil: Oil, built: Pair, claims: Sequence[Claim]) -> Oil:
+        """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
+        others = [claim for claim in claims if not claim.effect.lagged.startswith("pressure")]
+        pressures = list(oil.pressures)
+        for index, channel in enumerate(("pressure_a", "pressure_b")):
+            late = [claim for claim in claims if claim.effect.lagged == channel]
+            if late:
+                integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
+                swallowed = integral - self.reading(channel, integral, late)
+                pressures[index] = chambers.middle(self.true_signal(channel, others) + swallowed)
+        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
+
+    def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        curved = [claim for claim in claims if claim.effect.nonlinear_channel == channel]
+        if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
+            built = built * self._slope(channel, claims, curved)
+            claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
+        gain = self.step / OBSERVER_MEMORY
+        if not acting(claims, "measure"):
+            return np.asarray(chambers.innovations(self.channels[channel], built, gain))
+        integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
+        unexplained = self.channels[channel] - self.reading(channel, integral, claims)
+        start = float(np.mean(unexplained[:10]))
+        followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
+        return unexplained - np.asarray(followed)
+
+    def _slope(self, channel: str, claims: Sequence[Claim], curved: Sequence[Claim]) -> FloatArray:
+        """Change of a curved reading [-] per change of its signal, within each sample."""
+        signal = chambers.middle(self.true_signal(channel, claims))
+        above, below = (self.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
+        return np.asarray((above - below) / (2.0 * SLOPE_STEP))
+
+    # -- forces --------------------------------------------------------------------------------------------------------
 
     def dry_friction_level(self, claims: Sequence[Claim], velocity: FloatArray | None = None) -> FloatArray:
         """Level [N] of dry friction while sliding."""
         motion = self.kinematics if velocity is None else Kinematics(self.time, self.x, velocity)
         level = np.zeros_like(self.x)
-        for claim in claims:
+        for claim in acting(claims, "drag"):
             level = claim.effect.drag(level, motion, claim.values)
         return level
 
     def spring_force(self, bench: Bench, claims: Sequence[Claim], motion: Kinematics) -> FloatArray:
         """True force [N] of the load."""
         force = bench.spring_stiffness * (motion.position - bench.spring_rest_position)
-        for claim in claims:
+        for claim in acting(claims, "load"):
             force = claim.effect.load(force, motion, bench, self.memory, claim.values)
         return force
 
@@ -81,8 +318,7 @@ class SegmentModel(SegmentRecord):
         piston passes within milliseconds would read a quarter too small.
         """
         force = np.zeros_like(self.x)
-        dry = any(changes(claim, "drag") for claim in claims)
-        if not dry or any(claim.effect.bristles for claim in claims):
+        if not acting(claims, "drag") or any(claim.effect.bristles for claim in claims):
             return force
         for weight, velocity, sign in self._seen_velocities:
             force += weight * self.dry_friction_level(claims, velocity) * sign
@@ -99,69 +335,12 @@ class SegmentModel(SegmentRecord):
         """Hydraulic force [N] that the recorded motion needs, as the first Gaussian sees it."""
         bench = self.bench(claims)
         force = self.dry_friction(claims)
-        resisting = [claim for claim in claims if changes(claim, "resistance")]
+        resisting = acting(claims, "resistance")
         level = self.dry_friction_level(claims) if resisting else force
         for claim in resisting:
             force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
         return inertia + force + self.spring_force(bench, claims, self.kinematics)
-
-    def friction_uncertainty(self, claims: Sequence[Claim], reversals: int = 1) -> FloatArray:
-        """Standard deviation [N] of the dry friction, because the velocity near standstill is only known so well.
-
-        `reversals`: of all recordings; the same kernel misplaces the velocity alike at each of them, which does not
-        average out: its doubt is that of their mean, not of one.
-        """
-        level = self.dry_friction_level(claims)
-        doubt = self._swing(
-            claims, VELOCITY_UNCERTAINTY + 0.5 * np.abs(self.a) * self.spacing * self.step, np.zeros_like(level)
-        )
-        beyond = self.dry_friction_level(claims, np.full_like(self.v, _FAST))
-        if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
-            doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self.velocity_kink(claims), beyond))
-        late = [claim for claim in claims if claim.effect.lagged == "hydraulic_force"]
-        return self.smooth(np.abs(self.reading("hydraulic_force", doubt, late)))
-
-    def velocity_kink(self, claims: Sequence[Claim]) -> FloatArray:
-        """By how much [m/s] the first Gaussian misplaces a velocity whose slope jumps where the piston reverses.
-
-        Dry friction F turns round there, so x_p'' jumps by 2 F / m. A kink of slope J seen through a Gaussian of width
-        s is off by J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
-        """
-        at_rest = self.dry_friction_level(claims, np.zeros_like(self.v))
-        width = KINEMATIC_WIDTH * self.spacing * self.step
-        jump = 2.0 * at_rest / self.bench(claims).moving_mass
-        u = self._since_rest / (KINEMATIC_WIDTH * self.spacing)
-        return jump * width * (np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi) - u * ndtr(-u))
-
-    @cached_property
-    def reversals(self) -> int:
-        """Number of times that the piston comes to a stand or reverses; what an encoder shows at rest is none."""
-        marks = np.where(self._resting, 1, 0) - np.where(~self._resting & (np.abs(self.v) > SLIDING), 1, 0)
-        return int(np.count_nonzero(np.diff(marks[marks != 0], prepend=-1) == 2))
-
-    @cached_property
-    def _resting(self) -> npt.NDArray[np.bool_]:
-        resting = np.abs(self.v) < VELOCITY_UNCERTAINTY
-        turns = self.v[:-1] * self.v[1:] <= 0.0
-        resting[:-1] |= turns
-        resting[1:] |= turns
-        return resting
-
-    @cached_property
-    def _since_rest(self) -> FloatArray:
-        """Samples to the nearest one at which the piston stands or turns round."""
-        if not self._resting.any():
-            return np.full_like(self.v, len(self.v))
-        return np.asarray(distance_transform_edt(~self._resting))
-
-    def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:
-        """Half of how far dry friction beyond a level `but` [N] changes between -/+ `velocity` around the recorded."""
-        low, high = (
-            (self.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_UNCERTAINTY)
-            for one in (self.v - velocity, self.v + velocity)
-        )
-        return np.asarray(np.abs(high - low) / 2.0)
 
     def variable(self, name: str) -> FloatArray:
         """A variable that a hidden input may depend on, shape (n,), SI units."""
@@ -189,10 +368,14 @@ class SegmentModel(SegmentRecord):
 
         return self._placed.kept(values_key(moving), moved)
 
-    def pressure_residuals(self, run: ChamberRun) -> Pair:
-        """Pa, decimated."""
+    def chamber_residuals(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Pa, of both pressures; and N, by how much the mean of f_h around each sample exceeds it; decimated.
+
+        The latter: straight lines between the samples (second differences over 12), and the arcs upon them.
+        """
+        run = self.chamber_run(claims)
         a, b = (self.kept_smooth(innovation) for innovation in run.innovations)
-        return a, b
+        return a, b, self.kept_smooth(run.arc) + self._lines_arc
 
     def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated, without the arc."""
@@ -215,16 +398,9 @@ class SegmentModel(SegmentRecord):
 
     def _shown_force(self, required: FloatArray, claims: Sequence[Claim]) -> FloatArray:
         """Reading [N] of the cell at the rod for a force, decimated."""
-        if not any(changes(claim, "measure") for claim in claims):
+        if not acting(claims, "measure"):
             return self.kept_finish(required)
         return self.kept(self.reading("hydraulic_force", self.finish(required), claims, smoothed=True))
-
-    def arc_residual(self, run: ChamberRun) -> FloatArray:
-        """N, decimated: by how much the mean of f_h around each sample exceeds the sample.
-
-        Straight lines between the samples (second differences over 12), and the arcs upon them.
-        """
-        return self.kept_smooth(run.arc) + self._lines_arc
 
     @cached_property
     def _lines_arc(self) -> FloatArray:
@@ -258,7 +434,3 @@ class SegmentModel(SegmentRecord):
         force = bench.piston_area * (p_a - bench.area_ratio * p_b)
         off = delayed(self.channels["hydraulic_force"], "") - self.reading("hydraulic_force", force, others)
         return self.means(off)
-
-
-BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
-"""Channels of residuals in each block."""

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, acting
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import ColumnMemory, Indices, RecordMemory, StepMemory, WindowMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -166,7 +166,7 @@ class Plant:
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         spool = chambers.spool_position(current, model.step / substeps, claims)
         memory = model.memory = RecordMemory(model.step, model.beside)
-        model.observer.chamber_run(claims)
+        model.chamber_run(claims)
         model.required_force(claims)
         for claim in claims:
             claim.effect.trace(model.kinematics, memory, claim.values)
@@ -202,7 +202,7 @@ class Plant:
         """Claims by the hook of `Effect` that they change, and those that act in the chambers."""
         hydraulic = "openings", "supply", "flows", "inflows", "stiffness"  # the spool's path is computed beforehand
         groups = {"hydraulic": hydraulic, **{hook: (hook,) for hook in ("drag", "resistance", "load", "inertia")}}
-        return {name: tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
+        return {name: tuple(acting(self.claims, *hooks))
                 for name, hooks in groups.items()}  # fmt: skip
 
     def mass(self, motion: Kinematics) -> FloatArray | float:
@@ -304,4 +304,4 @@ class Plant:
 def _sticks(claims: Sequence[Claim]) -> bool:
     """Return whether there is dry friction that no bristles carry."""
     bristled = any(claim.effect.bristles for claim in claims)
-    return not bristled and any(changes(claim, "drag") for claim in claims)
+    return not bristled and bool(acting(claims, "drag"))

@@ -15,7 +15,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import LAST_THIRD
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import Report, row_of
-from hydro_diagnosis.selection.outcome import Outcome
+from hydro_diagnosis.selection.search import Outcome
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model.bench import Bench
 

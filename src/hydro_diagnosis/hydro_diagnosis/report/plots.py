@@ -274,7 +274,7 @@ _WIDTHS = ("half_width", "half_width_negative", "current", "width")
 
 def _looked(model: SegmentModel, claims: tuple[Claim, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Valve current, and what an ideal valve would have needed for the recorded and for the fitted flow into A [A]."""
-    bench, oil = model.bench(claims), model.observer.oil(claims)
+    bench, oil = model.bench(claims), model.oil(claims)
     stiff, _ = chambers.compliances(bench, oil, claims)
     pressure = gaussian_filter1d(oil.pressures[0], _WIDTH, order=1, mode="nearest") / model.step
     flow = pressure / stiff + bench.piston_area * gaussian_filter1d(model.v, _WIDTH)

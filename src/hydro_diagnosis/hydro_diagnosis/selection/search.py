@@ -9,28 +9,80 @@ parameter plus a threshold; so must each parameter that a cause has more than th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import permutations
+from typing import Annotated
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
+from hydro_bridge.settings import quantity
+from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.estimation.fit import (
     FORM_ERROR,
     Fit,
+    Prospect,
+    Signatures,
     fit,
-    mean_squares,
-    noticeable,
     pack,
-    remaining,
+    screen,
     with_one_more,
     without_one,
 )
-from hydro_diagnosis.estimation.intervals import shifts
+from hydro_diagnosis.estimation.intervals import all_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.estimation.score_test import Prospect, Signatures, screen
-from hydro_diagnosis.selection.outcome import MINOR, Outcome, SearchSettings, Step
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """Effort of a search, and its thresholds of a claim."""
+
+    threshold: Annotated[float, quantity("-", 0.0, 1000.0)] = 20.0
+    """Evidence in units of BIC that a claim needs beyond its parameters' price: a choice, held against recordings
+    with nothing missing (`benchmarks.null_simulations`).
+    """
+    most: Annotated[int, quantity("-", 0, 100)] = 6
+    """Claims at most."""
+    patience: Annotated[int, quantity("-", 1, 100)] = 100
+    """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
+    restarts: Annotated[int, quantity("-", 1, 10)] = 3
+    """First claims that are tried, one search each, as long as something remains unexplained."""
+    effort: Annotated[int, quantity("-", 100, 1000000)] = 9000
+    """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before
+    the search begins again: some 3 ms each for 60 s of data.
+    """
+
+
+NAMES = SearchSettings(most=12, patience=2)
+"""Settings of a search among names alone, which ends by itself where nothing remains or nothing has a name."""
+MINOR = 0.1
+"""Share of what remains in a channel below which a claim says little about it."""
+CLOSE = 10.0
+"""BIC within which a rival is not distinguished from a claim (Kass and Raftery 1995: decisive beyond it)."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the search, for the plot of how evidence converged."""
+
+    action: str
+    label: str
+    score: float
+
+
+@dataclass
+class Outcome:
+    """Outcome of a search."""
+
+    problem: Problem
+    """The problem with the weights of the fit."""
+    fit: Fit
+    nothing: Fit
+    steps: list[Step] = field(default_factory=list)
+    rivals: dict[str, list[Fit]] = field(default_factory=dict)
+    """By a claim's label: fits in which another cause stands in its place, best first."""
+    cut_short: str = ""
+    """Why the search ended before nothing paid, in words; empty if it did not."""
+
 
 SHORTLIST = 7
 """Prospects that are fitted at each step, the most promising first."""
@@ -142,7 +194,7 @@ class Search:
         self.progress = progress
         self.steps: list[Step] = []
         """Steps of acceptance and removal so far, passed to the outcome."""
-        self._begun = problem.evaluations
+        self._begun = problem.budget.evaluations
         self._shortlists = Shortlists(self.library, self.settings)
 
     def run(self) -> Outcome:
@@ -150,12 +202,12 @@ class Search:
         if self.problem.estimated and self.given:
             if beside := self._beside_given():
                 return beside
-            self._begun = self.problem.evaluations
+            self._begun = self.problem.budget.evaluations
         nothing = fit(self.problem, ())
         restarts = self._ranked(self.problem, nothing)
         best = self._from(nothing, restarts[:1])
         for opening in restarts[1 : self.settings.restarts]:
-            if not noticeable(self.problem, best.fit.residual) or self._exhausted_at(self.settings.effort / 3):
+            if not self.problem.noticeable(best.fit.residual) or self._exhausted_at(self.settings.effort / 3):
                 break
             self.progress(f"again from {opening.claims[-1].effect.label}")
             best = self._better(best, self._from(nothing, [opening]))
@@ -167,10 +219,8 @@ class Search:
 
         None where something remains. Beside causes that are not found yet a number would leave what it was given as.
         """
-        held = copy(self.problem)
-        held.estimated = ()
-        outcome = Search(held, self.library, self.settings, self.progress).run()
-        if noticeable(outcome.problem, outcome.fit.residual) and not self.problem.budget.exhausted:
+        outcome = Search(self.problem.estimating(()), self.library, self.settings, self.progress).run()
+        if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.exhausted:
             return None
         least = outcome.fit.score
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
@@ -224,7 +274,7 @@ class Search:
         return self._exhausted_at(self.settings.effort)
 
     def _exhausted_at(self, effort: float) -> bool:
-        return self.problem.evaluations - self._begun > effort or self.problem.budget.exhausted
+        return self.problem.budget.evaluations - self._begun > effort or self.problem.budget.exhausted
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
@@ -251,7 +301,7 @@ class Search:
         mends = bool(evidence) and form_error(problem, base, evidence[0])
         if mends and not self._completed(problem, base, evidence[0]):
             evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
-        if noticeable(problem, base.residual):
+        if problem.noticeable(base.residual):
             evidence += self._plainer(problem, base, enough)
         return sorted(evidence, key=lambda one: one.score)
 
@@ -261,8 +311,8 @@ class Search:
         self._shortlists.beside(problem, found, 0.0)
         self._shortlists.polish(problem, found, enough, POLISHED)
         for pair in self._shortlists.beside(problem, found, 0.0)[:POLISHED]:
-            clean = remaining(problem, base.residual).keys() - remaining(problem, pair.residual).keys()
-            if clean and clean & remaining(problem, fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
+            clean = problem.remaining(base.residual).keys() - problem.remaining(pair.residual).keys()
+            if clean and clean & problem.remaining(fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
                 return True
         return False
 
@@ -384,59 +434,12 @@ class Search:
         return problem, found
 
 
-ABSENT = 0.05
-"""Share of a shape's neutral value within which an effect without amplitudes is absent."""
-ATTENUATIONS = 2.0
-"""Multiple of `Problem.attenuation`, and of the change by half of the rows, that a claim must exceed."""
-
-
-def is_significant(claim: Claim) -> bool:
-    """Return whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
-
-    An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
-    """
-    amplitudes = [one for one in claim.effect.parameters if one.smallest > 0.0]
-    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
-        return False
-    if not amplitudes:
-        return any(
-            abs(claim.values[one.name] - one.neutral) > ABSENT * abs(one.neutral) for one in claim.effect.parameters
-        )
-    return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
-
-
-def all_significant(problem: Problem, found: Fit) -> bool:
-    """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
-    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.judged):
-        return False
-    moved = zip(found.claims, shifts(problem, found), strict=True)
-    return all(claim.effect.estimated or _beyond(claim, shift) for claim, shift in moved)
-
-
-def _beyond(claim: Claim, shift: FloatArray) -> bool:
-    """Return whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
-    pairs = list(zip(claim.effect.parameters, shift, strict=True))
-    amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
-    return any(abs(claim.values[one.name] - one.neutral) >= ATTENUATIONS * moved for one, moved in amplitudes)
-
-
-def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
-    least = ATTENUATIONS * problem.attenuation.get(claim.effect.id, 0.0)
-    return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
-
-
-def _at_its_end(parameter: FitParameter, value: float) -> bool:
-    """Return whether a value stands at a bound that is not its neutral value."""
-    near = 1e-3 * parameter.smallest
-    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
-
-
 def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
     """Return whether the newest claim explains no more than an error in the form of its kin would.
 
     Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
     """
-    if noticeable(problem, base.residual) and not noticeable(problem, found.residual):
+    if problem.noticeable(base.residual) and not problem.noticeable(found.residual):
         return False
     newest = found.claims[-1].effect
     kin = [claim for claim in base.judged if newest.family and claim.effect.family == newest.family]
@@ -453,7 +456,7 @@ def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
 
 def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
     """Whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
-    before, one, two = (mean_squares(problem, each.residual) for each in (base, mended, other))
+    before, one, two = (problem.mean_squares(each.residual) for each in (base, mended, other))
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}
     shared = sum(
@@ -464,8 +467,8 @@ def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool
 
 def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
     """Return whether the newest claim removes little of what remains in the channel in which it removes most."""
-    before, after = (mean_squares(problem, one.residual) for one in (base, found))
+    before, after = (problem.mean_squares(one.residual) for one in (base, found))
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
-    excess = remaining(problem, found.residual).get(channel, 1.0) - 1.0
+    excess = problem.remaining(found.residual).get(channel, 1.0) - 1.0
     return before[channel] - after[channel] < MINOR * excess

@@ -20,9 +20,10 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.estimation.noise import SLIDING
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.segment_model import SLIDING, SegmentModel
+from hydro_diagnosis.model.segment_model import SegmentModel
 
 STEADY = 0.1
 """s for which a speed must be steady."""
@@ -118,7 +119,7 @@ def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> Iterator
     for k, model in enumerate(problem.models):
         modelled = []
         for everything in ((*problem.baseline, *claims), problem.baseline):
-            bench, oil = model.bench(everything), model.observer.oil(everything)
+            bench, oil = model.bench(everything), model.oil(everything)
             modelled.append(chambers.net_flows(bench, oil, everything, model.memory)[0])
         stiff = chambers.compliances(bench, oil, everything)[0]
         p_a, p_b = (model.smooth(model.channels["pressure_" + chamber]) for chamber in "ab")

@@ -16,18 +16,9 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import (
-    Fit,
-    fit,
-    mean_squares,
-    noise_thresholds,
-    noticeable,
-    orthogonal,
-    remaining,
-)
-from hydro_diagnosis.estimation.free_form import FreeForm, free_forms, gains_by_equation, variables
+from hydro_diagnosis.estimation.fit import Fit, fit, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.selection.localisation import Place, locate, locate_claims
+from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims, variables
 from hydro_diagnosis.selection.steady_motion import FRICTION, curves, missed
 
 MOST = 0.5
@@ -105,7 +96,7 @@ class Assessment:
 def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     """Judge the fit that a search ended with against the fit without claims."""
     alike, unnamed = coincidence(found.judged), not all(claim.effect.named for claim in found.claims)
-    if not noticeable(problem, found.residual) and not alike and not unnamed:
+    if not problem.noticeable(found.residual) and not alike and not unnamed:
         verdict = "explained" if found.judged else "no_mismatch"
         return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
     kept = nothing if alike else _named(problem, _trusted(problem, found, nothing))
@@ -127,7 +118,7 @@ def refuted(problem: Problem, assessment: Assessment, kept: Fit) -> Assessment:
 def unexplained(problem: Problem, kept: Fit) -> tuple[tuple[Place, ...], tuple[FreeForm, ...]]:
     """Where a fit leaves something, and free-form inputs for it, the most informative first."""
     forms = free_forms(problem, kept)
-    return tuple(locate(problem, kept.residual, gains_by_equation(forms))), tuple(forms[:6])
+    return tuple(locate(problem, kept.residual, forms)), tuple(forms[:6])
 
 
 def _dropped(claims: Sequence[Claim], kept: Fit) -> tuple[Claim, ...]:
@@ -171,11 +162,11 @@ def seen_at_steady_speed(problem: Problem, kept: Sequence[Claim], found: Fit) ->
 
 def _suspects(problem: Problem, found: Fit) -> set[str]:
     """Labels of claims that show mainly in channels in which something remains."""
-    noisy = remaining(problem, found.residual)
+    noisy = problem.remaining(found.residual)
     suspects = set()
     for claim in found.judged:
         without = problem.residual(found.but(claim))
-        shown = mean_squares(problem, without - found.residual)
+        shown = problem.mean_squares(without - found.residual)
         if max(shown, key=lambda name: shown[name]) in noisy:
             suspects.add(claim.effect.label)
     return suspects
@@ -183,8 +174,8 @@ def _suspects(problem: Problem, found: Fit) -> set[str]:
 
 def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
-    before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
-    limit = noise_thresholds(problem)
+    before, after = problem.mean_squares(nothing.residual), problem.mean_squares(found.residual)
+    limit = problem.noise_thresholds
     gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
     shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and after[name] > limit[name]]
@@ -193,7 +184,7 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
 
 def _judged(problem: Problem, found: Fit) -> npt.NDArray[np.bool_]:
     """Residuals of the channels in which something remains."""
-    noisy = [CHANNELS.index(name) for name in remaining(problem, found.residual)]
+    noisy = [CHANNELS.index(name) for name in problem.remaining(found.residual)]
     return np.isin(problem.layout.channel, noisy)
 
 

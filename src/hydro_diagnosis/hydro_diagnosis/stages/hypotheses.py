@@ -19,16 +19,15 @@ from threadpoolctl import threadpool_limits
 
 from hydro_diagnosis.bench_numbers import knows, refuse_missing
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import noticeable
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of
-from hydro_diagnosis.selection.outcome import NAMES
-from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.stages.reading import Case, Progress, Question, StageResult, read
+from hydro_diagnosis.selection.search import NAMES, Search
+from hydro_diagnosis.stages.naming import StageResult
+from hydro_diagnosis.stages.reading import Case, Progress, Question, read
 from hydro_diagnosis.wiring import (
     Advance,
     Doubt,
@@ -277,7 +276,7 @@ def read_repaired(question: Question, progress: Progress) -> Case:
         refusal = str(error)
     if case is not None and question.as_wired:
         return case
-    if case is not None and not (inspection.doubts or noticeable(case.problem, case.problem.residual(()))):
+    if case is not None and not (inspection.doubts or case.problem.noticeable(case.problem.residual(()))):
         return case
     readings = _plausible(question, inspection, progress) if case is None or inspection.doubts else [((), case)]
     readings = [_with_suspected_repairs(question, *one, inspection.units, progress) for one in readings]
@@ -296,7 +295,7 @@ def read_repaired(question: Question, progress: Progress) -> Case:
 def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Case:
     """The same case, or it repaired: what causes leave, or what several say together, may be a mistake of wiring."""
     claims = found.outcome.fit.claims
-    left_over = found.assessment.remainder or noticeable(found.holdout, found.holdout.residual(claims))
+    left_over = found.assessment.remainder or found.holdout.noticeable(found.holdout.residual(claims))
     if case.question.as_wired:
         return case
     suspects = suspected(found.problem, claims, case.held, case.units) if left_over else ()

@@ -24,19 +24,12 @@ from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import applies, completed, hiding, lacks, left_out, read_bench, refuse_missing
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
-from hydro_diagnosis.estimation.budget import Budget
-from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.problem import Budget, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of
-from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.selection.outcome import Outcome
-from hydro_diagnosis.selection.verdict import Assessment
-from hydro_diagnosis.validation import Known
 from hydro_diagnosis.wiring import Inspection
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
@@ -220,34 +213,3 @@ def _version() -> str:
         return metadata.version("hydro_diagnosis")
     except metadata.PackageNotFoundError:
         return "0.1.0"
-
-
-@dataclass(frozen=True, kw_only=True)
-class StageResult:
-    """Claims at the end of a stage, and their validation."""
-
-    problem: Problem
-    outcome: Outcome
-    assessment: Assessment
-    bounds: list[Interval]
-    """Intervals of the claims' parameters."""
-    models: list[SegmentModel]
-    """Held-out recordings."""
-    holdout: Problem
-    """The same, weighed for the claims."""
-    simulated: Known
-    """Simulations of the held-out recordings so far."""
-    proof: dict[str, Any]
-    """`fit` of report.json."""
-    withdrawn: str = ""
-    """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
-    refused: Mapping[str, str] = field(default_factory=dict)
-    """Reasons, by label, why names that fit are not claimed."""
-    closures: list[ClosureReport] = field(default_factory=list)
-    next_recording: dict[str, Any] | None = None
-    """The recording that separates the closest rivals among the claims."""
-
-    @property
-    def names(self) -> set[str]:
-        """Labels of the named claims."""
-        return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}

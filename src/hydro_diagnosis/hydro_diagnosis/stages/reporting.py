@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import scipy.signal
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, display_unit
-from hydro_diagnosis.estimation.fit import QUANTILE, Fit, orthogonal, pack, residual_variances
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
-from hydro_diagnosis.estimation.score_test import allowed, cause
-from hydro_diagnosis.recording import MEASURED
+from hydro_diagnosis.estimation.problem import CHANNELS, NOTICEABLE, Layout, Problem
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, NumberEstimate, Report
-from hydro_diagnosis.selection.effect_summary import describe, distrusted, location_of, made_worse, not_predicted
-from hydro_diagnosis.selection.reliability import doubted, explained_shares, objections
-from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.selection.steady_motion import FRICTION, curves
-from hydro_diagnosis.stages.reading import Case, StageResult
-from hydro_sim.model.bench import Bench
+from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
+from hydro_diagnosis.selection.localisation import Place, locate
+from hydro_diagnosis.selection.search import CLOSE, Outcome, Search
+from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
+from hydro_diagnosis.selection.verdict import Assessment
+from hydro_diagnosis.stages.naming import StageResult, made_worse
+from hydro_diagnosis.stages.reading import Case
+from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
 
 SLOWEST = 5.0
 """Hz: what repeats less often may be the reference's doing."""
@@ -106,103 +106,81 @@ def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str |
     return None
 
 
-ALIKE = 0.999
-"""Correlation of what a number and a cause change in the residuals, beside all that is fitted, from which they are one.
-"""
-OWN = 0.01
-"""Share of a number's signature that nothing else in the fit makes, below which it cannot be told from the others."""
-VAGUE = 0.5
-"""Half width of the interval over the value from which a number is not told."""
+def describe(
+    problem: Problem, held: Problem, outcome: Outcome, assessment: Assessment, bounds: Sequence[Interval]
+) -> list[EffectReport]:
+    """One entry per name that stands, the strongest evidence first.
 
-
-def number_estimates(
-    problem: Problem,
-    found: Fit,
-    bounds: Sequence[Interval],
-    library: Sequence[Effect],
-    numbers: Mapping[str, float | None],
-) -> list[NumberEstimate]:
-    """One entry per estimated number, in their order.
-
-    `bounds`: of the parameters of all claims; `numbers`: by name, the bench file's value if it holds one.
+    `held`: the held-out recordings; `bounds`: of the parameters of all claims, in their order.
     """
-    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
-    columns = found.jacobian * weight[:, None]
-    owners = [claim for claim in found.claims for _ in claim.effect.parameters]
-    names = dict(zip((claim.effect.label for claim in problem.estimated), numbers, strict=True))
-    entries = []
-    for k, (claim, bound) in enumerate(zip(owners, bounds, strict=True)):
-        if claim.effect.estimated:
-            mixed = _mixed(columns, k, [names.get(one.effect.label, one.effect.id) for one in owners])
-            others = mixed or _alike(problem, found, columns, k, weight, library)
-            name = names[claim.effect.label]
-            entries.append(_entry(problem.bench, name, claim, bound, numbers[name], others, told=not mixed))
-    return entries
+    found = assessment.fit
+    reports = [
+        _report(problem, held, outcome, found, claim, own)
+        for claim, own in by_claim(found.claims, bounds)
+        if claim.effect.named and not claim.effect.estimated
+    ]
+    return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
-def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
-    """Return the other terms of the fit that explain nearly all of a number's signature; itself if it has none."""
-    column = columns[:, k]
-    if not np.linalg.norm(column) > 1e-9 * np.sqrt(len(column)):
-        return [names[k]]
-    others = np.delete(columns, k, axis=1)
-    lengths = np.linalg.norm(others, axis=0)
-    if not len(lengths) or np.linalg.norm(orthogonal(others, column)) > OWN * np.linalg.norm(column):
-        return []
-    lengths = np.maximum(lengths, 1e-300)
-    shares = np.linalg.lstsq(others / lengths, column, rcond=1e-12)[0]
-    by_size = np.argsort(-np.abs(shares))
-    rest = [name for j, name in enumerate(names) if j != k]
-    return list(dict.fromkeys(rest[j] for j in by_size if abs(shares[j]) > 0.3 * np.max(np.abs(shares))))
+def _report(
+    problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: Sequence[Interval]
+) -> EffectReport:
+    without = fit(problem, found.but(claim))
+    parameters = {
+        parameter.name: bound.estimate(parameter.unit)
+        for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
+        if parameter.reported
+    }
+    rivals, look_alikes = _rivals(outcome, found, claim)
+    return EffectReport(
+        id=claim.effect.id,
+        equation=claim.effect.equations[0],
+        options=dict(claim.effect.options),
+        sentence=claim.effect.sentence(claim.values),
+        parameters=parameters,
+        evidence={
+            "delta_bic": without.score - found.score,
+            "holdout_gain": holdout_gain(held, without, found),
+        },
+        rivals=rivals,
+        look_alikes=look_alikes,
+    )
 
 
-def _alike(
-    problem: Problem, found: Fit, columns: FloatArray, k: int, weight: FloatArray, library: Sequence[Effect]
-) -> list[str]:
-    """Causes that are not claimed and would change the residuals as the number does."""
-    others = np.delete(columns, k, axis=1)
-    own = orthogonal(others, columns[:, k])
-    alike = []
-    for effect in allowed(library, found.claims, problem.blocks):
-        if not effect.named or effect.needs or len(effect.parameters) > 1:
+def _rivals(outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
+    """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
+    rivals, look_alikes = [], []
+    if any(isinstance(one.effect, Closure) for one in found.claims):
+        return [], []  # rivals were fitted without the closure: no fair comparison
+    seen = {cause(claim.effect)}
+    for other in outcome.rivals.get(claim.effect.label, []):
+        last = other.claims[-1]
+        if cause(last.effect) in seen or len(other.claims) != len(found.claims):
             continue
-        probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
-        shown = orthogonal(others, (problem.residual((*found.claims, probe)) - found.residual) * weight)
-        size = float(np.linalg.norm(shown) * np.linalg.norm(own))
-        if size > 0.0 and abs(float(shown @ own)) > ALIKE * size:
-            alike.append(effect.label)
-    return alike
+        seen.add(cause(last.effect))
+        distance = other.score - found.score
+        apart, words = distance > CLOSE, last.effect.label.replace(":", " ")
+        words = words if last.effect.named else words.replace("_", " ")
+        why = (
+            f"{words} in its place fits worse: its BIC is higher by {distance:.0f}"
+            if apart
+            else f"{words} explains these recordings as well: another recording must tell"
+        )
+        if last.effect.named:
+            rivals.append(Rival(id=last.effect.id, delta_bic=distance, distinguishable=apart, why=why))
+        else:
+            likeness = last.effect.sentence(last.values)
+            look_alikes.append(LookAlike(likeness=likeness, delta_bic=distance, distinguishable=apart, why=why))
+    return rivals[:3], look_alikes
 
 
-def _entry(
-    bench: Bench, name: str, claim: Claim, bound: Interval, given: float | None, others: list[str], *, told: bool
-) -> NumberEstimate:
-    number = Bench.quantities()[name]
-    parameter = pack([claim])[0][0].name
-    value, low, high = (
-        float(getattr(claim.effect.settled(bench, {parameter: one}), name))
-        for one in (bound.value, bound.low, bound.high)
-    )
-    sure = told and bound.identifiable and not (number.low > 0.0 and high - low > 2.0 * VAGUE * abs(value))
-    return NumberEstimate(
-        name=name,
-        value=value,
-        unit=number.unit,
-        ci95=[low, high] if sure else None,
-        given=given,
-        alike=[one for one in others if one != name],
-        sentence=_sentence(name, f"{value:.5g} {number.unit}", f"{low:.5g} to {high:.5g}" if sure else "", others),
-    )
-
-
-def _sentence(name: str, value: str, interval: str, others: Sequence[str]) -> str:
-    alike = " and ".join(one for one in others if one != name)
-    if interval:
-        said = f"{name} is estimated at {value} (95 % {interval})"
-        return f"{said}, provided that there is none of what would look the same: {alike}." if alike else f"{said}."
-    if alike:
-        return f"{name} cannot be told from {alike} by these recordings: it is left open."
-    return f"These recordings hold too little of {name} to tell it: it is left open."
+def location_of(place: Place, problem: Problem) -> Location:
+    """A place as it stands in the report: windows by recording."""
+    windows: dict[str, list[list[float]]] = {}
+    for model, stretches in zip(problem.models, place.windows, strict=True):
+        windows.setdefault(model.segment.recording, []).extend([list(stretch) for stretch in stretches])
+    region = {name: list(bounds) for name, bounds in place.region.items()}
+    return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)
 
 
 def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
@@ -304,91 +282,87 @@ def _remainder(found: StageResult) -> dict[str, Any] | None:
     }
 
 
-NUMBERS = (
-    "piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure", "valve_gain",
-)  # fmt: skip
-"""Causes that are a number of the bench file times a ratio."""
-CONFIRMED = 0.05
-"""Share to which such a number must be known to be called confirmed."""
-
-
-def confirmed(
-    problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect], hidden: str = ""
-) -> str:
-    """Note on the numbers of the bench file that the recordings show to be right, to first order; empty for none.
-
-    Each is judged beside what was found, as if the others were exact, and never closer than the search would claim.
-    `hidden`: of `undetectable_causes`; none of these is confirmed.
-    """
-    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
-    columns, left = found.jacobian * weight[:, None], found.residual * weight
-    inflation, said = max((one.inflation for one in bounds), default=1.0), []
-    for effect in allowed(library, found.claims, problem.blocks):
-        name = _plain(effect)
-        if effect.id not in NUMBERS or f"{name} within" in hidden:
-            continue
-        (ratio,) = effect.parameters
-        signature = (problem.residual((*found.claims, Claim(effect, {ratio.name: 1.01}))) - found.residual) * weight
-        own = orthogonal(columns, signature)
-        power = max(float(own @ own), 1e-300)
-        off = 0.01 * (abs(float(own @ left)) / power + QUANTILE * inflation / power**0.5)
-        if off < CONFIRMED:
-            said.append(f"{name} within {100.0 * max(off, ratio.smallest):.2g} %")
-    return f"confirmed of the bench file, each if the others hold: {', '.join(said)}" if said else ""
-
-
-MUCH = 10.0
-"""Multiple of its smallest size worth claiming that a cause may hide without being listed."""
-_PROBES = 3
-"""Values at which each cause is tried."""
-
-
-def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
-    """Causes that could hide in missing rows, with the size from which they would show; None if none are missing.
-
-    `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
-    """
-    if problem.thinner is None:
-        return None
-    weight = np.sqrt(1.0 / residual_variances(problem, found.residual))[problem.layout.channel]
-    change = problem.change(found.claims) * weight
-    limits: dict[str, tuple[float, str]] = {}
-    absent = set(MEASURED).difference(*(model.channels for model in problem.models))
-    for effect in allowed(library, found.claims, problem.blocks):
-        if not effect.named or effect.needs or absent & set(effect.options.values()):
-            continue
-        name = _plain(effect)
-        price = threshold + len(effect.parameters) * float(np.log(len(weight)))
-        tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
-        limit = min(tried, key=lambda one: one[0])
-        limits[name] = min(limit, limits.get(name, limit), key=lambda one: one[0])
-    hidden = [f"{name}{words}" for name, (_, words) in limits.items() if words]
-    if not hidden:
-        return None
-    return "the recording has too few rows a second to show these causes, so they are not reported: " + ", ".join(
-        hidden
+def distrusted(worse: str) -> str:
+    """Note on a model that is handed back although `worse`; empty where it is not."""
+    if not worse:
+        return ""
+    return (
+        f"the held-out recordings are predicted worse than by the bench file ({worse}): do not trust what is named; "
+        "record with less noise or more motion"
     )
 
 
-def _plain(effect: Effect) -> str:
-    return " ".join(cause(effect)).replace("=", " ").replace("_", " ")
+def not_predicted(holdout: Problem, claims: Sequence[Claim]) -> str:
+    """Note on held-out recordings that hold more than noise, weighed for these claims; empty where they do not.
+
+    Names fit what they can take the form of: viscous friction with a Stribeck rise takes that of drag with the square
+    of speed, as far as the piston was moved.
+    """
+    residual = holdout.residual(claims)
+    if not holdout.noticeable(residual):
+        return ""
+    places = ", ".join(dict.fromkeys(place.equation for place in locate(holdout, residual)))
+    return (
+        f"the held-out recordings hold more than noise ({places}), which those that were fitted do not show: the "
+        "model that is handed back does not predict them; fit recordings of all that the bench does"
+    )
 
 
-def _least(
-    problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray, price: float
-) -> tuple[float, str]:
-    """Multiple of a probe from which it shows, and in words if that is much: ` under 0.4 kg`, or alone if never."""
-    start = {one.name: one.probes[min(probe, len(one.probes) - 1)] for one in effect.parameters}
-    signature = (problem.residual((*found.claims, Claim(effect, start))) - found.residual) * weight
-    power = float(signature @ signature)
-    if power <= 0.0:
-        return np.inf, " at any size"
-    share = max(2.0 * abs(float(signature @ change)), (price * power) ** 0.5) / power
-    main = next((one for one in effect.parameters if one.smallest > 0.0), None)
-    if main is None:
-        return share, " at any size" if share > 1.0 else ""
-    size = share * abs(start[main.name] - main.neutral)
-    if size <= MUCH * main.smallest:
-        return share, ""
-    unit, factor = ("%", 100.0) if main.unit == "-" else display_unit(main.unit)
-    return share, f" {'under' if main.neutral == 0.0 else 'within'} {size * factor:.2g} {unit}"
+LEFT = 0.25
+"""Share of the bench file's error that may be left on held-out recordings where everything is explained."""
+
+
+def explained_shares(proof: Mapping[str, Any]) -> dict[str, float]:
+    """Share of each equation's held-out mean square beyond the noise, as the bench file leaves it, that claims remove.
+
+    `proof`: `fit` of report.json. Without equations whose mismatch is noise.
+    """
+    shares = {}
+    for name, one in proof.get("equations", {}).items():
+        before, after = (max(one[key] ** 2 - one["noise_floor"] ** 2, 0.0) for key in ("rmse_before", "rmse_after"))
+        if before > NOTICEABLE * one["noise_floor"] ** 2:
+            shares[name] = 1.0 - after / before
+    return shares
+
+
+def doubted(verdict: str, doubts: Sequence[str], *, named: bool) -> str:
+    """Return the verdict with `objections`: what is not all of it is no `explained`, nor `modelled`."""
+    if verdict not in ("explained", "modelled") or not doubts:
+        return verdict
+    return "partly_explained" if named else "unknown"
+
+
+def objections(
+    found: Fit,
+    bounds: Sequence[Interval],
+    proof: Mapping[str, Any],
+    points: Sequence[Point],
+) -> list[str]:
+    """Sentences on why claims do not explain everything, though they leave no more than the noise that they allow.
+
+    `found`, `bounds`: the claims, and the intervals of their parameters. `proof`: `fit` of report.json. `points`: force
+    over steady speed (`steady_motion.curves`).
+    """
+    owners = [(claim, one) for claim in found.claims for one in claim.effect.parameters]
+    vague = [
+        f"{claim.effect.id}: {one.name}"
+        for (claim, one), bound in zip(owners, bounds, strict=True)
+        if claim.effect.named and not claim.effect.estimated and one.smallest > 0.0 and not bound.identifiable
+    ]
+    said = [f"not identifiable from these recordings, or at its bound: {', '.join(vague)}"] if vague else []
+    for name, one in proof.get("equations", {}).items():
+        before, after, floor = one["rmse_before"], one["rmse_after"], one["noise_floor"]
+        if after > LEFT * before and after**2 > (1.0 + NOTICEABLE) * floor**2:
+            left = f"{100.0 * after / before:.0f} % of the bench file's error in {name} is left on what was held out"
+            left = left if found.judged else f"something small is missing: {name} on what was held out"
+            said.append(f"{left}, {after / floor:.3g} times the sensors' noise")
+    noise = proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
+    off = missed(points, noise) if found.judged else []
+    if off:
+        worst = max(off, key=lambda point: abs(point.measured - point.model))
+        said.append(
+            f"the model misses the measured force at {len(off)} of {len(points)} steady speeds; worst: "
+            f"{abs(worst.measured - worst.model):.3g} N off at {worst.at * 1e3:.3g} mm/s, measured "
+            f"{abs(worst.measured):.3g} N"
+        )
+    return said

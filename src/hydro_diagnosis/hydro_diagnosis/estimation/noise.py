@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What residuals may be off if nothing is missing.
+
+The sensors' noise, measured by the white part of the recordings themselves; noise and timing of the flows; and dry
+friction near standstill, whose sign is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from math import hypot
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
+from scipy.signal import lfilter
+from scipy.special import ndtr
+
+from hydro_diagnosis.effects.base import Claim, FloatArray, Pair
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.segment_model import BLOCK, OBSERVER_MEMORY, SegmentModel
+from hydro_diagnosis.preprocessing.smoothing import (
+    ACCELERATION_NOISE_GAIN,
+    KINEMATIC_WIDTH,
+    TOTAL_NOISE_GAIN,
+    VELOCITY_NOISE_GAIN,
+    white_noise,
+)
+from hydro_sim.model import equations as eq
+from hydro_sim.model.bench import Bench
+
+VELOCITY_UNCERTAINTY = 1e-3
+"""Uncertainty [m/s] of the velocity's zero."""
+SLIDING = 3.0 * VELOCITY_UNCERTAINTY
+"""Speed [m/s] from which on the direction of motion is known."""
+_FAST = 1.0
+"""Velocity [m/s] beyond which friction is that of sliding."""
+TIMING_UNCERTAINTY = 3e-6
+"""Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
+
+
+def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
+    """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units.
+
+    It does not depend on the logger: of recordings at several rates, those of the highest estimate it best.
+    """
+    found: dict[str, list[tuple[int, float]]] = {}
+    densest = min(model.spacing for model in models)
+    for model in (model for model in models if model.spacing == densest):
+        measured = model.segment.measured
+        recorded = slice(model.segment.phase, None, model.spacing)
+        for channel, signal in _nearly_white(model).items():
+            noise = white_noise(signal[recorded], None if measured is None else measured[recorded])
+            found.setdefault(channel, []).append((len(signal), noise))
+    return {channel: _pooled(parts) for channel, parts in found.items()}
+
+
+def _pooled(parts: list[tuple[int, float]]) -> float:
+    counts, deviations = np.array(parts).T
+    return float(np.sqrt(np.average(np.square(deviations), weights=counts)))
+
+
+def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
+    """Channels without the kinks that the nominal model knows of: the current's steps bend pressures and f_h."""
+    signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
+    if model.has_position and model.has_pressures and "valve_current" in model.channels:
+        run = model.chamber_run(())
+        signals["pressure_a"], signals["pressure_b"] = run.innovations
+        if "hydraulic_force" in signals:
+            signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
+    return signals
+
+
+_SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
+"""Lower bound [Pa, N] by the residuals' own discretization (diagnosis.md, "Noise floor")."""
+
+
+def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
+    """Standard deviation of each residual if nothing is missing, in its physical unit; `step` between recorded rows."""
+    position = sensors.get("piston_position", 0.0)
+    inertia = bench.moving_mass * position * ACCELERATION_NOISE_GAIN / step**2
+    damping = bench.viscous_friction * position * VELOCITY_NOISE_GAIN / step
+    spring = bench.spring_stiffness * position * TOTAL_NOISE_GAIN
+    area = bench.piston_area
+    by_pressure = hypot(area * sensors.get("pressure_a", 0.0), bench.area_ratio * area * sensors.get("pressure_b", 0.0))
+    cell = sensors.get("hydraulic_force", by_pressure)
+    noise = {
+        "motion": hypot(cell * TOTAL_NOISE_GAIN, inertia, damping, spring),
+        "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
+        "hydraulic": hypot(cell, by_pressure) / (BLOCK / step) ** 0.5,
+    }
+    for chamber in "ab":
+        noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN
+    return {channel: hypot(deviation, FLOOR[channel]) for channel, deviation in noise.items()}
+
+
+def mass_attenuation(models: Sequence[SegmentModel], sensors: Mapping[str, float], mass: float) -> float:
+    """Share of a moving mass [kg] that the encoder's noise hides: that of noise in the acceleration's power.
+
+    Least squares with a noisy regressor are off by up to that (errors in variables: Fuller 1987); through the
+    controller the noise is also in the motion itself, so that the exact amount is not known.
+    """
+    step = min(model.step * model.spacing for model in models)
+    noise = sensors.get("piston_position", 0.0) * ACCELERATION_NOISE_GAIN / step**2
+    power = float(np.mean(np.square(np.concatenate([model.finish(model.a) for model in models]))))
+    return mass * noise**2 / max(power - noise**2, noise**2, 1e-12)
+
+
+class SegmentNoise:
+    """What residuals of a segment may be off if nothing is missing, physical units.
+
+    `model`: the segment. `sensors`: noise of each sensor by its channel, SI units. `flows`: whether it has residuals of
+    the pressures.
+    """
+
+    def __init__(self, model: SegmentModel, sensors: Mapping[str, float], *, flows: bool) -> None:
+        self._model = model
+        self.residuals = residual_noise(sensors, model.base, model.step * model.spacing)
+        """By the sensors' noise, by channel."""
+        self.flows = self._of_flows(sensors) if flows else None
+        """Of the pressures, by noise in the flows."""
+
+    def friction(self, claims: Sequence[Claim], reversals: int) -> FloatArray:
+        """Standard deviation [N] of dry friction, decimated: near standstill the velocity is only known so well.
+
+        `reversals`: of all recordings; the same kernel misplaces the velocity alike at each of them, which does not
+        average out: its doubt is that of their mean, not of one.
+        """
+        model = self._model
+        level = model.dry_friction_level(claims)
+        doubt = self._swing(
+            claims, VELOCITY_UNCERTAINTY + 0.5 * np.abs(model.a) * model.spacing * model.step, np.zeros_like(level)
+        )
+        beyond = model.dry_friction_level(claims, np.full_like(model.v, _FAST))
+        if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
+            doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self._kink(claims), beyond))
+        late = [claim for claim in claims if claim.effect.lagged == "hydraulic_force"]
+        return model.kept(model.smooth(np.abs(model.reading("hydraulic_force", doubt, late))))
+
+    def _kink(self, claims: Sequence[Claim]) -> FloatArray:
+        """By how much [m/s] the first Gaussian misplaces a velocity whose slope jumps where the piston reverses.
+
+        Dry friction F turns round there, so x_p'' jumps by 2 F / m. A kink of slope J seen through a Gaussian of width
+        s is off by J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
+        """
+        model = self._model
+        at_rest = model.dry_friction_level(claims, np.zeros_like(model.v))
+        width = KINEMATIC_WIDTH * model.spacing * model.step
+        jump = 2.0 * at_rest / model.bench(claims).moving_mass
+        u = self._since_rest / (KINEMATIC_WIDTH * model.spacing)
+        return jump * width * (np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi) - u * ndtr(-u))
+
+    @cached_property
+    def reversals(self) -> int:
+        """Number of times that the piston comes to a stand or reverses; what an encoder shows at rest is none."""
+        marks = np.where(self._resting, 1, 0) - np.where(~self._resting & (np.abs(self._model.v) > SLIDING), 1, 0)
+        return int(np.count_nonzero(np.diff(marks[marks != 0], prepend=-1) == 2))
+
+    @cached_property
+    def _resting(self) -> npt.NDArray[np.bool_]:
+        model = self._model
+        resting = np.abs(model.v) < VELOCITY_UNCERTAINTY
+        turns = model.v[:-1] * model.v[1:] <= 0.0
+        resting[:-1] |= turns
+        resting[1:] |= turns
+        return resting
+
+    @cached_property
+    def _since_rest(self) -> FloatArray:
+        """Samples to the nearest one at which the piston stands or turns round."""
+        model = self._model
+        if not self._resting.any():
+            return np.full_like(model.v, len(model.v))
+        return np.asarray(distance_transform_edt(~self._resting))
+
+    def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:
+        """Half of how far dry friction beyond a level `but` [N] changes between -/+ `velocity` around the recorded."""
+        model = self._model
+        low, high = (
+            (model.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_UNCERTAINTY)
+            for one in (model.v - velocity, model.v + velocity)
+        )
+        return np.asarray(np.abs(high - low) / 2.0)
+
+    def _of_flows(self, noise: Mapping[str, float]) -> Pair:
+        """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.
+
+        Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
+        """
+        model = self._model
+        bench = model.base
+        timing = self._stiffest(0) * bench.piston_area * TIMING_UNCERTAINTY * model.smooth(np.abs(model.v))
+        a, b = (
+            model.kept(np.hypot(timing, self._flow_uncertainty(chamber, noise["pressure_" + chamber])))
+            for chamber in "ab"
+        )
+        return a, b
+
+    def _stiffest(self, chamber: int) -> float:
+        """beta/V [Pa/m3] of a chamber whose end the piston touches."""
+        model = self._model
+        bench, moduli = model.base, (model.base.bulk_modulus, model.base.bulk_modulus)
+        return float(eq.stiffnesses(bench, moduli, 0.0 if chamber == 0 else bench.stroke)[chamber])
+
+    def _flow_uncertainty(self, chamber: str, noise: float) -> FloatArray:
+        """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
+        model = self._model
+        bench, current = model.base, model.channels["valve_current"]
+        pressure = chambers.middle(model.channels["pressure_" + chamber])
+        fed = current > 0.0 if chamber == "a" else current < 0.0
+        drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
+        gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))
+        stiff = self._stiffest("ab".index(chamber))
+        built = np.square(stiff * gain * noise * model.step)  # neighbours share a reading
+        if model.spacing > 1:
+            per_ampere = stiff * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * model.step
+            built = built + np.square(per_ampere) * self._hidden_current()
+        kept = (1.0 - model.step / OBSERVER_MEMORY) ** 2
+        return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))
+
+    def _hidden_current(self) -> FloatArray:
+        """Variance [A^2] of what the box added to the current from sample to sample that no row shows, shape (n,).
+
+        Of n samples per row n - 1 are not seen, and the one that is stands for all of them: together n (n - 1) times
+        the variance of a single one. What half of the rows change does not tell: they do not see these either.
+        """
+        model = self._model
+        measured = model.segment.measured
+        seen = np.ones(len(model.time), dtype=np.bool_) if measured is None else measured
+        noise = white_noise(model.channels["valve_current"][model.segment.phase :: model.spacing])
+        return np.where(seen, 0.0, model.spacing * noise**2)

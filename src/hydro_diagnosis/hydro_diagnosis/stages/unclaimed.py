@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What recordings say of numbers and causes that are not claimed: estimated, confirmed, or hidden by missing rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, display_unit
+from hydro_diagnosis.estimation.fit import QUANTILE, Fit, allowed, cause, orthogonal, pack
+from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.recording import MEASURED
+from hydro_diagnosis.report_json import NumberEstimate
+from hydro_sim.model.bench import Bench
+
+ALIKE = 0.999
+"""Correlation of what a number and a cause change in the residuals, beside all that is fitted, from which they are one.
+"""
+OWN = 0.01
+"""Share of a number's signature that nothing else in the fit makes, below which it cannot be told from the others."""
+VAGUE = 0.5
+"""Half width of the interval over the value from which a number is not told."""
+
+
+def number_estimates(
+    problem: Problem,
+    found: Fit,
+    bounds: Sequence[Interval],
+    library: Sequence[Effect],
+    numbers: Mapping[str, float | None],
+) -> list[NumberEstimate]:
+    """One entry per estimated number, in their order.
+
+    `bounds`: of the parameters of all claims; `numbers`: by name, the bench file's value if it holds one.
+    """
+    weight = problem.weight(found.residual)
+    columns = found.jacobian * weight[:, None]
+    owners = [claim for claim in found.claims for _ in claim.effect.parameters]
+    names = dict(zip((claim.effect.label for claim in problem.estimated), numbers, strict=True))
+    entries = []
+    for k, (claim, bound) in enumerate(zip(owners, bounds, strict=True)):
+        if claim.effect.estimated:
+            mixed = _mixed(columns, k, [names.get(one.effect.label, one.effect.id) for one in owners])
+            others = mixed or _alike(problem, found, columns, k, weight, library)
+            name = names[claim.effect.label]
+            entries.append(_entry(problem.bench, name, claim, bound, numbers[name], others, told=not mixed))
+    return entries
+
+
+def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
+    """Return the other terms of the fit that explain nearly all of a number's signature; itself if it has none."""
+    column = columns[:, k]
+    if not np.linalg.norm(column) > 1e-9 * np.sqrt(len(column)):
+        return [names[k]]
+    others = np.delete(columns, k, axis=1)
+    lengths = np.linalg.norm(others, axis=0)
+    if not len(lengths) or np.linalg.norm(orthogonal(others, column)) > OWN * np.linalg.norm(column):
+        return []
+    lengths = np.maximum(lengths, 1e-300)
+    shares = np.linalg.lstsq(others / lengths, column, rcond=1e-12)[0]
+    by_size = np.argsort(-np.abs(shares))
+    rest = [name for j, name in enumerate(names) if j != k]
+    return list(dict.fromkeys(rest[j] for j in by_size if abs(shares[j]) > 0.3 * np.max(np.abs(shares))))
+
+
+def _alike(
+    problem: Problem, found: Fit, columns: FloatArray, k: int, weight: FloatArray, library: Sequence[Effect]
+) -> list[str]:
+    """Causes that are not claimed and would change the residuals as the number does."""
+    others = np.delete(columns, k, axis=1)
+    own = orthogonal(others, columns[:, k])
+    alike = []
+    for effect in allowed(library, found.claims, problem.blocks):
+        if not effect.named or effect.needs or len(effect.parameters) > 1:
+            continue
+        probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
+        shown = orthogonal(others, (problem.residual((*found.claims, probe)) - found.residual) * weight)
+        size = float(np.linalg.norm(shown) * np.linalg.norm(own))
+        if size > 0.0 and abs(float(shown @ own)) > ALIKE * size:
+            alike.append(effect.label)
+    return alike
+
+
+def _entry(
+    bench: Bench, name: str, claim: Claim, bound: Interval, given: float | None, others: list[str], *, told: bool
+) -> NumberEstimate:
+    number = Bench.quantities()[name]
+    parameter = pack([claim])[0][0].name
+    value, low, high = (
+        float(getattr(claim.effect.settled(bench, {parameter: one}), name))
+        for one in (bound.value, bound.low, bound.high)
+    )
+    sure = told and bound.identifiable and not (number.low > 0.0 and high - low > 2.0 * VAGUE * abs(value))
+    return NumberEstimate(
+        name=name,
+        value=value,
+        unit=number.unit,
+        ci95=[low, high] if sure else None,
+        given=given,
+        alike=[one for one in others if one != name],
+        sentence=_sentence(name, f"{value:.5g} {number.unit}", f"{low:.5g} to {high:.5g}" if sure else "", others),
+    )
+
+
+def _sentence(name: str, value: str, interval: str, others: Sequence[str]) -> str:
+    alike = " and ".join(one for one in others if one != name)
+    if interval:
+        said = f"{name} is estimated at {value} (95 % {interval})"
+        return f"{said}, provided that there is none of what would look the same: {alike}." if alike else f"{said}."
+    if alike:
+        return f"{name} cannot be told from {alike} by these recordings: it is left open."
+    return f"These recordings hold too little of {name} to tell it: it is left open."
+
+
+NUMBERS = (
+    "piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure", "valve_gain",
+)  # fmt: skip
+"""Causes that are a number of the bench file times a ratio."""
+CONFIRMED = 0.05
+"""Share to which such a number must be known to be called confirmed."""
+
+
+def confirmed(
+    problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect], hidden: str = ""
+) -> str:
+    """Note on the numbers of the bench file that the recordings show to be right, to first order; empty for none.
+
+    Each is judged beside what was found, as if the others were exact, and never closer than the search would claim.
+    `hidden`: of `undetectable_causes`; none of these is confirmed.
+    """
+    weight = problem.weight(found.residual)
+    columns, left = found.jacobian * weight[:, None], found.residual * weight
+    inflation, said = max((one.inflation for one in bounds), default=1.0), []
+    for effect in allowed(library, found.claims, problem.blocks):
+        name = _plain(effect)
+        if effect.id not in NUMBERS or f"{name} within" in hidden:
+            continue
+        (ratio,) = effect.parameters
+        signature = (problem.residual((*found.claims, Claim(effect, {ratio.name: 1.01}))) - found.residual) * weight
+        own = orthogonal(columns, signature)
+        power = max(float(own @ own), 1e-300)
+        off = 0.01 * (abs(float(own @ left)) / power + QUANTILE * inflation / power**0.5)
+        if off < CONFIRMED:
+            said.append(f"{name} within {100.0 * max(off, ratio.smallest):.2g} %")
+    return f"confirmed of the bench file, each if the others hold: {', '.join(said)}" if said else ""
+
+
+MUCH = 10.0
+"""Multiple of its smallest size worth claiming that a cause may hide without being listed."""
+_PROBES = 3
+"""Values at which each cause is tried."""
+
+
+def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
+    """Causes that could hide in missing rows, with the size from which they would show; None if none are missing.
+
+    `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
+    """
+    if problem.thinner is None:
+        return None
+    weight = problem.weight(found.residual)
+    change = problem.change(found.claims) * weight
+    limits: dict[str, tuple[float, str]] = {}
+    absent = set(MEASURED).difference(*(model.channels for model in problem.models))
+    for effect in allowed(library, found.claims, problem.blocks):
+        if not effect.named or effect.needs or absent & set(effect.options.values()):
+            continue
+        name = _plain(effect)
+        price = threshold + len(effect.parameters) * float(np.log(len(weight)))
+        tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
+        limit = min(tried, key=lambda one: one[0])
+        limits[name] = min(limit, limits.get(name, limit), key=lambda one: one[0])
+    hidden = [f"{name}{words}" for name, (_, words) in limits.items() if words]
+    if not hidden:
+        return None
+    return "the recording has too few rows a second to show these causes, so they are not reported: " + ", ".join(
+        hidden
+    )
+
+
+def _plain(effect: Effect) -> str:
+    return " ".join(cause(effect)).replace("=", " ").replace("_", " ")
+
+
+def _least(
+    problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray, price: float
+) -> tuple[float, str]:
+    """Multiple of a probe from which it shows, and in words if that is much: ` under 0.4 kg`, or alone if never."""
+    start = {one.name: one.probes[min(probe, len(one.probes) - 1)] for one in effect.parameters}
+    signature = (problem.residual((*found.claims, Claim(effect, start))) - found.residual) * weight
+    power = float(signature @ signature)
+    if power <= 0.0:
+        return np.inf, " at any size"
+    share = max(2.0 * abs(float(signature @ change)), (price * power) ** 0.5) / power
+    main = next(iter(effect.amplitudes), None)
+    if main is None:
+        return share, " at any size" if share > 1.0 else ""
+    size = share * abs(start[main.name] - main.neutral)
+    if size <= MUCH * main.smallest:
+        return share, ""
+    unit, factor = ("%", 100.0) if main.unit == "-" else display_unit(main.unit)
+    return share, f" {'under' if main.neutral == 0.0 else 'within'} {size * factor:.2g} {unit}"
