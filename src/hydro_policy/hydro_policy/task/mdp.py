@@ -239,9 +239,8 @@ class StepClock:
     """
 
     def __init__(self) -> None:
-        self._errors: list[float] = []
-        self._rates: list[float] = []
-        self._currents: list[float] = []
+        self._samples: list[FloatArray] = []  # since the last step
+        self._unbroken = 0  # place among them from which on none is missing
         self._last = -1
         self._held = 0
         self._common = ~0
@@ -256,25 +255,21 @@ class StepClock:
         if sequence == self._last:
             return None
         if sequence != self._last + 1:
-            self._gap = True
-            self._currents.clear()  # across a gap their difference is no rate
+            self._gap, self._unbroken = True, len(self._samples)
             self.lost += max(sequence - self._last - 1, 0) if self._last >= 0 else 0
         block_changed = sequence // SAMPLES_PER_STEP != self._last // SAMPLES_PER_STEP
         self._last = sequence
-        self._errors.append(float(sample[REFERENCE] - sample[LOAD_FORCE]))
-        self._rates.append(float(sample[REFERENCE_RATE] - sample[LOAD_FORCE_RATE]))
-        self._currents.append(float(sample[VALVE_CURRENT]))
+        self._samples.append(sample)
         if flags & HELD:
             self._held |= int(held(flags, sample[KP], sample[KI], base))
         self._common &= flags
         return self._complete(sample) if block_changed else None
 
     def _complete(self, sample: FloatArray) -> Step:
-        complete = not self._gap and len(self._errors) == SAMPLES_PER_STEP
+        complete = not self._gap and len(self._samples) == SAMPLES_PER_STEP
         whole = complete and not self._held and bool(self._common & Flag.ARMED)
-        error, rate, current = (np.array(values) for values in (self._errors, self._rates, self._currents))
-        step = Step(sample, error, rate, current, whole, self._held)
-        for values in (self._errors, self._rates, self._currents):
-            values.clear()
-        self._held, self._common, self._gap = 0, ~0, False
+        rows = np.array(self._samples)
+        error, rate = rows[:, REFERENCE] - rows[:, LOAD_FORCE], rows[:, REFERENCE_RATE] - rows[:, LOAD_FORCE_RATE]
+        step = Step(sample, error, rate, rows[self._unbroken :, VALVE_CURRENT], whole, self._held)
+        self._samples, self._unbroken, self._held, self._common, self._gap = [], 0, 0, ~0, False
         return step
