@@ -4,22 +4,6 @@
 Each truth file (truth.md) is a bench whose box believes the shipped bench.yaml. Everything runs on the emulator's plant
 without clock, serial line or filter: the same samples to the bit, many times as fast. Rows of this version that are
 there already are not run again: the same command goes on after an interruption.
-
-policy           the shipped policy, its mean action
-compensated      the compensated law, adaptive, from neutral coefficients
-learned_residual  the same with the learned residual
-amplitude_phase  the same with amplitude and phase control in its place
-filtered_x       the same with adaptive inverse control by the filtered-x LMS algorithm in its place
-equivalent_nominal  the compensated law, its coefficients held, by a simulation of the shipped bench.yaml beforehand
-equivalent_diagnosed  the same of the bench file that `diagnose` makes of two recordings of the truth, 20 s each
-equivalent_known  the same of a bench file with the truth's own parameters
-predictive_nominal, _diagnosed, _known  the same under model predictive control of a_3 by the same numbers
-predictive_adaptive  the compensated law, adaptive, under that control by the shipped bench.yaml
-oracle           the compensated law, coefficients and corrections of a_3 learnt on the very truth and reference before
-compensated_specimen  the same for the force in front of the load cell, whose amplifier is known: see true_rmse
-paper_fixed      the paper's law at its gains (90, 15)
-robust_fixed     the paper's law at the gains that trip on the fewest truths of another draw (--robust finds them)
-hindsight_fixed  the paper's law at the best gains of a grid on that truth
 """
 
 from __future__ import annotations
@@ -30,26 +14,32 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import yaml
 
 from benchmarks._adaptive_feedforward import RATES, Feedforward
-from benchmarks._drawn_truths import drawn_truths
-from benchmarks._model_based import Fixed, diagnosed_bench, equivalent, foreseen, known_bench, oracle
-from benchmarks._model_predictive import WEIGHTS, Predictive
+from benchmarks._model_based import (
+    WEIGHTS,
+    Fixed,
+    Predictive,
+    diagnosed_bench,
+    equivalent,
+    foreseen,
+    known_bench,
+    oracle,
+)
 from benchmarks._report import parser
-from benchmarks._truth_fleet import truth_fleet
+from benchmarks._truths import drawn_truths, truth_fleet
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, command
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.settings import SettingsError, from_mapping, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.settings import SettingsError
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray
 from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
@@ -61,6 +51,7 @@ from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box import reference
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, truth_from_mapping
+from hydro_sim.excitation import schedule_from
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import figure, legend
 
@@ -77,63 +68,41 @@ SHOWN = {
     "policy": "shipped policy", "compensated": "compensated law", "learned_residual": "with the learned residual",
 }  # fmt: skip
 """Bars of the picture."""
-CONTROLLERS = (
-    "policy",
-    "compensated",
-    "learned_residual",
-    "amplitude_phase",
-    "filtered_x",
-    "equivalent_nominal",
-    "equivalent_diagnosed",
-    "equivalent_known",
-    "predictive_nominal",
-    "predictive_diagnosed",
-    "predictive_known",
-    "predictive_adaptive",
-    "oracle",
-    "compensated_specimen",
-    "paper_fixed",
-    "robust_fixed",
-    "hindsight_fixed",
-)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reference:
-    """An entry of a file of references."""
-
-    name: str
-    """Name in the rows."""
-    waveform: str
-    """SINE, MULTISINE, SMOOTH_STEP or HOLD."""
-    amplitude: Annotated[float, quantity("N", 0.0, 1e5)] = 0.0
-    """Peak."""
-    offset: Annotated[float, quantity("N", -1e5, 1e5)] = 0.0
-    """Mean."""
-    frequency: Annotated[float, quantity("Hz", 0.01, 100.0)] = 1.0
-    """Of a multisine: its slowest sine."""
-    phase: Annotated[float, quantity("rad", -10.0, 10.0)] = 0.0
-    """At the beginning."""
+CONTROLLERS = {
+    "policy": "the shipped policy, its mean action",
+    "compensated": "the compensated law, adaptive, from neutral coefficients",
+    "learned_residual": "the same with the learned residual",
+    "amplitude_phase": "the same with amplitude and phase control in its place",
+    "filtered_x": "the same with adaptive inverse control by the filtered-x LMS algorithm in its place",
+    "equivalent_nominal": "the compensated law, its coefficients held, by a simulation of the shipped bench.yaml",
+    "equivalent_diagnosed": "the same of the file that `diagnose` makes of two recordings of the truth, 20 s each",
+    "equivalent_known": "the same of a bench file with the truth's own parameters",
+    "predictive_nominal": "model predictive control of a_3 on top of it by the same numbers",
+    "predictive_diagnosed": "the same by the file that `diagnose` makes",
+    "predictive_known": "the same by the truth's own parameters",
+    "predictive_adaptive": "the compensated law, adaptive, under that control by the shipped bench.yaml",
+    "oracle": "the compensated law, coefficients and corrections of a_3 learnt on the very truth and reference before",
+    "compensated_specimen": "for the force in front of the load cell, whose amplifier is known: see true_rmse",
+    "paper_fixed": "the paper's law at its gains (90, 15)",
+    "robust_fixed": "at the gains that trip on the fewest truths of another draw (--robust finds them)",
+    "hindsight_fixed": "at the best gains of a grid on that truth",
+}
 
 
 def load_cases(path: Path | None) -> tuple[Case, ...]:
-    """References of a YAML list of `Reference`; without a file the six of `evaluate`.
+    """References of a YAML list, a name each beside what a schedule says of a reference; else the six of `evaluate`.
 
     Raises SettingsError: the file does not hold such a list.
     """
     if path is None:
         return SETTINGS.cases
     entries = yaml.safe_load(path.read_text())
-    if not isinstance(entries, list) or not entries:
+    if not isinstance(entries, list) or not all(isinstance(one, dict) and "waveform" in one for one in entries):
         raise SettingsError(f"{path} must hold a list of references")
-    cases = []
-    for number, entry in enumerate(entries):
-        one = from_mapping(Reference, entry, f"{path}[{number}]")
-        if one.waveform not in Waveform.__members__:
-            raise SettingsError(f"{path}[{number}].waveform must be one of {', '.join(Waveform.__members__)}")
-        numbers = {key: value for key, value in asdict(one).items() if key not in ("name", "waveform")}
-        cases.append(Case(one.name, ReferenceSignal(waveform=Waveform[one.waveform], **numbers)))
-    return tuple(cases)
+    names = [str(entry.pop("name", "")) for entry in entries]
+    segments = [{"seconds": 1.0, **entry, "waveform": str(entry["waveform"]).lower()} for entry in entries]
+    signals = [segment.signal for segment in schedule_from({"segments": segments}, str(path))]
+    return tuple(map(Case, names, signals))
 
 
 def measure(
@@ -141,7 +110,7 @@ def measure(
     residual: Residual | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Run every case on this truth; one row of figures for each (see `outcome`)."""
-    fleet = truth_fleet(len(cases), config)
+    fleet = truth_fleet([config] * len(cases))
     sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
     for step in vector_runs.run(fleet, cases, choose, SETTINGS, 0, compensator, residual):
@@ -167,42 +136,38 @@ def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
 
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
     """One controller on one truth."""
-    if name.startswith("compensated"):
-        return compensated(config, cases, cell=load_cell(config) if name == "compensated_specimen" else None)
-    if name == "learned_residual":
-        return compensated(config, cases, residual=Residual(len(cases), Network.load()))
-    if name.startswith(("equivalent", "predictive", "oracle")):
-        return knowing(config, name, cases)
-    if name in RATES:
-        return compensated(config, cases, residual=Feedforward(len(cases), name))
+    count = len(cases)
+    if name.endswith("_fixed"):
+        gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
+        return measure(config, cases, held(gains))
     if name == "policy":
         shipped = load_initial_agent(SHIPPED)
-        return measure(config, cases, mean_action(actor_parameters(shipped.agent), shipped))
-    gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
-    return measure(config, cases, held(gains))
+        policy = policy_of(actor_parameters(shipped.agent), shipped)
+        return measure(config, cases, PolicyChooser(policy, shipped.gains))
+    law, residual = Compensator(count, law=BoxLaw()), None
+    if name == "compensated_specimen":
+        law = Compensator(count, law=BoxLaw(), cell=load_cell(config))
+    elif name == "learned_residual":
+        residual = Residual(count, Network.load())
+    elif name in RATES:
+        residual = Feedforward(count, name)
+    elif name != "compensated":
+        law = knowing(config, name, cases)
+    return measure(config, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), law, residual)
 
 
-def knowing(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
-    """A peer that knows a bench file, or the truth itself."""
+def knowing(config: TruthConfig, name: str, cases: Sequence[Case]) -> Fixed:
+    """The law of a peer that knows a bench file, or the truth itself."""
     beliefs = {"known": known_bench, "diagnosed": diagnosed_bench}
     bench = beliefs.get(name.split("_")[-1], lambda config: Bench.nominal())(config)
     if name == "oracle":
-        on: Fixed = oracle(truth_fleet(len(cases), config), cases, SETTINGS)
-    elif name == "predictive_adaptive":
-        on = Predictive(cases, Compensator(len(cases)), bench, WEIGHTS[name])
-    else:
-        on = equivalent(bench, cases, SETTINGS)
-    if name.startswith("predictive") and name != "predictive_adaptive":
-        on = Predictive(cases, on, bench, WEIGHTS[name], foreseen(bench, cases, SETTINGS, on))
-    return measure(config, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), on)
-
-
-def compensated(
-    config: TruthConfig, cases: Sequence[Case], cell: LoadCell | None = None, residual: Residual | None = None
-) -> list[dict[str, Any]]:
-    """The compensated law, adaptive, from neutral coefficients; rows as of `measure`."""
-    estimator = Compensator(len(cases), law=BoxLaw(), cell=cell)
-    return measure(config, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), estimator, residual)
+        return oracle(truth_fleet([config] * len(cases)), cases, SETTINGS)
+    if name == "predictive_adaptive":
+        return Predictive(cases, Compensator(len(cases)), bench, WEIGHTS[name])
+    on = equivalent(bench, cases, SETTINGS)
+    if name.startswith("equivalent"):
+        return on
+    return Predictive(cases, on, bench, WEIGHTS[name], foreseen(bench, cases, SETTINGS, on))
 
 
 def load_cell(config: TruthConfig) -> LoadCell | None:
@@ -223,7 +188,7 @@ def best_gains(config: TruthConfig) -> tuple[float, float]:
     """The best pair of `evaluate --grid` on this truth, its runs shortened."""
     search = GridSearch(GRID)
     while (pair := search.next()) is not None:
-        fleet = truth_fleet(len(SHORT.cases), config)
+        fleet = truth_fleet([config] * len(SHORT.cases))
         search.tell(pair, vector_runs.rmse(fleet, SHORT.cases, held(pair), SHORT).tolist())
     return search.best
 
@@ -233,11 +198,6 @@ def policy_of(parameters: FloatArray, agent: InitialAgent) -> Policy:
     policy = Policy(agent.sac)
     policy.load_flat(parameters)
     return policy
-
-
-def mean_action(parameters: FloatArray, agent: InitialAgent) -> Chooser:
-    """Its mean action within the agent's authority, from the beginning of a run."""
-    return PolicyChooser(policy_of(parameters, agent), agent.gains)
 
 
 def robust_gains(truths: Iterable[TruthConfig], **where: Any) -> tuple[float, float]:
@@ -257,7 +217,7 @@ def robust_gains(truths: Iterable[TruthConfig], **where: Any) -> tuple[float, fl
 def pair_score(pair: tuple[float, float], configs: Sequence[TruthConfig]) -> tuple[int, float]:
     """Truths on which it trips, and its interquartile mean [N]."""
     cases = SHORT.cases
-    rmse = np.array([vector_runs.rmse(truth_fleet(len(cases), each), cases, held(pair), SHORT) for each in configs])
+    rmse = np.array([vector_runs.rmse(truth_fleet([each] * len(cases)), cases, held(pair), SHORT) for each in configs])
     mean = interquartile_mean(np.nan_to_num(rmse, nan=SHORT.amplitude / math.sqrt(2.0)).mean(axis=1))
     return int(np.isnan(rmse).any(axis=1).sum()), mean
 
@@ -295,32 +255,16 @@ def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -
             means = [interquartile_mean(np.array(values)) for values in found]
             bars = axes.bar(places + (number - 1.5) * width, means, width, label=label)
             axes.bar_label(bars, fmt="%.1f", fontsize=6)
-        axes.set(
-            yscale="log",
-            ylim=(1.0, None),
-            ylabel="force RMSE [N]",
-            xticks=places,
-            xticklabels=[case.name for case in cases],
-        )
+        axes.set(yscale="log", ylim=(1.0, None), ylabel="force RMSE [N]")
+        axes.set_xticks(places, [case.name for case in cases])
         legend(axes)
 
 
-def complete(
-    truths: Sequence[Path], names: Sequence[str], cases: Sequence[Case], kept: Path, **where: Any
-) -> list[dict[str, Any]]:
-    """All rows, those of the jobs in `kept` first; the missing ones are run and added there."""
-    digest = hashlib.sha256(repr((cases, SETTINGS, code_version())).encode()).hexdigest()[:12]
-    keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] + digest for path in truths}
-    wanted = {f"{keys[path]} {name}": (load_truth(path), name, cases) for path in truths for name in names}
-    found = jobs.complete(run_one, wanted, kept=kept, **where, label="runs", unit="run")
-    return [
-        {"truth": path.stem, "controller": name, **row}
-        for path in truths for name in names for row in found[f"{keys[path]} {name}"]
-    ]  # fmt: skip
-
-
 def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]]:
-    """Rows of all controllers asked for on the truths of the folder, drawn first where that is asked for."""
+    """Rows of all controllers asked for on the truths of the folder, drawn first where that is asked for.
+
+    Rows of this version that are kept beside --json are not run again.
+    """
     if asked.draw:
         asked.truths.mkdir(parents=True, exist_ok=True)
         for name, contents in drawn_truths(asked.draw, asked.seed).items():
@@ -329,13 +273,21 @@ def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]
     if not truths:
         raise SettingsError(f"{asked.truths} holds no truth files, *.yaml; --draw 40 writes some")
     kept = Path(asked.json or asked.truths / "controllers.json").with_suffix(".rows")
-    return complete(truths, asked.controllers, cases, kept, **jobs.where(asked))
+    digest = hashlib.sha256(repr((cases, SETTINGS, code_version())).encode()).hexdigest()[:12]
+    keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] + digest for path in truths}
+    wanted = {f"{keys[path]} {name}": (load_truth(path), name, cases) for path in truths for name in asked.controllers}
+    found = jobs.complete(run_one, wanted, kept=kept, **jobs.where(asked), label="runs", unit="run")
+    return [
+        {"truth": path.stem, "controller": name, **row}
+        for path in truths for name in asked.controllers for row in found[f"{keys[path]} {name}"]
+    ]  # fmt: skip
 
 
 @command(ValueError, OSError)
 def main() -> None:
     """Measure, print, write."""
     options = parser("controllers", __doc__)
+    options.epilog = "controllers:\n" + "\n".join(f"  {name:20}  {what}" for name, what in CONTROLLERS.items())
     source = options.add_mutually_exclusive_group(required=True)
     source.add_argument("--truths", type=Path, metavar="FOLDER", help="truth files, *.yaml")
     source.add_argument("--rows", type=Path, nargs="+", metavar="FILE", help="run nothing: show what --json wrote")

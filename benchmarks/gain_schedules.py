@@ -11,13 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks._report import parser
-from benchmarks._truth_fleet import truth_fleet
+from benchmarks._truths import truth_fleet
 from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
+from hydro_sim.emulator.truth.config import profile
 
 RANGES = np.array((300.0, 50.0))
 """Largest K_p and K_i, of the wide authority; the least are 0."""
@@ -46,7 +47,7 @@ def track(
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=frequency)
     settings = EvaluationSettings(settle=2.0, measure=1.0)
     cases = [Case("sine", signal)] * count
-    return vector_runs.rmse(truth_fleet(count), cases, choose, settings, seed, compensator)
+    return vector_runs.rmse(truth_fleet([profile("default")] * count), cases, choose, settings, seed, compensator)
 
 
 def search(frequency: float, iterations: int, seed: int) -> FloatArray:

@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 
 from benchmarks._report import parser
-from benchmarks._truth_fleet import truth_fleet
+from benchmarks._truths import truth_fleet
 from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import (
@@ -48,6 +48,7 @@ from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_policy.supervision.plant_supervisor import FALLBACK
+from hydro_sim.emulator.truth.config import profile
 from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
@@ -201,7 +202,7 @@ def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
     """So many minutes of bench time, over `BENCHES` benches with a noise, a reference and gains of their own."""
     rng, bench = np.random.default_rng(seed), Bench.nominal()
     fleet = (
-        truth_fleet(BENCHES)
+        truth_fleet([profile("default")] * BENCHES)
         if plant == "emulator"
         else VectorBench([bench] * BENCHES, [make_plant() for _ in range(BENCHES)])
     )
@@ -216,16 +217,12 @@ def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
     tripped = np.zeros(BENCHES, bool)
     for k in progress(range(steps), label=f"no alarm, {plant}", unit="step"):
         samples = fleet.step(changes[:, k])
-        alarms += _watch(loop, monitors, followed, *_read(samples), highest)
+        x = np.stack([samples[name] for name in PLANT_FIELDS], axis=-1)
+        alarms += _watch(loop, monitors, followed, x, np.ascontiguousarray(samples["valve_current"]), highest)
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
     spent = steps * BENCHES * SAMPLES_PER_STEP * SAMPLE_PERIOD / 60.0
     sums = dict(zip(EQUATIONS, highest.tolist(), strict=True))
     return {"minutes": spent, "alarms": alarms, "tripped": int(tripped.sum()), **sums}
-
-
-def _read(samples: StateArray) -> tuple[FloatArray, FloatArray]:
-    x = np.stack([samples[name] for name in PLANT_FIELDS], axis=-1)
-    return x, np.ascontiguousarray(samples["valve_current"])
 
 
 @command(ValueError)

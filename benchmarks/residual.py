@@ -20,10 +20,8 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import math
 import shlex
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -34,9 +32,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from benchmarks import _truth_fleet  # noqa: F401 - registers the truth plant
-from benchmarks._drawn_truths import drawn_truths
 from benchmarks._report import parser
+from benchmarks._truths import drawn_truths, truth_fleet
 from benchmarks.controllers import best_gains, interquartile_mean
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli import jobs
@@ -45,15 +42,12 @@ from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArr
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, REPEAT_GAIN, STRUCTURE, Network, Residual
 from hydro_policy.envs import vector_runs
-from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
 from hydro_sim.box import reference
-from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.files import weights
-from hydro_sim.model.bench import Bench
 
 
 def _signal(waveform: Waveform, amplitude: float, frequency: float, offset: float, phase: float) -> ReferenceSignal:
@@ -130,11 +124,11 @@ def run(
     paper's law at this (K_p, K_i) instead. `later`: what each bench is from `CHANGE` on.
     """
     count, settings = len(configs), EvaluationSettings(settle=settle, measure=6.0)
-    fleet = VectorBench([Bench.nominal()] * count, [TruthPlant(config) for config in configs], BoxConfig())
+    fleet = truth_fleet(configs)
     fleet.links["gain_delay"] = np.resize(delays, count)
     cases = [Case(str(number), signal) for number, signal in enumerate(signals)]
-    names = ("error", "current", "counted", "inputs", "needed")
-    parts: dict[str, list[npt.NDArray[Any]]] = {name: [] for name in names}
+    seen: list[tuple[npt.NDArray[Any], ...]] = []
+    asked: list[tuple[FloatArray, FloatArray]] = []
     tripped = np.zeros(count, bool)
     runs = vector_runs.run(
         fleet, cases, vector_runs.fixed(np.array(gains or BASE)), settings, seed,
@@ -144,18 +138,16 @@ def run(
         if later is not None and number == CHANGE:
             fleet.rows.parameters[:] = TruthPlant(later).parameters[0]
         tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
-        parts["error"].append(step.samples["reference_force"] - step.samples["load_force"])
-        parts["current"].append(step.samples["valve_current"].copy())
-        parts["counted"].append(step.counted)
+        error = step.samples["reference_force"] - step.samples["load_force"]
+        seen.append((error, step.samples["valve_current"].copy(), step.counted))
         if residual is not None:
-            parts["inputs"].append(residual.inputs.astype(np.float32))
-            parts["needed"].append(residual.needed.astype(np.float32))
-    error, current, counted = (np.concatenate(parts[name], axis=1) for name in names[:3])
+            asked.append((residual.inputs.astype(np.float32), residual.needed.astype(np.float32)))
+    error, current, counted = (np.concatenate(one, axis=1) for one in zip(*seen, strict=True))
     if residual is None:
         return Run(error, current, counted, tripped, np.empty(0), np.empty(0))
-    needed = np.stack(parts["needed"], axis=1)
+    inputs, needed = (np.stack(one, axis=1) for one in zip(*asked, strict=True))
     pairs = np.stack((needed[:, DELAY:-1], needed[:, DELAY + 1 :]), axis=2)
-    return Run(error, current, counted, tripped, np.stack(parts["inputs"][: pairs.shape[1]], axis=1), pairs)
+    return Run(error, current, counted, tripped, inputs[:, : pairs.shape[1]], pairs)
 
 
 def drawn_signals(count: int, generator: np.random.Generator) -> list[ReferenceSignal]:
@@ -286,7 +278,7 @@ def score(
 
 
 def compare(asked: argparse.Namespace) -> None:
-    """Score a network on truths of a seed, as many as the time allows."""
+    """Score a network on truths of a seed."""
     names = CONTROLLERS if asked.fixed else CONTROLLERS[:2]
     used = b"" if asked.weights is None else asked.weights.read_bytes()
     version = hashlib.sha256(repr((used, asked.settle, asked.bound, code_version())).encode()).hexdigest()[:12]
@@ -295,13 +287,9 @@ def compare(asked: argparse.Namespace) -> None:
             (truth_from_mapping(content), name, asked.seed, asked.weights, asked.settle, asked.bound)
         for truth, content in drawn_truths(asked.truths, asked.seed).items() for name in names
     }  # fmt: skip
-    until = time.monotonic() + 60.0 * asked.minutes if asked.minutes else math.inf
     kept = asked.json.with_suffix(".rows") if asked.json else None
-    found = jobs.complete(score, jobs_of, kept=kept, until=until, label="runs", unit="run", **jobs.where(asked))
-    keys = [list(jobs_of)[k : k + len(names)] for k in range(0, len(jobs_of), len(names))]
-    rows = [[found[key] for key in own] for own in keys if all(key in found for key in own)]
-    if not rows:
-        raise SystemExit("no truth was done in this time")
+    found = list(jobs.complete(score, jobs_of, kept=kept, label="runs", unit="run", **jobs.where(asked)).values())
+    rows = [found[k : k + len(names)] for k in range(0, len(found), len(names))]
     table(rows, f"Learned residual, {len(rows)} truths of seed {asked.seed}, after {asked.settle:g} s").show(asked.json)
 
 
@@ -377,7 +365,6 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument(
         "--steps", type=int, default=30000, metavar="N", help="of fitting in each of five rounds, default %(default)s"
     )
-    options.add_argument("--minutes", type=float, metavar="M", help="of scoring, then no more begins")
     options.add_argument("--fixed", action="store_true", help="the best fixed gains on each truth in hindsight as well")
     options.add_argument(
         "--bound", choices=("tuned", "told"), help="of learning on a bench: the network fitted further to ten minutes "

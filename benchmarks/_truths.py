@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated bench as a plant of `envs.vector_env`, and truths drawn at random about the emulator's default one.
+
+Many truth plants in one compiled loop; import registers them. Benchmarks alone may do this: no package may import the
+truth (emulator.md).
+
+What is drawn, independently: spring 0.5 to 2.5 times, supply 0.65 to 1.05 times, valve gain +-25 %, leak, dry friction
+and its rise at standstill, spool, load cell 15 to 40 Hz, mass, and, each on a share of the benches, overlap, lopsided
+valve, air. They are the range in which a lab's bench is likely to lie, not the emulator's default with noise on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba.extending import overload
+
+from hydro_bridge.signals import SAMPLES_PER_STEP
+from hydro_policy.envs import vector_env
+from hydro_policy.envs.vector_env import VectorBench
+from hydro_sim.emulator.truth import plant as truth
+from hydro_sim.emulator.truth.config import TruthConfig
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.model.bench import Bench
+
+
+class Truth(NamedTuple):
+    """Rows of `TruthPlant`."""
+
+    parameters: npt.NDArray[np.void]
+    differentiation: npt.NDArray[np.void]
+    state: npt.NDArray[np.void]
+    chain: npt.NDArray[np.void]
+    x: npt.NDArray[np.float64]
+    work: npt.NDArray[np.float64]
+    felt: npt.NDArray[np.float64]
+    """The load's own force [N], in front of its cell, of the last ten samples, shape (n, 10)."""
+    count: npt.NDArray[np.int64]
+
+
+@overload(vector_env.advance)
+def _advance(plants, i, noise, current):
+    if getattr(plants, "instance_class", None) is not Truth:
+        return None
+
+    def advance(plants, i, noise, current):
+        one = slice(i, i + 1)
+        truth.advance(
+            plants.parameters[one], plants.differentiation[one], plants.state[one], plants.chain[one], plants.work,
+            noise, current,
+        )  # fmt: skip
+        plants.x[i] = plants.chain[i].measurement
+        plants.felt[i, plants.count[i] % SAMPLES_PER_STEP] = plants.state[i].load_force
+        plants.count[i] += 1
+
+    return advance
+
+
+def _rows(plants: Sequence[TruthPlant]) -> Truth:
+    records = [np.concatenate([getattr(plant, name) for plant in plants]) for name in Truth._fields[:4]]
+    count = len(plants)
+    felt = np.zeros((count, SAMPLES_PER_STEP)), np.zeros(count, np.int64)
+    return Truth(*records, np.zeros((count, 8)), np.zeros((3, 8)), *felt)
+
+
+def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
+    for name in Truth._fields[:4]:
+        getattr(arrays, name)[index] = getattr(plant, name)[0]
+    arrays.x[index] = plant.measurement()
+
+
+vector_env.KINDS[TruthPlant] = (_rows, _copy)
+
+
+def truth_fleet(truths: Sequence[TruthConfig]) -> VectorBench:
+    """Emulated benches; the boxes believe in the nominal bench."""
+    return VectorBench([Bench.nominal()] * len(truths), [TruthPlant(one) for one in truths])
+
+
+def drawn(generator: np.random.Generator) -> dict[str, Any]:
+    """Contents of one truth file."""
+
+    def even(low: float, high: float) -> float:
+        return float(generator.uniform(low, high))
+
+    def by_ratio(low: float, high: float) -> float:
+        return math.exp(even(math.log(low), math.log(high)))
+
+    effects: dict[str, Any] = {
+        "spring_stiffness": {"ratio": by_ratio(0.5, 2.5)},
+        "supply_pressure": {"ratio": even(0.65, 1.05)},
+        "valve_gain": {"ratio": by_ratio(0.75, 1.25)},
+        "leakage_internal": {"coefficient": by_ratio(2e-14, 1e-12)},
+        "friction_coulomb": {"form": "lugre", "force": by_ratio(3.0, 45.0)},
+        "friction_stribeck": {"breakaway_force": even(0.0, 15.0)},
+        "valve_lag": {"bandwidth": by_ratio(60.0, 200.0), "damping": even(0.6, 1.0), "rate_limit": 3.0},
+        "sensor_lag": {"bandwidth": by_ratio(15.0, 40.0), "damping": even(0.5, 0.9)},
+        "moving_mass": {"mass": even(-0.4, 3.0)},
+    }
+    if generator.random() < 0.5:
+        effects["valve_deadband"] = {"half_width": even(0.0, 8e-4)}
+    if generator.random() < 0.5:
+        effects["valve_gain_asymmetry"] = {"ratio": by_ratio(0.8, 1.25)}
+    if generator.random() < 0.3:
+        effects["entrained_air"] = {"volume_fraction": even(0.0, 0.01)}
+    return {"profile": "default", "effects": effects}
+
+
+def drawn_truths(count: int, seed: int) -> dict[str, dict[str, Any]]:
+    """Contents of so many truth files, by their names."""
+    generator = np.random.default_rng(seed)
+    return {f"truth_{number:03d}": drawn(generator) for number in range(count)}
