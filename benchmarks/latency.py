@@ -40,11 +40,9 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 class Driver:
     """The stand-in for a trainer: arms, sets the reference, publishes gains, listens to diagnostics."""
 
-    def __init__(
-        self, ranges: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (75.0, 10.0)), law: Law = Law.PAPER
-    ) -> None:
+    def __init__(self, law: Law) -> None:
         rclpy.init()
-        self._ranges = ranges  # least and greatest changes of K_p and K_i
+        self._largest = (75.0, 10.0) if law is Law.PAPER else (0.0, 0.0)  # changes of K_p and K_i
         self.node = rclpy.create_node("benchmark")
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
@@ -59,15 +57,8 @@ class Driver:
             create_subscription(self.node, STATE, self._on_state)
             create_subscription(self.node, LAW_STATE, self._on_law_state)
 
-    def await_node(self, name: str, timeout: float = 30.0) -> None:
-        """Wait until a node tells its diagnostics."""
-        self._await(lambda: name in self.told, f"{name} does not tell its diagnostics", timeout)
-
-    def await_path(self, path: Path, timeout: float = 30.0) -> None:
-        """Wait until a file is there."""
-        self._await(path.exists, f"{path} does not appear", timeout)
-
-    def _await(self, condition: Callable[[], bool], otherwise: str, timeout: float) -> None:
+    def wait(self, condition: Callable[[], bool], otherwise: str, timeout: float = 30.0) -> None:
+        """Wait for a condition; raises UserError with a sentence if it does not come."""
         deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > deadline:
@@ -100,7 +91,7 @@ class Driver:
             self._commander.seek(time.monotonic())
             if self._live is not None:
                 self._commander.law(self._live.command, self._step)
-            delta_kp, delta_ki = self._rng.uniform(*self._ranges)
+            delta_kp, delta_ki = self._rng.uniform((0.0, 0.0), self._largest)
             self._commander.gains(delta_kp, delta_ki, self._step)
 
     def close(self) -> None:
@@ -128,28 +119,22 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def companions(folder: Path, *, metric: Sequence[str], realtime: bool) -> dict[str, tuple[str, list[str]]]:
-    """Package and arguments by executable; the box and its bridge come last, when all others listen."""
-    port, prompt = str(folder / "box"), ["--realtime"] if realtime else []
-    return {
-        "filter": ("hydro_filter", [*metric, *prompt]),
-        "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
-        "emulator": ("hydro_sim", ["--link", port]),
-        "bridge": ("hydro_bridge", ["--port", port, *prompt]),
-    }
-
-
-def start(
-    stack: ExitStack, driver: Driver, folder: Path, *, metric: Sequence[str], realtime: bool
-) -> dict[str, Companion]:
+def start(stack: ExitStack, driver: Driver, folder: Path, metric: Sequence[str]) -> dict[str, Companion]:
     """Start the graph one after the other; the percentiles in the diagnostics begin with a graph that is whole."""
+    port = folder / "box"
+    commands = {
+        "filter": ("hydro_filter", [*metric, "--realtime"]),
+        "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
+        "emulator": ("hydro_sim", ["--link", str(port)]),
+        "bridge": ("hydro_bridge", ["--port", str(port), "--realtime"]),
+    }
     running: dict[str, Companion] = {}
-    for name, (package, arguments) in companions(folder, metric=metric, realtime=realtime).items():
+    for name, (package, arguments) in commands.items():
         running[name] = stack.enter_context(Companion(package, name, arguments))
-        if name == "filter":
-            driver.await_node(name, 120.0)  # which may have to compile
+        if name == "filter":  # which may have to compile
+            driver.wait(lambda: "filter" in driver.told, "the filter does not tell its diagnostics", 120.0)
         if name == "emulator":
-            driver.await_path(folder / "box")
+            driver.wait(port.exists, f"{port} does not appear")
     driver.arm()
     return running
 
@@ -158,10 +143,9 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
     """Run the graph and make the table."""
     metric = ["--metric", asked.metric, *(["--model", str(asked.model)] if asked.model else [])]
     with ExitStack() as stack:
-        law = Law[asked.law.upper()]
-        driver = Driver(((0.0, 0.0), (0.0, 0.0)), law) if law is Law.COMPENSATED else Driver()
+        driver = Driver(Law[asked.law.upper()])
         stack.callback(driver.close)
-        running = start(stack, driver, folder, metric=metric, realtime=asked.realtime)
+        running = start(stack, driver, folder, metric)
         driver.run(2.0)
         before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}
         begin = time.monotonic()
@@ -171,7 +155,9 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
         driver.run(1.2)  # the last diagnostics
     states = read_bag(folder / "bag").state
     bridge, own = driver.told.get("bridge", {}), driver.told.get("filter", {})
-    table = Table({"what": "", "value": ""}, title=_title(asked))
+    title = (f"Graph under the {asked.law} law with the {asked.metric} metric for {asked.seconds:g} s on "
+             f"{os.cpu_count()} cores, SCHED_FIFO for bridge and filter")  # fmt: skip
+    table = Table({"what": "", "value": ""}, title=title)
     table.add(what="box frame in to correction frame out", value=bridge.get("state in to correction out", "not told"))
     table.add(what="command out to confirmation in", value=bridge.get("command out to confirmation in", "not told"))
     work = "  ".join(f"{key} {own.get(f'work_{key}_ms', '?')}" for key in ("p50", "p99", "p99_9"))
@@ -186,20 +172,11 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
     return table
 
 
-def _title(asked: argparse.Namespace) -> str:
-    kind = "SCHED_FIFO for bridge and filter" if asked.realtime else "ordinary scheduling"
-    besides = f"{os.cpu_count()} cores, {kind}"
-    return f"Graph under the {asked.law} law with the {asked.metric} metric for {asked.seconds:g} s on {besides}"
-
-
 @command()
 def main() -> None:
     """Measure, print, write."""
     options = parser("latency", __doc__)
     options.add_argument("--seconds", type=float, default=20.0, help="default 20")
-    options.add_argument(
-        "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
-    )
     options.add_argument("--metric", default="learned", help="of the filter: learned (default) or a file")
     options.add_argument("--model", type=Path, metavar="FILE", help="bench file of that metric")
     options.add_argument("--law", default="paper", choices=("paper", "compensated"), help="default %(default)s")
