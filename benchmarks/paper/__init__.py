@@ -3,11 +3,9 @@
 
 =========== ==========================================================================
 models      Table rmse_model: the paper's network and analytic model
-metric      Table training_metric: a network M(x) for v along f_l, on the network model
-certificate the filter of that metric, at 100 Hz
+metric      Table training_metric: a network M(x) for v along f_l, on the network model, and its filter at 100 Hz
 validation  Table val_cont: gamma_1 to gamma_5
 agents      Tables training_agent and rmse: controllers I, II, III
-claims      what the paper says, as comparisons
-report      the page
+report      the page, and what the paper says, as comparisons
 =========== ==========================================================================
 """

@@ -9,14 +9,14 @@ written again from what is there; what is not there is "not run yet".
 
 from __future__ import annotations
 
-import argparse
 import sys
 from importlib import import_module
 from pathlib import Path
 
+from benchmarks import _report
 from benchmarks.paper import report
 from benchmarks.paper.store import FULL, QUICK, RESULTS, Store
-from hydro_bridge.cli.console import add_json_argument, command
+from hydro_bridge.cli.console import command
 
 TABLES = {
     "rmse_model": "models.run",
@@ -31,9 +31,7 @@ TABLES = {
 @command(ValueError)
 def main() -> None:
     """Run what is not there yet, print, write."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.paper", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = _report.parser("paper", __doc__)
     parser.add_argument("--quick", action="store_true", help="small sizes, two seeds: minutes instead of hours")
     parser.add_argument("--only", nargs="+", choices=TABLES, metavar="TABLE", help=f"of {', '.join(TABLES)}")
     parser.add_argument("--show", action="store_true", help="run nothing: print and write what is there")
@@ -42,7 +40,6 @@ def main() -> None:
     parser.add_argument("--ship", action="store_true", help="add what is there to the results that come with it")
     parser.add_argument("--folder", type=Path, default=Path("runs/paper"), help="of the results (runs/paper)")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the page there (docs/reports/paper.md)")
-    add_json_argument(parser)
     asked = parser.parse_args()
     store = Store(asked.folder, QUICK if asked.quick else FULL, None if asked.fresh else RESULTS)
     seeds = range(store.size.seeds)

@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def run(store: Store, seed: int) -> None:
     store.piece(f"rmse-default-III-{seed}", lambda: _rmse(FixedGains(90.0, 15.0), seed))
     for authority in AUTHORITIES:
         for who, make in (("II", _second), ("I", _first)):
-            store.piece(f"rmse-default-{authority}-{who}-{seed}", lambda m=make, a=authority: m(store, a, seed))  # type: ignore[misc]
+            store.piece(f"rmse-default-{authority}-{who}-{seed}", partial(make, store, authority, seed))
 
 
 def bench() -> TruthPlant:
@@ -89,20 +90,15 @@ def bench() -> TruthPlant:
 def run_chatter(store: Store, seed: int) -> None:
     """u' during training on the default bench without a filter, behind the paper's, and behind ours."""
     for chosen in CHATTER_FILTERS:
-        store.piece(f"chatter-{chosen}-{seed}", lambda c=chosen: _chatter(store, c, seed))  # type: ignore[misc]
+        store.piece(f"chatter-{chosen}-{seed}", partial(_chatter, store, chosen, seed))
 
 
 def simulated(store: Store, authority: str, seed: int) -> InitialAgent:
     """II: the agent that `pretrain` makes; made again if its run is gone, gone on with if it is not finished."""
-    folder = store.folder / f"II-{authority}-{seed}"
-    pretrained(store, authority, seed, folder.with_suffix(".curve"))
-    return load_initial_agent(folder)
-
-
-def pretrained(store: Store, authority: str, seed: int, beside: Path | None = None) -> Result:
-    """The learning curve of II."""
     name, episodes = f"II-{authority}-{seed}", store.size.simulated_episodes
-    return store.piece(name, lambda: _pretrained(store.folder / name, authority, seed, episodes), beside)
+    folder = store.folder / name
+    store.piece(name, lambda: _pretrained(folder, authority, seed, episodes), folder.with_suffix(".curve"))
+    return load_initial_agent(folder)
 
 
 def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Result:

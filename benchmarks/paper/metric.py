@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table training_metric: M(x) by a network, trained for v along f_l on rollouts of the paper's network model.
 
+The filter of it, eq. cont_require_6, is decided at 100 Hz. M = L L' + eps I, the network gives L row by row; M' is its
+derivative along x'. A and B are the model network's exact slopes, where the paper takes differences. v is along f_l
+with the sign of physics.md's erratum: with the printed one the correction pushes the force away from its reference.
+
 Rollouts and their labels are those of `hydro_filter.training.data` on the network model without noise. The loss is eq.
 loss_metric with W_l, the regularizers and H_m as printed. A, B and K do not depend on M and are computed once, exactly;
 the paper takes differences in every epoch. What the paper leaves open: gains of K_p from -40 to 200 1/s, 200 windows a
-rollout, every fifth rollout of each label held out, from the
-second on.
+rollout, every fifth rollout of each label held out, from the second on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import isfinite, nan
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,13 +24,16 @@ import numpy as np
 import torch
 
 from benchmarks.paper import models
-from benchmarks.paper.certificate import COLUMNS, ROWS, ForceLaw, NetworkDynamics, NetworkMetric
-from benchmarks.paper.network import NetworkModel, NetworkPlant
+from benchmarks.paper.models import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import CorrectionStatus, FloatArray
+from hydro_filter.certificate import closed_form
+from hydro_filter.controller.loop_filter import Result as Correction
 from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.model import coordinates
 from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
 TABLE = PRINTED["training_metric"]
@@ -35,9 +44,102 @@ PATIENCE, GAIN = 20, 0.01
 """The long training has converged when this many epochs have lowered the best held-out loss by less than this share."""
 SETTLED = 300
 """Samples at a rollout's beginning that are not used: the gains fade in."""
+PERIOD = 10
+"""Samples between two decisions: 100 Hz."""
+ROWS, COLUMNS = np.tril_indices(STATES)
 PLACES = torch.zeros(len(ROWS), STATES * STATES)
 """1 where an entry of the network's output belongs in M's factor."""
 PLACES[torch.arange(len(ROWS)), torch.from_numpy(STATES * ROWS + COLUMNS)] = 1.0
+
+
+@dataclass(frozen=True)
+class NetworkMetric:
+    """M(x) on normalized states.
+
+    `layers`: weights and biases of three layers, 8 inputs and 36 outputs. `center`, `scale`: of the model's states,
+    shape (8,), SI units.
+    """
+
+    layers: tuple[FloatArray, ...]
+    center: FloatArray
+    scale: FloatArray
+
+    def along(self, state: FloatArray, state_rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """M(x), and M' [1/s] along x', each of shape (8, 8)."""
+        w1, b1, w2, b2, w3, b3 = self.layers
+        value, nudge = (state - self.center) / self.scale, state_rate / self.scale
+        for w, b in ((w1, b1), (w2, b2)):
+            value, nudge = value @ w + b, nudge @ w
+            on = value > 0.0
+            value, nudge = value * on, nudge * on
+        factor, turned = np.zeros((2, STATES, STATES))
+        factor[ROWS, COLUMNS], turned[ROWS, COLUMNS] = value @ w3 + b3, nudge @ w3
+        metric = factor @ factor.T + float(TABLE["epsilon"]) * np.eye(STATES)
+        return metric, turned @ factor.T + factor @ turned.T
+
+
+class ForceLaw:
+    """Slope K = du/dx of the law that the box runs on the nominal bench."""
+
+    def __init__(self) -> None:
+        bench = Bench.nominal()
+        self.constants, self.current_max = bench.constants(), bench.valve_current_max
+        self.gain_floor = float(BoxConfig().constants(bench)["gain_floor"][0])
+
+    def gradient(self, sample: Sample) -> FloatArray:
+        """K [A per unit of each state], shape (8,)."""
+        out = np.empty(STATES)
+        gain = sample.proportional_gain
+        coordinates.gradient(self.constants, sample.state, sample.nominal_current, gain, self.gain_floor, out)
+        return out
+
+
+class PaperFilter:
+    """The filter as the paper has it: lambda 0.1, no dead zone for noise, one decision in `PERIOD` samples.
+
+    M_c = v' (M' + sym(M (A + B K)) + 2 lambda M) v        v = [0, 0, f_l - f_r, 0, ...], of normalized states
+    a   = 2 v' M B,  b = -M_c                              a du <= b, the smallest |du| in the valve's rest
+    """
+
+    def __init__(self, metric: NetworkMetric, model: NetworkModel) -> None:
+        self.metric, self.model, self.law = metric, model, ForceLaw()
+        self.contraction_rate = float(PRINTED["val_cont"]["rate"])
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again."""
+        self._count = 0
+
+    def certificate(self, sample: Sample) -> tuple[float, float]:
+        """Return a [1/A/s] and b [1/s] at a sample."""
+        v, scale = np.zeros(STATES), self.model.scale
+        v[LOAD_FORCE] = (sample.state[LOAD_FORCE] - sample.reference_force) / scale[LOAD_FORCE]
+        limit = self.law.current_max
+        current = min(max(sample.nominal_current, -limit), limit)
+        state_matrix, input_vector, rate = self.model.linearized(sample.state, current)
+        metric, metric_rate = self.metric.along(sample.state, rate)
+        moved = scale * v
+        closed = state_matrix @ moved + input_vector * float(self.law.gradient(sample) @ moved)
+        drift = float(v @ metric @ (closed / scale))
+        m_c = float(v @ (metric_rate @ v)) + 2.0 * drift + 2.0 * self.contraction_rate * float(v @ metric @ v)
+        return 2.0 * float(v @ metric @ (input_vector / scale)), -m_c
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Correction:
+        """Decide, or hold."""
+        if self._count % PERIOD == 0:
+            self._held = self._decide(sample)
+        self._count += 1
+        return self._held
+
+    def _decide(self, sample: Sample) -> Correction:
+        if not all(map(isfinite, (*sample.state, sample.nominal_current))):
+            return Correction(0.0, nan, nan, CorrectionStatus.NAN)
+        a, b = self.certificate(sample)
+        limit = self.law.current_max
+        applied = min(max(sample.nominal_current, -limit), limit)
+        change, status = closed_form(a, b, -limit - applied, limit - applied)
+        delta_u = change + (applied - sample.nominal_current) if change else 0.0
+        return Correction(delta_u, -b, a * change - b, CorrectionStatus(status))
 
 
 class Samples(NamedTuple):
@@ -59,13 +161,13 @@ def run(store: Store, seed: int) -> None:
     """What is ours, then the paper's metric of a seed: after its three epochs, and after many."""
     store.piece("metric-ours", _ours)
     for training in TRAININGS:
-        store.piece(f"metric-{training}-{seed}", lambda t=training: _trained(store, t, seed))  # type: ignore[misc]
+        store.piece(f"metric-{training}-{seed}", partial(_trained, store, training, seed))
 
 
 def load(store: Store, training: str, seed: int) -> NetworkMetric:
     """A metric of `TRAININGS`, trained if it is not there; the long training begins as the short one, to the bit."""
     file = _file(store, training, seed)
-    store.piece(f"metric-{training}-{seed}", lambda: _trained(store, training, seed), file)
+    store.piece(f"metric-{training}-{seed}", partial(_trained, store, training, seed), file)
     with np.load(file) as found:
         layers = tuple(found[f"layer{n}"] for n in range(6))
         return NetworkMetric(layers, found["center"], found["scale"])
@@ -161,22 +263,22 @@ def windows(rollout: Rollout, model: NetworkModel, bench: Bench, seed: int) -> S
     """Windows at random places of a rollout."""
     starts = np.random.default_rng(seed).integers(SETTLED, len(rollout.states) - TABLE["horizon"], WINDOWS)
     places = starts[:, np.newaxis] + np.arange(TABLE["horizon"])
-    dynamics, law, limit = NetworkDynamics(model), ForceLaw(), bench.valve_current_max
-    seen = {int(k): _normalized(Sample.of(rollout.states[k]), dynamics, law, limit) for k in np.unique(places)}
+    law, limit = ForceLaw(), bench.valve_current_max
+    seen = {int(k): _normalized(Sample.of(rollout.states[k]), model, law, limit) for k in np.unique(places)}
     rows = np.array([[seen[int(k)] for k in row] for row in places])
     parts = [torch.from_numpy(rows[:, :, n]) for n in range(4)]
     return Samples(*parts, torch.full((WINDOWS, 1), rollout.label == STABLE))
 
 
-def _normalized(sample: Sample, dynamics: NetworkDynamics, law: ForceLaw, limit: float) -> FloatArray:
+def _normalized(sample: Sample, model: NetworkModel, law: ForceLaw, limit: float) -> FloatArray:
     """z, z', v and (A + B K) v of a sample, shape (4, 8); `limit`: of the valve's current [A]."""
-    model = dynamics.model
-    linear = dynamics.linearize(sample.state, min(max(sample.nominal_current, -limit), limit))
+    current = min(max(sample.nominal_current, -limit), limit)
+    state_matrix, input_vector, rate = model.linearized(sample.state, current)
     v = np.zeros(STATES)
     v[LOAD_FORCE] = sample.state[LOAD_FORCE] - sample.reference_force
-    closed = linear.state_matrix @ v + linear.input_vector * float(law.gradient(sample) @ v)
+    closed = state_matrix @ v + input_vector * float(law.gradient(sample) @ v)
     z = (sample.state - model.center) / model.scale
-    return np.stack([z, linear.state_rate / model.scale, v / model.scale, closed / model.scale])
+    return np.stack([z, rate / model.scale, v / model.scale, closed / model.scale])
 
 
 def _ours() -> Result:

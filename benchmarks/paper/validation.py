@@ -7,10 +7,11 @@ makes sense, which its text calls "verified". M_c of different metrics are diffe
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from benchmarks.paper import metric, models
-from benchmarks.paper.certificate import PaperFilter
 from benchmarks.paper.store import CASES, FILTERS, Result, Store
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.validation import cases, runs
@@ -25,14 +26,16 @@ def run(store: Store, seed: int) -> None:
     """Every filter in every case; those that need no training first."""
     for chosen in FILTERS:
         for name in CASES:
-            store.piece(f"validation-{name}-{chosen}-{seed}", lambda n=name, c=chosen: _run(store, n, c, seed))  # type: ignore[misc]
+            store.piece(f"validation-{name}-{chosen}-{seed}", partial(_run, store, name, chosen, seed))
 
 
 def corrector(store: Store, chosen: str, seed: int) -> Corrector:
     """A filter of `FILTERS`; the paper's are those of this training seed."""
     if chosen in ("ours", "none"):
         return runs.make_filter("learned" if chosen == "ours" else "none")
-    return PaperFilter(metric.load(store, chosen.removeprefix("paper-"), seed), models.network(store, "squared", seed))
+    return metric.PaperFilter(
+        metric.load(store, chosen.removeprefix("paper-"), seed), models.network(store, "squared", seed)
+    )
 
 
 def _run(store: Store, name: str, chosen: str, seed: int) -> Result:

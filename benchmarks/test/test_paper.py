@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from benchmarks.paper import metric, report
-from benchmarks.paper.certificate import NetworkDynamics, NetworkMetric, PaperFilter
-from benchmarks.paper.network import NetworkModel
+from benchmarks.paper.metric import NetworkMetric, PaperFilter
+from benchmarks.paper.models import NetworkModel
 from benchmarks.paper.store import FULL, RESULTS, Store
 from hydro_filter.model.sample import Sample
 from hydro_sim.files.recordings import Run
@@ -46,30 +46,29 @@ def test_the_page_is_made_from_the_results_that_came_with_it(tmp_path: Path) -> 
 
 
 def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
-    dynamics = NetworkDynamics(model)
-    linear = dynamics.linearize(STATE, 1e-3)
+    state_matrix, input_vector, _ = model.linearized(STATE, 1e-3)
     for column in range(8):
         move = np.zeros(8)
         move[column] = 1e-6 * SCALE[column]
-        up, down = (dynamics.linearize(STATE + sign * move, 1e-3).state_rate for sign in (1.0, -1.0))
+        up, down = (model.linearized(STATE + sign * move, 1e-3)[2] for sign in (1.0, -1.0))
         slope = (up - down) / (2.0 * move[column])
-        np.testing.assert_allclose(linear.state_matrix[:, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
-    up, down = (dynamics.linearize(STATE, 1e-3 + sign * 1e-9).state_rate for sign in (1.0, -1.0))
-    np.testing.assert_allclose(linear.input_vector, (up - down) / 2e-9, rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(state_matrix[:, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
+    up, down = (model.linearized(STATE, 1e-3 + sign * 1e-9)[2] for sign in (1.0, -1.0))
+    np.testing.assert_allclose(input_vector, (up - down) / 2e-9, rtol=1e-4, atol=1e-3)
 
 
 def test_the_metrics_rate_is_its_difference_along_the_motion(model: NetworkModel) -> None:
     made, motion = metric_of(network(), model), 5.0 * SCALE
-    value = made.matrix(STATE)
+    value, rate = made.along(STATE, motion)
     assert np.linalg.eigvalsh(value).min() > 0.0
-    difference = (made.matrix(STATE + 1e-6 * motion) - made.matrix(STATE - 1e-6 * motion)) / 2e-6
-    np.testing.assert_allclose(made.rate(STATE, motion), difference, rtol=1e-5, atol=1e-7)
+    up, down = (made.along(STATE + sign * 1e-6 * motion, motion)[0] for sign in (1.0, -1.0))
+    np.testing.assert_allclose(rate, (up - down) / 2e-6, rtol=1e-5, atol=1e-7)
 
 
 def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> None:
     made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
     paper = PaperFilter(metric_of(made, model), model)
-    rows = metric._normalized(sample, paper.dynamics, paper.law, paper.law.current_max)
+    rows = metric._normalized(sample, model, paper.law, paper.law.current_max)
     parts = [torch.from_numpy(row)[None, None] for row in rows]
     grown, _ = metric.growth(made, metric.Samples(*parts, torch.tensor([[True]])))
     assert -paper.certificate(sample)[1] == pytest.approx(float(grown.detach()), rel=1e-9)
