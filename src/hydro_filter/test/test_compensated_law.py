@@ -12,7 +12,6 @@ import pytest
 
 from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.signals import (
-    PLANT_FIELDS,
     SAMPLE_PERIOD,
     Command,
     CorrectionStatus,
@@ -32,6 +31,7 @@ from hydro_filter.precompile import FOUND
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 LAW = BoxConfig().compensated
 C_1 = LAW.velocity_compensation
@@ -47,16 +47,10 @@ def made(bench: Bench, model: Bench, metric: ScheduledMetric) -> LoopFilter:
 
 
 def run(
-    bench: Bench,
-    plant: AnalyticPlant,
-    one: LoopFilter | None,
-    seconds: float,
-    gains: tuple[float, float],
-    seed: int = 3,
+    bench: Bench, plant: AnalyticPlant, one: LoopFilter | None, seconds: float, gains: tuple[float, float]
 ) -> Iterator[tuple[Sample, CorrectionStatus, Box]]:
     """Box, plant and filter under the compensated law; K_p drawn from `gains` a hundred times a second."""
-    box, x, delta_u = Box(bench), plant.reset(seed), 0.0
-    rng = np.random.default_rng(seed)
+    box, x, delta_u, rng = Box(bench), plant.reset(3), 0.0, np.random.default_rng(3)
     box.receive(Command(law=Law.COMPENSATED), 0.0)
     if one is not None:
         one.reset()
@@ -101,23 +95,14 @@ def test_gains_are_certified_by_the_loop_that_they_make(
     assert certified_gain(parts, 200.0, (0.0, 0.0, c_1, c_2)) == gain
 
 
-def twins(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> tuple[FloatArray, FloatArray]:
-    """f_l of two noiseless runs under the law, the second with a pulse of current at 1 s."""
-    runs = []
-    for size in (0.0, pulse):
-        box, x, forces = Box(bench), plant.reset(0), []
-        box.receive(Command(law=Law.COMPENSATED), 0.0)
-        for k in range(1400):
-            command = Command(
-                arm=True, delta_kp=gain - LAW.base_kp, delta_ki=LAW.delta_ki_min,
-                delta_u=size if 1000 <= k < 1005 else 0.0, **vars(SHAPED),
-            )  # fmt: skip
-            box.receive(command, k * SAMPLE_PERIOD)
-            record = box.tick(x, k * SAMPLE_PERIOD)
-            forces.append([float(record[name]) for name in PLANT_FIELDS])
-            x = plant.step(float(record["valve_current"]))
-        runs.append(np.array(forces))
-    return runs[0], runs[1]
+def pulsed(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> FloatArray:
+    """f_l of a run under the law at rest, with a pulse of current [A] at 1 s, shape (1400,)."""
+    gains, correction = (gain, LAW.base_ki + LAW.delta_ki_min), np.zeros(1400)
+    correction[1000:1005] = pulse
+    schedule = Schedule(
+        reference=ReferenceSignal(), gains=gains, seconds=1.4, correction=correction, law=Law.COMPENSATED
+    )
+    return np.asarray(simulate(plant, bench, schedule)["load_force"])
 
 
 @pytest.mark.parametrize("gain", [100.0, 300.0])
@@ -127,8 +112,8 @@ def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(
     free, push, feedback = rest_loop(loop_of(smooth, bench), gain, C_1)
     values = np.linalg.eigvals(free + np.outer(push, feedback))
     slowest = -float(np.log(np.abs(values).max())) / SAMPLE_PERIOD
-    first, second = twins(bench, AnalyticPlant(smooth, noise=0.0), gain, 1e-4)
-    apart = np.abs(second - first)[:, 2]  # f_l: in f_h the oil still rings
+    plant = AnalyticPlant(smooth, noise=0.0)
+    apart = np.abs(pulsed(bench, plant, gain, 1e-4) - pulsed(bench, plant, gain, 0.0))  # in f_h the oil still rings
     begin, span = 1100, min(200, round(1.5e3 / slowest))
     decay = np.log(apart[begin] / apart[begin + span]) / (span * SAMPLE_PERIOD)
     assert decay == pytest.approx(slowest, rel=0.15, abs=0.3)
@@ -176,7 +161,6 @@ def test_under_the_law_gains_pass_and_a_c_1_without_certificate_is_corrected(ben
     statuses = {status for sample, status in done[200:]}
     assert statuses == {CorrectionStatus.PASS}
     sample = done[-1][0]
-    assert sample.law is not None
     foreign = sample._replace(law=sample.law._replace(velocity_compensation=1.0), proportional_gain=300.0)
     assert made.correct(foreign).status is CorrectionStatus.MODIFIED
 

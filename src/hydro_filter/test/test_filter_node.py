@@ -7,24 +7,23 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-pytestmark = pytest.mark.graph
 pytest.importorskip("hydro_msgs.msg", reason="source install/setup.bash")
 
-import rclpy  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
 
-from hydro_bridge.ros.companion import Companion  # noqa: E402
-from hydro_bridge.ros.messages import LAW_STATES, STATES, pack_law_state  # noqa: E402
-from hydro_bridge.ros.topics import (  # noqa: E402
+from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.messages import LAW_STATES, STATES, pack_law_state
+from hydro_bridge.ros.topics import (
     BOX,
     CORRECTION,
     DIAGNOSTICS,
@@ -33,7 +32,7 @@ from hydro_bridge.ros.topics import (  # noqa: E402
     create_publisher,
     create_subscription,
 )
-from hydro_bridge.signals import (  # noqa: E402
+from hydro_bridge.signals import (
     PLANT_FIELDS,
     STATE_FIELDS,
     Command,
@@ -44,21 +43,24 @@ from hydro_bridge.signals import (  # noqa: E402
     ReferenceSignal,
     Waveform,
 )
-from hydro_filter.controller.factory import FilterChoice  # noqa: E402
-from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter  # noqa: E402
-from hydro_filter.metric.scheduled import ScheduledMetric  # noqa: E402
-from hydro_filter.model.sample import Sample  # noqa: E402
-from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
-from hydro_msgs.msg import LawState as LawStateMessage  # noqa: E402
-from hydro_sim.box.box import Box, BoxConfig, law_state  # noqa: E402
-from hydro_sim.emulator.offline import record_offline  # noqa: E402
-from hydro_sim.excitation import Segment  # noqa: E402
-from hydro_sim.files.learned_bench import digest as digest_of  # noqa: E402
-from hydro_sim.files.pairing import MadeFor  # noqa: E402
-from hydro_sim.model.bench import Bench  # noqa: E402
-from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
-from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
-from tests.changing_plant import modified_truth  # noqa: E402
+from hydro_filter.controller.factory import FilterChoice
+from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
+from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.model.sample import Sample
+from hydro_msgs.msg import BoxInfo, Correction
+from hydro_msgs.msg import LawState as LawStateMessage
+from hydro_sim.box.box import Box, BoxConfig, law_state
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.excitation import Segment
+from hydro_sim.files.learned_bench import digest as digest_of
+from hydro_sim.files.pairing import MadeFor
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
+from tests.changing_plant import modified_truth
+from tests.checks import wait
+
+pytestmark = pytest.mark.graph
 
 
 class Source:
@@ -78,10 +80,7 @@ class Source:
 
     def wait(self, condition: Callable[[], bool], timeout: float = 150.0) -> None:
         """On a fresh machine the filter compiles first."""
-        deadline = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < deadline, "waited in vain"
-            self.executor.spin_once(timeout_sec=0.01)
+        wait(condition, timeout, lambda: self.executor.spin_once(timeout_sec=0.01))
 
     def connected(self) -> bool:
         """Both ways: a filter that reports has seen this participant too."""
@@ -96,10 +95,6 @@ class Source:
         numbers = [float(values.get(name, 0.0)) for name in STATE_FIELDS]
         self.states.publish(STATES.pack(time.time_ns() - round(1e9 * age), sequence, *numbers, flags))
 
-    def no_plant(self) -> None:
-        """Leave the states to another: those of two are not answered."""
-        self.node.destroy_publisher(self.states)
-
     def close(self) -> None:
         self.executor.shutdown()
         self.node.destroy_node()
@@ -107,20 +102,18 @@ class Source:
 
 
 @pytest.fixture
-def started() -> Iterator[Callable[..., Source]]:
+def started(start: Callable[..., Companion]) -> Iterator[Callable[..., Source]]:
     """Start a filter with some arguments; gives the source that it listens to."""
-    running: list[Any] = []
+    with ExitStack() as stack:
 
-    def start(*arguments: str) -> Source:
-        running.append(Companion("hydro_filter", "filter", arguments))
-        source = Source()
-        running.append(source)
-        source.wait(source.connected)
-        return source
+        def begin(*arguments: str) -> Source:
+            start("hydro_filter filter", *arguments)
+            source = Source()
+            stack.callback(source.close)
+            source.wait(source.connected)
+            return source
 
-    yield start
-    for thing in reversed(running):
-        thing.stop() if isinstance(thing, Companion) else thing.close()
+        yield begin
 
 
 @pytest.fixture(scope="module")
@@ -299,19 +292,18 @@ def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still
     assert source.diagnostics[-1].level == DiagnosticStatus.WARN
 
 
-def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:
+def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(
+    started: Callable[..., Source], start: Callable[..., Companion]
+) -> None:
     """Its stamps are /clock's; nobody told the filter, and it finds out within a second or two."""
     source = started()
-    source.no_plant()
-    simulation = Companion("hydro_sim", "sim", ["--speed", "0"])
-    try:
-        source.wait(lambda: any(message.status == CorrectionStatus.PASS for message in source.corrections))
-        before = len(source.corrections)
-        source.wait(lambda: len(source.corrections) > before + 500)
-        later = [message.status for message in source.corrections[before:]]
-        assert later.count(CorrectionStatus.PASS) == len(later)
-    finally:
-        simulation.stop()
+    source.node.destroy_publisher(source.states)  # two plants are not answered
+    start("hydro_sim sim", "--speed", 0)
+    source.wait(lambda: any(message.status == CorrectionStatus.PASS for message in source.corrections))
+    before = len(source.corrections)
+    source.wait(lambda: len(source.corrections) > before + 500)
+    later = [message.status for message in source.corrections[before:]]
+    assert later.count(CorrectionStatus.PASS) == len(later)
 
 
 def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after_a_gap(
@@ -380,7 +372,10 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
 def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagnostics(
     started: Callable[..., Source],
 ) -> None:
-    """A stiffer spring from the beginning; each sample waits for its answer, so that the age is no matter."""
+    """A stiffer spring from the beginning; with another box what was told of it is over, with the same again it stays.
+
+    Each sample waits for its answer, so that the age is no matter.
+    """
     source = started("--metric", "learned", *PATIENT)
     truth = modified_truth({"bench": {"spring_stiffness": 3e4}})
     records = record_offline(truth, [Segment(seconds=1.0, amplitude=300.0, frequency=1.0)]).states
@@ -396,14 +391,9 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     source.wait(lambda: dict_of(source.diagnostics[-1]).get("mismatch") == str(len(statuses) - first))
     told = dict_of(source.diagnostics[-1])
     assert "the model's load (the spring or its load cell) is off by" in told["fits"]
-    _another_box_comes(source, len(records), Sample.of(records[0]))
-
-
-def _another_box_comes(source: Source, sequence: int, still: Sample) -> None:
-    """The same box said again, by whichever node, changes nothing; with another one what was told of it is over."""
-    latched = create_publisher(source.node, BOX)
+    latched, still, sequence = create_publisher(source.node, BOX), Sample.of(records[0]), len(records)
     for plant, firmware, mismatched in (("bridge", "one", True), ("sim", "one", True), ("sim", "another", False)):
-        latched.publish(BoxInfo(plant=plant, firmware=firmware))
+        latched.publish(BoxInfo(plant=plant, firmware=firmware))  # again, by whichever node; then another box
         for _ in range(20):
             sequence, wanted = sequence + 1, len(source.corrections) + 1
             source.publish(sequence, still)

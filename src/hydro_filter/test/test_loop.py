@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
@@ -41,6 +40,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.grammar import LAWS
 from hydro_sim.model.laws import Law
+from tests.checks import ran
 
 Entry = dict[str, Any]
 LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
@@ -82,13 +82,10 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
 
 @pytest.mark.parametrize("law", [law for law in LAWS if law.element is not None], ids=lambda law: law.form)
 def test_a_closure_that_remembers_is_refused_in_a_sentence(law: Law) -> None:
+    numbers = {"coefficient": law.typical, **{one.name: one.probes[0] for one in law.numbers}}
+    closure = {"equation": law.equation, "form": law.form, "parameters": numbers}
     with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
-        loop_of(replace(Bench.nominal(), closures=(_entry(law),)), Bench.nominal())
-
-
-def _entry(law: Law) -> dict[str, object]:
-    numbers = {one.name: one.probes[0] for one in law.numbers}
-    return {"equation": law.equation, "form": law.form, "parameters": {"coefficient": law.typical, **numbers}}
+        loop_of(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
 
 
 def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
@@ -121,7 +118,7 @@ def test_the_filter_on_a_bench_file_as_set_up_compiles_it_compiles_nothing(tmp_p
         "precompile._bench_file()"
     )
     environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    done = ran(sys.executable, "-c", code, env=environment, check=True)
     assert read_compilations(tmp_path / "log") == [] and done.stderr == ""
 
 

@@ -104,7 +104,8 @@ def test_a_filter_that_counts_with_the_overlap_follows_closer_than_one_that_take
     bench: Bench, made: LoopFilter, share: float
 ) -> None:
     """Also where the bench's overlap is a fifth narrower or wider than the file's."""
-    plant = AnalyticPlant(replace(bench, effects=(*FOUND, _overlap(share * WIDTH))))
+    overlap = {"id": "valve_deadband", "parameters": {"half_width": share * WIDTH}}
+    plant = AnalyticPlant(replace(bench, effects=(*FOUND, overlap)))
     runs = [closed(each, bench, plant, (250.0, 15.0)) for each in (made, blind_to_it(made))]
     assert all(each.bounded for each in runs)
     assert error_of(runs[0]) < 0.5 * error_of(runs[1])
@@ -125,7 +126,3 @@ def test_corrections_that_do_not_leap_over_the_overlap_do_nothing(
 def blind_to_it(made: LoopFilter) -> LoopFilter:
     """The same filter, to which the overlap is a disturbance."""
     return LoopFilter(made.parts._replace(overlap=Overlap()))
-
-
-def _overlap(width: float) -> dict[str, object]:
-    return {"id": "valve_deadband", "parameters": {"half_width": width}}
