@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from hydro_bridge.size import Size
 from hydro_sim.excitation import WORKING_RANGE, Playback, Segment, working_range
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.nodes.collect import CollectNode
+from tests.checks import ran
 from tests.graph_probe import Probe
 
 
@@ -59,17 +61,10 @@ def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> N
 
 
 @pytest.fixture
-def plant() -> Iterator[Callable[..., None]]:
+def plant(start: Callable[..., Companion]) -> Callable[..., Companion]:
     """Starts a simulation; its guard does without a filter."""
-    started: list[Companion] = []
-
-    def start(*words: str) -> None:
-        free = ["--ros-args", "-p", "guard.require_filter:=false"]
-        started.append(Companion("hydro_sim", "sim", ["--model", "analytic", *free, *words]))
-
-    yield start
-    for companion in started:
-        companion.stop()
+    free = ("--ros-args", "-p", "guard.require_filter:=false")
+    return partial(start, "hydro_sim sim", "--model", "analytic", *free)
 
 
 @pytest.fixture
@@ -206,10 +201,8 @@ def test_a_bench_file_that_is_not_the_boxs_is_refused(plant: Callable[..., None]
     (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
     (tmp_path / "nominal.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
     plant("--", "--bench", str(tmp_path / "own.yaml"))
-    collect = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
-    refused = subprocess.run(
-        [*collect, "--bench", str(tmp_path / "nominal.yaml")], timeout=60, check=False, capture_output=True, text=True
-    )
+    words = (*_collect(tmp_path, [HOLD]), "--bench", tmp_path / "nominal.yaml")
+    refused = ran(executable_path("hydro_sim", "collect"), *words, timeout=60)
     assert refused.returncode == 2
     assert f"the box believes {own.digest}" in refused.stderr.splitlines()[-1]
     assert not (tmp_path / "bag").exists()

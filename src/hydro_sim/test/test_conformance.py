@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -39,6 +37,7 @@ from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthBench, profile
 from hydro_sim.emulator.truth.effects import Effects, LoadCellBias
 from hydro_sim.model.bench import Bench
+from tests.checks import compiled
 
 NOMINAL = Bench.nominal()
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
@@ -179,7 +178,6 @@ def test_a_box_whose_frames_cannot_be_read_is_told_so_once(memory: Any) -> None:
 
 def test_what_a_box_does_not_tell_is_left_out_or_noted(memory: Any) -> None:
     box = python_box(memory)
-    assert box.link.details is not None
     box.link.details = replace(box.link.details, force_rate_age=0.0, velocity_age=0.0, bench_digest="")
     rates, bench = only(box, "measured.rates", "hello.bench")[::-1]
     assert (rates.outcome, rates.found) == (LEFT_OUT, "DETAILS do not tell the ages of the rates")
@@ -323,8 +321,7 @@ def broken(copy: Path, memory: Any, monkeypatch: pytest.MonkeyPatch) -> Callable
         assert whole.count(text) == 1 or name.startswith("the integral"), "what is to be broken has changed"
         path.write_text(whole.replace(text, instead))
         try:
-            words = ["-std=c99", "-O2", "-w", "-ffp-contract=off", "-fPIC", "-shared", str(copy / "hydro_box.c")]
-            subprocess.run([os.environ.get("CC", "cc"), *words, "-o", str(library), "-lm"], check=True)
+            compiled(copy / "hydro_box.c", library, "-O2", "-w", "-fPIC", "-shared")
         finally:
             path.write_text(whole)
         monkeypatch.setattr(firmware, "library_path", lambda precision: library)

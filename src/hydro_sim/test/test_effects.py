@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of a corrected.yaml in the analytic plant, against closed forms and against the bench without them."""
+"""A bench file, its effects among it: in the analytic plant as in the truth, refused where it cannot be."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from math import nan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_sim.emulator.offline import record_offline
@@ -19,11 +23,6 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 from tests import textbook
-
-
-def wave(samples: int = 600) -> FloatArray:
-    time = SAMPLE_PERIOD * np.arange(samples)
-    return np.asarray(4e-4 * np.sin(2 * np.pi * 3 * time) + 2e-4 * np.sin(2 * np.pi * 17 * time))
 
 
 def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Bench) -> None:
@@ -42,7 +41,8 @@ def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Be
     first = plant.reset(4)
     sensors.restart(last[0], read(), x)
     np.testing.assert_allclose(first, x, rtol=1e-13)
-    for current in wave(200):
+    time = SAMPLE_PERIOD * np.arange(200)
+    for current in 4e-4 * np.sin(2 * np.pi * 3 * time) + 2e-4 * np.sin(2 * np.pi * 17 * time):
         textbook.advance(constants[0], y, current, SAMPLE_PERIOD, textbook.SUBSTEPS)
         sensors.condition(settings[0], last[0], read(), x)
         np.testing.assert_allclose(plant.step(float(current)), x, rtol=1e-9, atol=1e-7)
@@ -95,3 +95,41 @@ def test_tracking_error_is_that_of_the_truth(
     assert simulated == pytest.approx(expected, rel=0.01)
     if abs(without) > 0.05:
         assert abs(with_it) < 0.1 * abs(without)
+
+
+REFUSED: tuple[tuple[dict[str, object], str], ...] = (
+    ({"bulk_modulos": 1e9}, "bench.bulk_modulos is not a known setting; did you mean bulk_modulus?"),
+    ({"stroke": ...}, "bench lacks stroke [m]"),
+    ({"stroke": -0.08}, "bench.stroke must be within [0.001, 5] m, not -0.08: L_c"),
+    ({"moving_mass": nan}, "bench.moving_mass must be a number in kg, not nan"),
+    (
+        {"supply_pressure": 1e5, "tank_pressure": 2e5},
+        "tank_pressure 200000 Pa is not below supply_pressure 100000 Pa",
+    ),
+    ({"effects": [{"parameters": {}}]}, "'effects' is a list of mappings, each with an 'id'"),
+    ({"effects": [{"id": "gremlin"}]}, "effect 'gremlin' is not known"),
+    ({"effects": [{"id": "backlash"}]}, "effect backlash lacks its parameter width [m]"),
+    (
+        {"effects": [{"id": "backlash", "parameters": {"width": "wide"}}]},
+        "effect backlash: width = 'wide' is not a number in [0, 0.1] m",
+    ),
+    (
+        {"effects": [{"id": "valve_offset", "parameters": {"current": 1e-3, "Current": 0}}]},
+        "effect valve_offset has no parameter 'Current'",
+    ),
+)
+
+
+def test_a_file_that_is_no_bench_is_refused_in_one_sentence_with_its_name_and_key(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    for changes, sentence in REFUSED:
+        content = {**Bench.nominal().to_mapping(), **changes}
+        path.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not ...}))
+        with pytest.raises(ValueError) as refusal:
+            Bench.load(path)
+        assert str(refusal.value) == f"{path}: {sentence}"
+    for broken in (b"", b"- 1\n- 2\n", b"a: [1\n", b"\xff\xfe\x00"):
+        path.write_bytes(broken)
+        with pytest.raises(ValueError, match=re.escape(str(path))) as refusal:
+            Bench.load(path)
+        assert "\n" not in str(refusal.value)

@@ -43,29 +43,25 @@ def test_the_emulated_bench_is_the_box_s_where_the_truth_does_not_say_otherwise(
     assert offline.truth(None, Bench.nominal()) == profile("default")
 
 
-@pytest.mark.parametrize(
-    ("data", "sentence"),
-    [
-        ({"effect": {}}, "truth.effect is not a known setting; did you mean effects?"),
-        ({"effects": {"leakage_internl": {}}}, "did you mean leakage_internal?"),
-        ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be within [0, 1e-10] m3/s/Pa, not -1"),
-        ({"effects": {"valve_deadband": {"half_width": 1e-3, "form": "round"}}}, "must be one of hard, soft"),
-        ({"effects": {"load_cell_gain": [{"ratio": 1.1}, {"ratio": 1.2}]}}, "names the same cell twice"),
-        (
-            {"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}},
-            "give friction_coulomb form",
-        ),
-        ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
-        ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
-        ({"bench": {"spring_rest_position": 0.09}}, "must lie within the stroke"),
-        ({"effects": {"friction_viscous": {"coefficient": -61}}}, "takes away more than all"),
-    ],
+REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"effect": {}}, "truth.effect is not a known setting; did you mean effects?"),
+    ({"effects": {"leakage_internl": {}}}, "did you mean leakage_internal?"),
+    ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be within [0, 1e-10] m3/s/Pa, not -1"),
+    ({"effects": {"valve_deadband": {"half_width": 1e-3, "form": "round"}}}, "must be one of hard, soft"),
+    ({"effects": {"load_cell_gain": [{"ratio": 1.1}, {"ratio": 1.2}]}}, "names the same cell twice"),
+    ({"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}}, "give friction_coulomb form"),
+    ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
+    ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
+    ({"bench": {"spring_rest_position": 0.09}}, "must lie within the stroke"),
+    ({"effects": {"friction_viscous": {"coefficient": -61}}}, "takes away more than all"),
 )
-def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(SettingsError) as caught:
-        truth_from_mapping(data)
-    assert sentence in str(caught.value)
-    assert "\n" not in str(caught.value)
+
+
+def test_bad_truth_is_refused_in_one_sentence() -> None:
+    for data, sentence in REFUSED:
+        with pytest.raises(SettingsError) as caught:
+            truth_from_mapping(data)
+        assert sentence in str(caught.value) and "\n" not in str(caught.value)
 
 
 SEGMENTS = [

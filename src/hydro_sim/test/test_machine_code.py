@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,6 +15,7 @@ import pytest
 from hydro_sim.model import machine_code
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
+from tests.checks import ran
 
 SOURCE = "int answer(void) { return 42; }\n"
 
@@ -32,10 +32,10 @@ def test_a_damaged_library_is_compiled_anew(apart: Path) -> None:
     """In another process: this one has the library in memory."""
     library = f"machine_code.cached_library('x', lambda: {SOURCE!r})"
     make = f"from hydro_sim.model import machine_code; print({library}.answer())"
-    first = subprocess.run([sys.executable, "-c", make], capture_output=True, text=True, check=True)
+    first = ran(sys.executable, "-c", make)
     (kept,) = apart.glob("*.so")
     kept.write_bytes(kept.read_bytes()[:100])
-    again = subprocess.run([sys.executable, "-c", make], capture_output=True, text=True, check=True)
+    again = ran(sys.executable, "-c", make)
     assert first.stdout == again.stdout == "42\n"
 
 
@@ -73,6 +73,7 @@ def test_an_edit_in_a_called_module_reaches_its_callers(tmp_path: Path) -> None:
         made(package, inner=INNER.format(value=value))
         path = os.pathsep.join([str(tmp_path), *sys.path])
         environment = {key: text for key, text in os.environ.items() if key != "NUMBA_CACHE_DIR"} | {"PYTHONPATH": path}
-        command = [sys.executable, "-c", "from toy.outer import outer; print(outer())"]
-        printed.append(int(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout))
+        printed.append(
+            int(ran(sys.executable, "-c", "from toy.outer import outer; print(outer())", env=environment).stdout)
+        )
     assert printed == [1, 22]

@@ -17,6 +17,7 @@ from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.realtime import RESEND, SimSettings, Simulation
+from tests.checks import wait
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=2.0)
 VALVE, NOMINAL, K_P = (
@@ -72,12 +73,6 @@ class Graph:
             self.guard.set_gains(delta_kp, 0.0, self.simulation.clock())
         self.simulation.gained()
 
-    def wait(self, condition: Callable[[], object], timeout: float = 20.0) -> None:
-        end = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < end, "it did not happen"
-            time.sleep(1e-3)
-
     def close(self) -> None:
         self.simulation.stop()
         self.inbox.put(None)
@@ -99,10 +94,6 @@ def graph(bench: Bench) -> Iterator[Callable[..., Graph]]:
         one.close()
 
 
-def silent(_graph: Graph, _fields: tuple[Any, ...]) -> None:
-    """Nobody is there."""
-
-
 def dither(sequence: int) -> float:
     return 1e-4 * (sequence % 7 - 3)
 
@@ -116,9 +107,9 @@ def test_in_lock_step_each_sample_carries_the_correction_of_the_one_before(graph
         running.correct(fields, dither(fields[1]))
 
     running = graph(answer, speed=0.0)
-    running.wait(lambda: len(running.samples) > 30)
+    wait(lambda: len(running.samples) > 30, 20.0)
     assert running.simulation.arm(True) == ""
-    running.wait(lambda: len(running.samples) > 600)
+    wait(lambda: len(running.samples) > 600, 20.0)
     samples = [fields for fields in running.samples[:600] if fields[-1] == Flag.ARMED]
     assert len(samples) > 400
     assert [fields[1] for fields in running.samples[:600]] == list(range(600))
@@ -136,7 +127,7 @@ def test_a_peer_that_falls_silent_is_named_and_left_behind(graph: Callable[..., 
             running.correct(fields)
 
     running = graph(answer, speed=0.0, silence_max=0.6)
-    running.wait(lambda: len(running.samples) > 200)
+    wait(lambda: len(running.samples) > 200, 20.0)
     assert running.said[0] == "in lock-step with the filter"
     assert running.said[1].startswith("no answer of the filter to sample 50 for 0.6 s")
     assert [fields[1] for fields in running.samples].count(50) >= 1 + int(0.6 / RESEND) - 1
@@ -152,7 +143,7 @@ def test_a_sample_that_got_lost_is_sent_again(graph: Callable[..., Graph]) -> No
             running.correct(fields)
 
     running = graph(answer, speed=0.0)
-    running.wait(lambda: len(running.samples) > 100)
+    wait(lambda: len(running.samples) > 100, 20.0)
     assert [fields[1] for fields in running.samples].count(40) >= 2  # more than twice where a thread was kept waiting
     assert running.said == ["in lock-step with the filter"]
 
@@ -166,17 +157,17 @@ def test_the_trainer_is_awaited_only_while_armed(graph: Callable[..., Graph]) ->
             running.gain(10.0)
 
     running = graph(answer, speed=0.0, silence_max=600.0)
-    running.wait(lambda: len(running.samples) > 200)
+    wait(lambda: len(running.samples) > 200, 20.0)
     assert running.simulation.arm(True) == ""
-    running.wait(lambda: len(sent) > 50)
+    wait(lambda: len(sent) > 50, 20.0)
     assert running.simulation.arm(False) == ""
     after = len(running.samples)
-    running.wait(lambda: len(running.samples) > after + 100)
+    wait(lambda: len(running.samples) > after + 100, 20.0)
 
 
 def test_real_time_stamps_are_a_millisecond_apart_and_commands_age_by_the_host(graph: Callable[..., Graph]) -> None:
-    running = graph(silent)
-    running.wait(lambda: len(running.samples) >= 300)
+    running = graph(lambda *_: None)
+    wait(lambda: len(running.samples) >= 300, 20.0)
     assert abs(running.simulation.clock() - time.monotonic()) < 0.5
     steps = [later - earlier for earlier, later in zip(running.stamps, running.stamps[1:300], strict=False)]
     assert min(steps) == 1_000_000 and sorted(steps)[-3] == 1_000_000
