@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
-from hydro_diagnosis.effects import Claim
+from hydro_diagnosis.effects import CANDIDATES, Claim
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -58,6 +58,13 @@ def problem_of(**values: Any) -> Problem:
     """The same of two recordings of the nominal bench with other values."""
     truth = replace(Bench.nominal(), **values)
     return problem_in(record(truth, 3), record(truth, 4, waveform=Waveform.SINE))
+
+
+def claim(label: str, *sizes: float) -> Claim:
+    """A cause of the nominal bench; its parameters in turn, those that are not given at their first guesses."""
+    effect = next(one for one in CANDIDATES if one.label == label).adapted(Bench.nominal())
+    given = dict(zip((one.name for one in effect.parameters), sizes, strict=False))
+    return Claim(effect, {one.name: one.probes[0] for one in effect.parameters} | given)
 
 
 def segment(states: StateArray, name: str = "run") -> Segment:

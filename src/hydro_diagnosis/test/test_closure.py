@@ -42,8 +42,6 @@ def test_a_clean_recording_has_no_closure(problem: Problem) -> None:
 def held(**errors: float) -> dict[str, object]:
     return {"holdout": {name: {"rmse_after": one, "noise_floor": 1.0} for name, one in errors.items()}}
 
-    return {"holdout": {name: {"rmse_after": one, "noise_floor": 1.0} for name, one in errors.items()}}
-
 
 def test_share_closed_counts_what_stands_above_the_noise() -> None:
     assert share_closed(held(a=3.0, b=1.0), held(a=1.0, b=0.9)) == pytest.approx(1.0)

@@ -11,7 +11,7 @@ import pytest
 from hydro_bridge.signals import FloatArray, StateArray
 from hydro_diagnosis.closure.evidence import HeldOutBlocks, barred_equations, equals_ruled_out, has_identified_shapes
 from hydro_diagnosis.closure.model_selection import closures
-from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
+from hydro_diagnosis.effects import CANDIDATES, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag, limited
 from hydro_diagnosis.estimation.fit import fit
@@ -22,7 +22,7 @@ from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
-from tests.segments import problem_in, record
+from tests.segments import claim, problem_in, record
 
 BENCH = Bench.nominal()
 
@@ -227,7 +227,7 @@ def test_a_law_is_found_with_all_of_its_numbers(
     problem = problem_of(record(truth, 3))
     nothing = fit(problem, ())
     found = next(closures(problem, assess(problem, nothing, nothing)))
-    assert [claim.effect.label for claim in found.fit.claims] == [f"closure:{equation}:{form}"]
+    assert [one.effect.label for one in found.fit.claims] == [f"closure:{equation}:{form}"]
     assert not problem.noticeable(found.fit.residual)
     for bound, value in zip(intervals(problem, found.fit), numbers.values(), strict=True):
         assert bound.value == pytest.approx(value, rel=tolerance)
@@ -252,8 +252,7 @@ def test_a_law_that_is_a_name_in_disguise_is_not_definite() -> None:
     warming = closure(law("motion", "warming friction"), BENCH)
     disguised = fit(problem, [Claim(warming, {"coefficient": 8.0, "path": 10.0, "time": 3.0})])
     assert not has_identified_shapes(problem, disguised, disguised.claims[0])
-    coulomb = next(effect for effect in LIBRARY if effect.label == "friction_coulomb").adapted(BENCH)
-    named = fit(problem, [Claim(coulomb, {"force": 8.0})])
+    named = fit(problem, [claim("friction_coulomb", 8.0)])
     assert has_identified_shapes(problem, named, named.claims[0])
 
 
@@ -276,7 +275,6 @@ def test_no_law_is_looked_for_where_a_ruled_out_cause_would_take_what_remains(
     entry = {"equation": "motion", "form": form, "parameters": {"coefficient": coefficient}}
     states = record(replace(BENCH, closures=(entry,)), 3)
     problem = problem_of(states)
-    viscous = next(effect for effect in LIBRARY if effect.label == "friction_viscous").adapted(BENCH)
-    found = fit(problem, [Claim(viscous, {"coefficient": 50.0})])
+    found = fit(problem, [claim("friction_viscous", 50.0)])
     assert barred_equations(problem, found) == frozenset()
     assert barred_equations(problem_of(states, "friction_viscous:directional", "leakage_internal"), found) == wanted

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,6 +23,7 @@ from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
+from tests.checks import ran
 
 MAP = "time=clock[ms],piston_position=pos[mm]-40,pressure_a='p a [bar]'[bar],hydraulic_force=vir*gtau,load_force=0"
 YAML = """
@@ -105,8 +105,7 @@ def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
     columns = {"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}
     pressures = {"pressure_a": [1e6, 2e6], "pressure_b": [2e6, 1e6], "p_S [bar]": [138, 142]}
     pd.DataFrame({**columns, **pressures}).to_csv(path)
-    command = [sys.executable, "-m", "hydro_diagnosis.inspect_command", str(path)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    ended = ran(sys.executable, "-m", "hydro_diagnosis.inspect_command", path, check=True)
     rows = {line.split()[1]: line.split() for line in ended.stdout.splitlines() if line.startswith("run.csv")}
     assert rows["Time"][-1] == "time?" and rows["load_force"][-1] == "load_force"
     assert rows["Piston_Position"][-1] == "piston_position?"

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
+"""A diagnosis from files to report, page and corrected bench; also from the model of a bench that wears."""
+
 from __future__ import annotations
 
 import json
 import re
 import shutil
-import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,17 +20,23 @@ import hydro_diagnosis
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_diagnosis import diagnose
-from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.cli import run
+from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.report.corrected_bench import corrected_bench
-from hydro_diagnosis.stages.reading import recording_entry
+from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
+from hydro_diagnosis.stages.reading import baseline, recording_entry
 from hydro_diagnosis.stages.unclaimed import confirmed
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation import Segment
+from hydro_sim.files.learned_bench import shipped
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
-from tests.segments import frame, record
+from tests.checks import ran
+from tests.segments import claim, frame, record
 
 CONTRACT = {
     "verdict", "location", "effects", "fit", "next_recording", "checked", "not_checked", "data_quality", "baseline",
@@ -100,11 +107,6 @@ def test_order_that_matters_keeps_the_modulus_an_effect() -> None:
     assert turned.bulk_modulus == pytest.approx(0.9 * Bench.nominal().bulk_modulus)
 
 
-def claim(identifier: str, value: float) -> Claim:
-    effect = next(one for one in LIBRARY if one.id == identifier and not one.options)
-    return Claim(effect, {effect.parameters[0].name: value})
-
-
 def test_recording_without_pressures_is_diagnosed_for_what_it_shows(tmp_path: Path) -> None:
     truth = replace(Bench.nominal(), viscous_friction=110.0)
     path = tmp_path / "bare.csv"
@@ -124,10 +126,10 @@ def test_recordings_with_which_no_equation_can_be_checked_are_a_sentence(tmp_pat
 
 def test_equation_errors_do_not_contradict_the_verdict(tmp_path: Path) -> None:
     """Near reversals dry friction may have either sign: counted in full, they would leave ten times the noise."""
-    friction = Claim(next(one for one in LIBRARY if one.label == "friction_coulomb"), {"force": 15.0})
+    dry = corrected_bench(Bench.nominal(), [claim("friction_coulomb", 15.0)])
     paths = [tmp_path / f"dry{k}.csv" for k in range(2)]
     for k, path in enumerate(paths):
-        frame(record(corrected_bench(Bench.nominal(), [friction]), 40 + k, seconds=8.0)).to_csv(path, index=False)
+        frame(record(dry, 40 + k, seconds=8.0)).to_csv(path, index=False)
     report = diagnose(paths[:1], holdout=paths[1:]).report
     assert report.verdict == "explained"
     motion = report.fit["equations"]["motion"]
@@ -141,8 +143,7 @@ def test_cause_that_there_is_none_of_is_refused_before_anything_is_read(tmp_path
 
 
 def test_bad_input_ends_in_one_sentence_and_status_2(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hydro_diagnosis.cli", str(tmp_path / "none.mcap"), "--out", str(tmp_path / "out")]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = ran(sys.executable, "-m", "hydro_diagnosis.cli", tmp_path / "none.mcap", "--out", tmp_path / "out")
     assert ended.returncode == 2
     assert len(ended.stderr.strip().splitlines()) == 1
     assert "there is no such recording" in ended.stderr
@@ -151,13 +152,11 @@ def test_bad_input_ends_in_one_sentence_and_status_2(tmp_path: Path) -> None:
 
 def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> None:
     """Ctrl-C when the search has begun; a terminal sends it to the whole process group, here to the one process."""
-    started = [sys.executable, "-c", INTERRUPTED_RUN, str(worn[0]), str(worn[1]), "--out", str(tmp_path / "out")]
-    ended = subprocess.run(started, capture_output=True, text=True, check=False, timeout=60)
+    ended = ran(sys.executable, "-c", INTERRUPTED_RUN, *worn[:2], "--out", tmp_path / "out", timeout=60)
     assert ended.returncode == 130, ended.stderr
-    assert (
-        ended.stderr.strip() == f"interrupted: {tmp_path / 'out' / 'report.json'} holds what was finished, no verdict"
-    )
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    file = tmp_path / "out" / "report.json"
+    assert ended.stderr.strip() == f"interrupted: {file} holds what was finished, no verdict"
+    report = json.loads(file.read_text())
     assert set(report) >= CONTRACT
     assert report["verdict"] == "interrupted"
     assert [step["label"] for step in report["steps"]] == ["spring_stiffness"]
@@ -236,3 +235,52 @@ def test_page_shows_how_well_the_corrected_model_follows_what_was_measured(writt
     for name, row in rows.items():
         before, after = (float(cell) for cell in re.findall(r'<td class="n">([\d.-]+)</td>', row))
         assert after > 98.0 and after > before, name
+
+
+DRIVES = (
+    {"seconds": 15, "waveform": "multisine", "amplitude": 260, "frequency": 0.7, "kp": 60, "ki": 10},
+    {"seconds": 15, "waveform": "smooth_step", "amplitude": 240, "frequency": 0.8, "kp": 45, "ki": 8},
+    {"seconds": 15, "waveform": "sine", "amplitude": 250, "offset": 20, "frequency": 1.1, "kp": 70, "ki": 12},
+)
+HEALTHY_FRICTION, HEALTHY_LEAK = 12.0, 1e-13
+
+
+def test_learned_constants_become_the_bench_and_its_effects() -> None:
+    believed, origin = baseline(None, shipped())
+    assert origin == "learned learned_bench.yaml"
+    assert believed.moving_mass == pytest.approx(1.2, rel=5e-3)
+    assert believed.load_cell_bandwidth is None
+    assert believed.valve_gain == pytest.approx(Bench.nominal().valve_gain, rel=1e-3)
+    claims = {claim.effect.id: dict(claim.values) for claim in claims_of(believed)}
+    assert claims["valve_lag"]["bandwidth"] == pytest.approx(110.0, rel=1e-2)
+    assert claims["friction_coulomb"]["force"] == pytest.approx(HEALTHY_FRICTION, rel=1e-2)
+    assert claims["sensor_lag"] == pytest.approx({"bandwidth": 25.0, "damping": 0.55}, rel=5e-3)
+
+
+@pytest.mark.study
+def test_leak_and_friction_are_named_as_changes_and_corrected_as_wholes(tmp_path: Path) -> None:
+    """The command's corrected.yaml is a baseline by itself: of the worn bench."""
+    wear = {"leakage_internal": {"coefficient": 1e-12}, "friction_coulomb": {"force": 18.0, "form": "lugre"}}
+    bags, out = recorded(wear, tmp_path), tmp_path / "report"
+    assert run([*map(str, bags), "--model", str(shipped()), "--out", str(out), "--quiet"]) == 0
+    report = json.loads((out / "report.json").read_text())
+    named = {effect["id"]: next(iter(effect["parameters"].values()))["value"] for effect in report["effects"]}
+    expected = {"leakage_internal": 1e-12 - HEALTHY_LEAK, "friction_coulomb": 18.0 - HEALTHY_FRICTION}
+    assert named == pytest.approx(expected, rel=0.02)
+    corrected = Bench.load(out / "corrected.yaml")
+    assert whole(corrected, "leakage_internal", "coefficient") == pytest.approx(1e-12, rel=0.01)
+    assert whole(corrected, "friction_coulomb", "force") == pytest.approx(18.0, rel=0.01)
+    assert diagnose([bags[2]], bench=corrected).report.verdict == "no_mismatch"
+
+
+def whole(bench: Bench, effect: str, parameter: str) -> float:
+    return sum(float(one["parameters"][parameter]) for one in bench.effects if one["id"] == effect)
+
+
+def recorded(wear: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Three runs of the emulator's default truth with wear: the diagnosis knows no truth plant."""
+    truth = truth_from_mapping({"profile": "default", "effects": dict(wear)})
+    for k, segment in enumerate(DRIVES):
+        with BagWriter(folder / f"run{k}") as writer:
+            writer.write_states(record_offline(truth, [Segment(**segment)], seed=50 + k).states)
+    return [folder / f"run{k}" for k in range(len(DRIVES))]

@@ -69,10 +69,9 @@ def test_each_part_of_a_long_bag_is_diagnosed_by_itself(tmp_path: Path) -> None:
 DAYS = 60
 
 
-def study(folder: Path, leak: FloatArray, seed: int = 0, sd: float = 2e-14) -> Path:
+def study(folder: Path, leak: FloatArray) -> Path:
     """A recording a day; a leak below three standard deviations is not claimed."""
-    rng = np.random.default_rng(seed)
-    found = {}
+    rng, sd, found = np.random.default_rng(0), 2e-14, {}
     for day, true in enumerate(leak):
         value = float(true + np.sqrt(2.0) * sd * rng.standard_normal())
         begin = {"begin": round(86400e6 * (day + 20000))}
@@ -89,22 +88,16 @@ def study(folder: Path, leak: FloatArray, seed: int = 0, sd: float = 2e-14) -> P
 
 def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path) -> None:
     leak = 2e-14 * np.maximum(np.arange(DAYS) - 30.0, 0.0)
-    worn, well, table = (
-        study(tmp_path / "worn", leak),
-        study(tmp_path / "well", 0.0 * leak + 1e-13),
-        tmp_path / "t.json",
-    )
+    worn, well = study(tmp_path / "worn", leak), study(tmp_path / "well", 0.0 * leak + 1e-13)
+    table, page = tmp_path / "t.json", tmp_path / "all.html"
     assert status_of(trends.main, well, "--new", 40) == 0
-    assert (
-        status_of(trends.main, well, worn, "--new", 40, "--json", table, "--page", tmp_path / "all.html")
-        == trends.ALARM
-    )
+    assert status_of(trends.main, well, worn, "--new", 40, "--json", table, "--page", page) == trends.ALARM
     assert status_of(trends.main, worn, "--new", 1) == 0  # it was known the day before
     first, second = json.loads(table.read_text(encoding="utf-8"))["rows"]
     assert (first["bench"], second["since"]) == (str(worn), None)
     assert first["from"] <= str(np.datetime64(20030, "D")) <= first["to"]
     assert abs((np.datetime64(first["since"]) - np.datetime64(20030, "D")).astype(int)) <= 5
-    assert "worn" in (page := (tmp_path / "all.html").read_text(encoding="utf-8")) and page.count("<svg") == 2
+    assert "worn" in (shown := page.read_text(encoding="utf-8")) and shown.count("<svg") == 2
     limit = ("--limit", "leakage_internal.coefficient=8e-13", "--json", table)  # reached on day 70
     assert status_of(trends.main, worn, *limit, "--horizon", 5) == 0
     assert status_of(trends.main, worn, *limit, "--horizon", 30) == trends.ALARM

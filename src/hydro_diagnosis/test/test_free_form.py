@@ -68,7 +68,6 @@ def test_a_line_is_told_with_frequency_and_share_whatever_its_phase(frequency: f
     fitted = part(noise(1) + wave(frequency, 0.3) + walks[0], noise(2) + wave(frequency, 2.0) + walks[1])
     held = part(noise(3) + wave(frequency, 4.0) + walks[2])
     found = line_of((fitted, held), "load")
-    assert found is not None
     assert found.frequency == pytest.approx(frequency, abs=0.03)
     assert found.share == pytest.approx(0.5, abs=0.05)
     assert f"{found.frequency:.3g} Hz" in found.sentence

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +18,7 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.growing import agreements, sightings
 from hydro_sim.model import grammar
 from hydro_sim.model.laws import Law
-from tests.checks import each
+from tests.checks import each, ran
 
 DRAG = ("motion", "quadratic drag")
 Numbers = Mapping[str, tuple[float, float, float]]
@@ -51,8 +50,8 @@ def law(equation: str, form: str) -> Law:
     return found
 
 
-def around(value: float, share: float = 0.01) -> tuple[float, float, float]:
-    low, high = sorted((value * (1.0 - share), value * (1.0 + share)))
+def around(value: float) -> tuple[float, float, float]:
+    low, high = sorted((0.99 * value, 1.01 * value))
     return value, low, high
 
 
@@ -65,10 +64,6 @@ SMOOTH = {"equation": "load", "form": "smooth", "expression": "f(position)", "te
           "sentence": "A smooth function.", "share_closed": 1.0, "share_by_form": {}}  # fmt: skip
 
 
-def title(law: Law) -> str:
-    return f"{law.equation} {law.form}"
-
-
 def test_a_report_says_which_law_it_holds(tmp_path: Path) -> None:
     def check(number_and_law: tuple[int, Law]) -> None:
         number, law = number_and_law
@@ -76,7 +71,7 @@ def test_a_report_says_which_law_it_holds(tmp_path: Path) -> None:
         folders = [report(tmp_path / str(number) / name, closure(law, numbers)) for name in "ab"]
         assert [one.law for one in sightings(folders)] == [law, law]
 
-    each(enumerate(EVERY), check, lambda case: title(case[1]))
+    each(enumerate(EVERY), check, lambda case: f"{case[1].equation} {case[1].form}")
 
 
 def test_one_value_fits_benches_whose_intervals_overlap_and_not_others(tmp_path: Path) -> None:
@@ -130,14 +125,13 @@ GROWN = [
 ]
 
 
-def grow(folder: Path, which: tuple[str, str], values: Mapping[str, float], table: Path | None = None) -> Path:
+def grow(folder: Path, which: tuple[str, str], values: Mapping[str, float]) -> Path:
     """Grow `grown_one` from two reports, into a folder of its own."""
     reports = []
     for name, share in (("a", 1.0), ("b", 1.002)):
         numbers = {one: around(share * value) for one, value in values.items()}
         reports.append(report(folder / name, closure(law(*which), numbers)))
-    json_file = ["--json", str(table)] if table else []
-    assert run(["--grow", *reports, "--id", "grown_one", "--out", str(folder / "out"), *json_file]) == 0
+    assert run(["--grow", *reports, "--id", "grown_one", "--out", str(folder / "out")]) == 0
     return folder / "out"
 
 
@@ -175,11 +169,8 @@ def test_a_grown_effect_of_size_0_is_nothing_and_else_is_found_again(
     which: tuple[str, str], values: dict[str, float], tmp_path: Path
 ) -> None:
     folder = grow(tmp_path, which, values)
-    done = subprocess.run(
-        [sys.executable, "-c", FOUND_AGAIN, json.dumps(values), str(tmp_path)], capture_output=True, text=True,
-        cwd=Path(__file__).parents[3],
-        env={**os.environ, "HYDRO_EFFECTS": str(folder)}, timeout=280, check=False,
-    )  # fmt: skip
+    place: dict[str, Any] = {"cwd": Path(__file__).parents[3], "env": {**os.environ, "HYDRO_EFFECTS": str(folder)}}
+    done = ran(sys.executable, "-c", FOUND_AGAIN, json.dumps(values), tmp_path, **place)
     assert done.returncode == 0, done.stderr
     verdict, name, found = json.loads(done.stdout.splitlines()[-1])
     assert (verdict, name) == ("explained", "grown_one")
@@ -206,8 +197,7 @@ def test_a_grown_effect_that_cannot_be_read_ends_in_one_sentence(tmp_path: Path,
     broken = tmp_path / "broken.yaml"
     broken.write_text(source)
     environment = {**os.environ, "HYDRO_EFFECTS": str(tmp_path)}
-    command = [sys.executable, "-c", STARTED, "nothing.csv", "--out", str(tmp_path / "report")]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=240, check=False)
+    done = ran(sys.executable, "-c", STARTED, "nothing.csv", "--out", tmp_path / "report", env=environment)
     assert done.returncode == 2
     (sentence,) = done.stderr.strip().splitlines()
     assert str(broken) in sentence

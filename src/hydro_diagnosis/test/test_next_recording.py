@@ -8,7 +8,7 @@ import pytest
 
 from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.closure.screen import laws
-from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.intervals import all_exclude_neutral, intervals
@@ -18,18 +18,16 @@ from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
-from tests.segments import problem_in, problem_of
+from tests.segments import claim, problem_in, problem_of
 
 BENCH = Bench.nominal()
-EFFECTS = {effect.label: effect.adapted(BENCH) for effect in LIBRARY}
 TRUTH = replace(BENCH, supply_pressure=0.985 * BENCH.supply_pressure)
 STILL = ReferenceSignal(waveform=Waveform.SINE, amplitude=10.0, offset=0.0, frequency=0.3)
 
 
 def fits(problem: Problem) -> tuple[Fit, Fit]:
     """The true cause and a rival to it."""
-    true = fit(problem, [Claim(EFFECTS["supply_pressure"], {"ratio": 0.99})])
-    return true, fit(problem, [Claim(EFFECTS["valve_gain"], {"ratio": 0.99})])
+    return fit(problem, [claim("supply_pressure", 0.99)]), fit(problem, [claim("valve_gain", 0.99)])
 
 
 def told_apart(reference: ReferenceSignal, seed: int) -> float:
@@ -86,11 +84,9 @@ def test_the_proposed_recording_tells_the_two_best_laws_apart_better_than_most()
     narrow = problem_in(driven(sine(260.0), 3))
     found = fit(narrow, [law("quadratic drag", DRAG)])
     proposed = next_for_law(narrow, found)
-    assert proposed is not None
     assert proposed["separates"][0] == "quadratic drag (motion)" != proposed["separates"][1]
     assert proposed["separates"][1] in proposed["why"] and "%" in proposed["why"]
     rival = rival_law(narrow, found, 0, fit(narrow, ()))
-    assert rival is not None
     best = next(
         one for one in catalog(Bench.nominal())
         if (one.waveform.name.lower(), one.amplitude, one.offset, one.frequency)
@@ -117,9 +113,9 @@ def test_an_interval_holds_no_value_that_the_recordings_rule_out() -> None:
     bounds = intervals(pulled, found)
     assert all_exclude_neutral(found.claims, bounds)
     k = 0
-    for claim in found.claims:
-        without = fit(pulled, tuple(one for one in found.claims if one is not claim))
+    for pull in found.claims:
+        without = fit(pulled, tuple(one for one in found.claims if one is not pull))
         assert without.deviance - found.deviance > 1000.0
-        for name, value in PULLS[claim.effect.options["form"]].items():
+        for name, value in PULLS[pull.effect.options["form"]].items():
             assert bounds[k].low < value < bounds[k].high, name
             k += 1

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
-from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
+from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import all_significant, without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
@@ -26,7 +26,7 @@ from hydro_diagnosis.stages import naming, reading
 from hydro_diagnosis.stages.reading import Question
 from hydro_diagnosis.stages.unclaimed import undetectable_causes
 from hydro_sim.model.bench import Bench
-from tests.segments import frame, record
+from tests.segments import claim, frame, record
 
 BENCH = Bench.nominal()
 
@@ -37,29 +37,26 @@ def read(data: pd.DataFrame, folder: Path) -> Recording:
     return checked(read_table(path), BENCH)
 
 
-def test_short_gap_is_bridged_and_listed(tmp_path: Path, nominal: StateArray) -> None:
-    recording = read(frame(nominal).drop(index=[3000, 3001]), tmp_path)
-    assert len(recording.segments) == 1
-    assert any("2 missing samples were bridged" in note for note in recording.quality)
-
-
-def test_long_gap_cuts_the_recording(tmp_path: Path, nominal: StateArray) -> None:
-    recording = read(frame(nominal).drop(index=range(5000, 5200)), tmp_path)
-    assert len(recording.segments) == 2
-
-
-def test_nan_run_is_cut_out_and_listed(tmp_path: Path, nominal: StateArray) -> None:
-    data = frame(nominal)
+def without_numbers(data: pd.DataFrame) -> pd.DataFrame:
     data.loc[4000:4400, "pressure_a"] = np.nan
-    recording = read(data, tmp_path)
-    assert len(recording.segments) == 2
-    assert any("no number of pressure_a in 401 samples from 4." in note for note in recording.quality)
+    return data
 
 
-def test_frozen_sensor_is_left_out_and_listed(tmp_path: Path, nominal: StateArray) -> None:
-    recording = read(frame(nominal).assign(pressure_b=5e6), tmp_path)
-    assert "pressure_b" not in recording.segments[0].channels
-    assert any("pressure_b is frozen throughout" in note for note in recording.quality)
+DAMAGED: tuple[tuple[str, int, Callable[[pd.DataFrame], pd.DataFrame]], ...] = (
+    ("2 missing samples were bridged", 1, lambda data: data.drop(index=[3000, 3001])),
+    ("200 samples are missing after 4.999 s", 2, lambda data: data.drop(index=range(5000, 5200))),
+    ("no number of pressure_a in 401 samples from 4.", 2, without_numbers),
+    ("pressure_b is frozen throughout", 1, lambda data: data.assign(pressure_b=5e6)),
+)
+"""What is said, the pieces that are left, and what was done to a recording."""
+
+
+def test_what_is_damaged_is_bridged_cut_out_or_left_out_and_listed(tmp_path: Path, nominal: StateArray) -> None:
+    for said, pieces, change in DAMAGED:
+        recording = read(change(frame(nominal)), tmp_path)
+        assert len(recording.segments) == pieces, said
+        assert any(said in note for note in recording.quality), recording.quality
+        assert ("pressure_b" in recording.segments[0].channels) == ("frozen" not in said)
 
 
 UNUSABLE: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
@@ -107,11 +104,15 @@ def test_piston_that_stands_is_no_frozen_encoder(waveform: Waveform, amplitude: 
 
 @cache
 def stuck(waveform: Waveform, amplitude: float) -> StateArray:
-    dry = Claim(next(one for one in LIBRARY if one.label == "friction_coulomb"), {"force": 25.0})
-    return record(corrected_bench(BENCH, [dry]), 5, 6.0, waveform, amplitude, offset=20.0, frequency=0.5)
-
-
-MASS = next(effect for effect in CANDIDATES if effect.id == "moving_mass")
+    return record(
+        corrected_bench(BENCH, [claim("friction_coulomb", 25.0)]),
+        5,
+        6.0,
+        waveform,
+        amplitude,
+        offset=20.0,
+        frequency=0.5,
+    )
 
 
 def logged(states: StateArray, rows: object = slice(None), time: np.ndarray | None = None) -> Recording:
@@ -143,7 +144,7 @@ def test_slow_clean_recordings_are_noise(nominal: StateArray, spacing: int) -> N
 @pytest.mark.parametrize("spacing", [2, 4, 5])
 def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) -> None:
     problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
-    found = fit(problem, [Claim(MASS, {"mass": 0.1})])
+    found = fit(problem, [claim("moving_mass", 0.1)])
     assert not all_significant(problem, found) or not without_insignificant(problem, found)[0].claims
 
 

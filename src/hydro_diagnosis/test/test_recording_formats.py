@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -16,24 +15,16 @@ from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_sim.model.bench import Bench
 from tests import loggers
+from tests.checks import ran
 
 BENCH = Bench.nominal()
-FORMATS = sorted(loggers.FORMATS)
 
 
-def written(name: str, folder: Path, nominal: StateArray) -> tuple[Path, ColumnMap]:
-    write, text = loggers.FORMATS[name]
-    path = write(folder, nominal)
-    columns = ColumnMap.load(text) if text else proposed(columns_of(path), BENCH)
-    assert columns is not None
-    return path, columns
-
-
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", loggers.FORMATS)
 def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, nominal: StateArray) -> None:
-    short = nominal[:4000]
-    path, columns = written(name, tmp_path, short)
-    table = read_table(path, columns)
+    short, (write, text) = nominal[:4000], loggers.FORMATS[name]
+    path = write(tmp_path, short)
+    table = read_table(path, ColumnMap.load(text) if text else proposed(columns_of(path), BENCH))
     assert len(table.time) == len(short)
     assert set(table.columns) == {field for field, _, _ in loggers.CHANNELS.values()}
     np.testing.assert_allclose(np.diff(table.time), 1e-3, rtol=1e-3)
@@ -43,10 +34,8 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, nomina
 
 def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, nominal: StateArray) -> None:
     path = loggers.control_desk_csv(tmp_path, nominal[:3000])
-    command = [sys.executable, "-m", "hydro_diagnosis.inspect_command", str(path)]
-    shown = subprocess.run(
-        [*command, "--write", str(tmp_path / "map.yaml")], capture_output=True, text=True, check=True
-    ).stdout
+    command = (sys.executable, "-m", "hydro_diagnosis.inspect_command", path, "--write", tmp_path / "map.yaml")
+    shown = ran(*command, check=True).stdout
     row = next(line for line in shown.splitlines() if "Model Root/pA/Out1" in line)
     assert row.split()[-1] == "pressure_a?" and " bar " in row and " 1000 " in row
     assert any(level in row for level in "▁▂▃▄▅▆▇█")

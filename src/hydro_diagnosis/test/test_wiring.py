@@ -88,13 +88,10 @@ def written(channels: Channels, path: Path) -> Path:
     return path
 
 
-def asked(recordings: list[Path], **options: Any) -> Question:
-    given = {"bench": None, "model": None, "columns": None, "without": (), "estimate": (), "as_wired": False}
-    return Question(recordings=recordings[:1], holdout=recordings[1:], **{**given, **options})
-
-
 def read(recordings: list[Path], **options: Any) -> Case:
-    return read_repaired(asked(recordings, **options), lambda text: None)
+    given = {"bench": None, "model": None, "columns": None, "without": (), "estimate": (), "as_wired": False}
+    question = Question(recordings=recordings[:1], holdout=recordings[1:], **{**given, **options})
+    return read_repaired(question, lambda text: None)
 
 
 @pytest.fixture(scope="module")
