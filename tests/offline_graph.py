@@ -25,8 +25,8 @@ from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Corrector
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, SaveRequest
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory
+from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.algorithm import Losses
 from hydro_policy.sac.snapshot import dump
 from hydro_policy.supervision.interfaces import Outputs, Session
@@ -44,12 +44,12 @@ class InlineLearner:
     Use `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
     """
 
-    def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None, start: bytes | None = None) -> None:
+    def __init__(self, settings: TrainingSettings, start: bytes | None = None) -> None:
         self._memory = _PrivateMemory(settings)
         _, self._weights, snapshot, self._good, _ = self._memory.open()
         if start is not None:
             snapshot.publish(start)
-        self._learner, self._run = Learner(self._memory, settings), run
+        self._learner = Learner(self._memory, settings)
         self.replay = self._learner.replay
         self.ready = self.alive = True
 
@@ -96,9 +96,7 @@ class InlineLearner:
         self._learner.roll_back()
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Write a checkpoint if there is a run directory."""
-        if self._run is not None:
-            self._learner.save(SaveRequest(self._run.path, trainer, best))
+        """Keep nothing."""
         return True
 
 

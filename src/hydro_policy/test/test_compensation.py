@@ -37,9 +37,9 @@ def polynomial(times: FloatArray, amplitude: float = 200.0) -> tuple[FloatArray,
     return command, force
 
 
-def taught(compensator: Compensator, seconds: float, start: float = 0.0) -> None:
+def taught(compensator: Compensator, seconds: float) -> None:
     for k in range(round(seconds / STEP)):
-        command, force = polynomial(start + (10 * k + np.arange(10)) * 1e-3)
+        command, force = polynomial((10 * k + np.arange(10)) * 1e-3)
         compensator.step(command[np.newaxis], force[np.newaxis], ACTIVE)
 
 

@@ -78,10 +78,10 @@ CASES = ("0.5 Hz", "1 Hz", "1.5 Hz", "2 Hz")
 FIXED = np.array([5.0, 12.0, 20.0, 40.0])
 
 
-def scores(runs: np.ndarray, controller: str = EXAMINED) -> list[Score]:
+def scores(runs: np.ndarray) -> list[Score]:
     """Of runs, N, shape (repeats, cases)."""
     return [
-        Score(controller=controller, case=case, frequency=1.0, repeat=repeat, rmse=float(value))
+        Score(controller=EXAMINED, case=case, frequency=1.0, repeat=repeat, rmse=float(value))
         for repeat, row in enumerate(runs)
         for case, value in zip(CASES, row, strict=True)
     ]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from tests import checks
 
 SETTINGS = TrainingSettings(warmup_steps=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
 
@@ -36,12 +37,8 @@ def transitions(count: int) -> np.ndarray:
     return rows
 
 
-def wait(condition: Callable[[], bool], seconds: float = 120.0) -> None:
-    """On a fresh machine the learner compiles first."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
+wait = partial(checks.wait, timeout=120.0)
+"""On a fresh machine the learner compiles first."""
 
 
 def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> None:
@@ -58,7 +55,6 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
         learner.replay.extend(transitions(50))  # moves the half-second snapshot on
         wait(lambda: learner.updates == 550)
 
-        assert learner.pid is not None
         os.kill(learner.pid, signal.SIGKILL)
         wait(lambda: not learner.alive)
         learner.replay.extend(transitions(50))  # acting goes on meanwhile
@@ -84,7 +80,6 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
     try:
         wait(lambda: resumed.ready)
         assert resumed.updates == 600 and resumed.replay.produced == 700
-        assert resumed.pid is not None
         os.kill(resumed.pid, signal.SIGKILL)
         wait(lambda: not resumed.alive)
     finally:
@@ -111,7 +106,6 @@ def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is
     run = RunDirectory(tmp_path / "run").create()
     learner = LearnerSupervisor(SETTINGS, run)
     wait(lambda: learner.ready)
-    assert learner.pid is not None
     os.kill(learner.pid, signal.SIGSTOP)
     history = [{"episode": k, "whole_steps": 1800, "force_rmse": 1.0 / 3.0} for k in range(160)]
     heard = [learner.save({"episode": k, "history": history}) for k in range(200)]  # two megabytes
@@ -133,7 +127,6 @@ def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
     try:
         with pytest.raises(LearnerError, match="died 6 times"):
             for _ in range(6):
-                assert learner.pid is not None
                 os.kill(learner.pid, signal.SIGKILL)
                 wait(lambda: not learner.alive)
                 learner.restart_if_dead()

@@ -39,6 +39,7 @@ from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.learned_bench import shipped
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
+from tests.checks import ran
 
 pytestmark = pytest.mark.graph
 
@@ -48,11 +49,8 @@ ENVIRONMENT = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCO
 
 
 def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("hydro_policy", executable)), *words]
-    environment = os.environ | ENVIRONMENT
-    return subprocess.run(
-        command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout, check=False
-    )
+    own = {"env": os.environ | ENVIRONMENT, "stdin": subprocess.DEVNULL}
+    return ran(executable_path("hydro_policy", executable), *words, timeout=timeout, **own)
 
 
 def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_bridge.signals import CorrectionStatus, Flag, LawCommand, ReferenceSignal
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import (
     FITS,
@@ -24,21 +24,12 @@ ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
 
 
 class Heard:
-    """Outputs that keep what was asked for."""
+    """Outputs that keep what was asked for: a watch sends no gains, commands no law and learns nothing."""
 
     def __init__(self) -> None:
         self.armings: list[bool] = []
         self.references: list[ReferenceSignal] = []
         self.said: list[str] = []
-
-    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        raise AssertionError("a watch sends no gains")
-
-    def command_law(self, command: LawCommand, step: int) -> None:
-        raise AssertionError("a watch commands no law")
-
-    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        raise AssertionError("a watch does not learn")
 
     def reference(self, signal: ReferenceSignal) -> None:
         self.references.append(signal)

@@ -32,15 +32,11 @@ from tests.offline_graph import InlineLearner, OfflineGraph
 BENCH = Bench.nominal()
 
 
-def short(episodes: int = 2, steps: int = 150, **task: float) -> TrainingSettings:
+def short(**task: float) -> TrainingSettings:
     return TrainingSettings(
-        episodes=episodes,
-        warmup_steps=100,
-        replay_capacity=4000,
-        sac=SacSettings(batch_size=32),
-        exam=ExamSettings(every=0),
-        task=TaskSettings(steps_per_episode=steps, **task),  # type: ignore[arg-type]
-    )
+        episodes=2, warmup_steps=100, replay_capacity=4000, sac=SacSettings(batch_size=32), exam=ExamSettings(every=0),
+        task=TaskSettings(steps_per_episode=150, **task),  # type: ignore[arg-type]
+    )  # fmt: skip
 
 
 def start(settings: TrainingSettings, *, config: BoxConfig | None = None, record: RunRecord | None = None):

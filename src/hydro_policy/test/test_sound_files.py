@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every file that becomes a policy, agent, metric or checkpoint is refused, by name, if it is damaged."""
+"""What is saved is what was; a file of a policy, agent, metric or checkpoint is refused, by name, if it is damaged."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from argparse import Namespace
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
@@ -20,8 +20,13 @@ from hydro_filter.metric.scheduled import ScheduledMetric
 from hydro_policy.nodes.training.start import begin_checkpoint, check_run
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
-from hydro_policy.runs.run import RunDirectory, load_checkpoint
-from hydro_policy.sac.policy import load_policy
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
+from hydro_policy.sac.algorithm import Sac
+from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.settings import SacSettings
+from hydro_policy.sac.snapshot import actor_parameters, dump, restore, settings_of
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange
 
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_paper"))
 FILES: dict[str, tuple[Path, Callable[[Path], object]]] = {
@@ -32,54 +37,33 @@ FILES: dict[str, tuple[Path, Callable[[Path], object]]] = {
         ScheduledMetric.load,
     ),
 }
-Tensors = dict[str, Any]
 
 
-def first(tensors: Tensors) -> str:
-    """The largest tensor of floats: one that is used, whatever the file is."""
-    return max((name for name, t in tensors.items() if t.dtype.kind == "f"), key=lambda name: tensors[name].size)
-
-
-def put(number: float) -> Callable[[Tensors], None]:
-    def damage(tensors: Tensors) -> None:
-        tensors[first(tensors)].flat[-1] = number
-
-    return damage
-
-
-def take_away(tensors: Tensors) -> None:
-    del tensors[first(tensors)]
-
-
-def shorten(tensors: Tensors) -> None:
-    tensors[first(tensors)] = tensors[first(tensors)][:-1].copy()
-
-
-DAMAGES = {"nan": put(np.nan), "infinity": put(np.inf), "huge": put(1e35), "missing": take_away, "short": shorten}
-
-
-def damaged(source: Path, folder: Path, damage: Callable[[Tensors], None]) -> Path:
-    """A copy of `source` in `folder` with its tensors changed, and all else as it was."""
+def damaged(source: Path, folder: Path, damage: float | str) -> Path:
+    """A copy of `source` in `folder` whose largest tensor of floats has another number, is missing, or is short."""
     path = folder / source.name
     with safe_open(str(source), framework="numpy") as file:
         tensors = {name: file.get_tensor(name).copy() for name in file.keys()}  # noqa: SIM118 - no mapping
         metadata = file.metadata()
-    damage(tensors)
+    used = max((name for name, t in tensors.items() if t.dtype.kind == "f"), key=lambda name: tensors[name].size)
+    whole = tensors.pop(used)
+    if damage == "short":
+        tensors[used] = whole[:-1].copy()
+    elif damage != "missing":
+        whole.flat[-1] = damage
+        tensors[used] = whole
     save_file(tensors, str(path), metadata)
     return path
 
 
-@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("damage", [np.nan, np.inf, "huge", "missing", "short"])
 @pytest.mark.parametrize("kind", FILES)
-def test_a_file_whose_numbers_are_damaged_is_refused_by_name(kind: str, damage: str, tmp_path: Path) -> None:
+def test_a_file_whose_numbers_are_damaged_is_refused_by_name(kind: str, damage: float | str, tmp_path: Path) -> None:
     source, load = FILES[kind]
     if kind == "agent":
         shutil.copy(SHIPPED / "policy.safetensors", tmp_path)
-    if kind in ("policy", "agent") and damage == "huge":
-        change: Callable[[Tensors], None] = put(3e38)  # float32
-    else:
-        change = DAMAGES[damage]
-    path = damaged(source, tmp_path, change)
+    huge = 1e35 if kind == "metric" else 3e38  # float32
+    path = damaged(source, tmp_path, huge if damage == "huge" else damage)
     with pytest.raises(ValueError, match=path.name):
         load(path)
 
@@ -98,7 +82,6 @@ def test_a_file_that_is_cut_short_is_refused_by_name(kind: str, length: int, tmp
 def run(tmp_path: Path) -> RunDirectory:
     """A run that was killed as soon as its first checkpoint was there."""
     made, start = RunDirectory(tmp_path / "run").create(), shipped_agent("paper")
-    assert start is not None
     settings = start.adopted(configuration("paper"))
     begin_checkpoint(made, settings, start)
     made.save_settings(settings)
@@ -112,44 +95,31 @@ def test_a_run_that_was_killed_before_anything_moved_can_be_gone_on_with(run: Ru
     assert load_policy(run.policy)
 
 
-def test_a_checkpoint_that_is_cut_short_is_refused_in_a_sentence_with_its_place(run: RunDirectory) -> None:
-    for name in (AGENT, "replay.npy", "trainer.json"):
-        content = (run.latest / name).read_bytes()
+def test_a_checkpoint_that_is_cut_short_or_damaged_is_refused_in_a_sentence_with_its_place(run: RunDirectory) -> None:
+    def is_refused() -> None:
+        with pytest.raises(ValueError, match="checkpoints"):
+            check_run(run, run.load_settings(), load_checkpoint(run.latest))
+
+    whole = {name: (run.latest / name).read_bytes() for name in (AGENT, "replay.npy", "trainer.json")}
+    for name, content in whole.items():
         for length in (0, len(content) // 2):
             (run.latest / name).write_bytes(content[:length])
-            with pytest.raises(ValueError, match="checkpoints"):
-                check_run(run, run.load_settings(), load_checkpoint(run.latest))
+            is_refused()
         (run.latest / name).write_bytes(content)
     check_run(run, run.load_settings(), load_checkpoint(run.latest))
-
-
-def poisoned_transitions(run: RunDirectory) -> None:
-    rows = np.zeros((10, 30), np.float32)
+    replay, state, rows = run.latest / "replay.npy", run.latest / "trainer.json", np.zeros((10, 30), np.float32)
+    state.write_text(json.dumps({"produced": 0, "trainer": {"progress": {"episodes": 3}}}))
+    is_refused()  # another state
     rows[3, 4] = np.nan
-    np.save(run.latest / "replay.npy", rows)
-    (run.latest / "trainer.json").write_text(json.dumps({"produced": 10, "trainer": {}}))
-
-
-def narrow_transitions(run: RunDirectory) -> None:
-    np.save(run.latest / "replay.npy", np.zeros((0, 7), np.float32))
-
-
-def other_state(run: RunDirectory) -> None:
-    (run.latest / "trainer.json").write_text(json.dumps({"produced": 0, "trainer": {"progress": {"episodes": 3}}}))
-
-
-def truncated_best(run: RunDirectory) -> None:
-    content = (run.latest / AGENT).read_bytes()
-    (run.best / AGENT).write_bytes(content[:-100])
-
-
-@pytest.mark.parametrize("damage", [poisoned_transitions, narrow_transitions, other_state, truncated_best])
-def test_a_damaged_checkpoint_is_refused_in_a_sentence_with_its_place(
-    run: RunDirectory, damage: Callable[[RunDirectory], None]
-) -> None:
-    damage(run)
-    with pytest.raises(ValueError, match="checkpoints"):
-        check_run(run, run.load_settings(), load_checkpoint(run.latest))
+    np.save(replay, rows)
+    state.write_text(json.dumps({"produced": 10, "trainer": {}}))
+    is_refused()
+    np.save(replay, np.zeros((0, 7), np.float32))
+    state.write_bytes(whole["trainer.json"])
+    is_refused()  # of another width
+    replay.write_bytes(whole["replay.npy"])
+    (run.best / AGENT).write_bytes(whole[AGENT][:-100])
+    is_refused()
 
 
 def test_a_resumed_run_gets_its_own_plant_back(tmp_path: Path) -> None:
@@ -167,9 +137,84 @@ def test_a_resumed_run_gets_its_own_plant_back(tmp_path: Path) -> None:
         return asked(["--resume", str(run.path), *words])
 
     back = plant()
-    assert (back.plant, back.truth, back.faults, back.filter) == (
-        "emulator", truth, "clean", "--contraction-rate 2"
-    )  # fmt: skip
+    assert (back.plant, back.truth) == ("emulator", truth)
+    assert (back.faults, back.filter) == ("clean", "--contraction-rate 2")
     assert (plant("--rearm", "ask").plant, plant("--rearm", "ask").rearm) == ("emulator", "ask")
     other = plant("--plant", "bench", "--port", "/dev/ttyUSB0")
     assert (other.plant, other.port, other.truth, other.filter) == ("bench", "/dev/ttyUSB0", None, "")
+
+
+def trained(updates: int) -> tuple[Sac, ReplayBuffer]:
+    sac, replay = Sac(OBSERVATIONS, 2, SacSettings(seed=4, batch_size=32)), ReplayBuffer(OBSERVATIONS, 2, 300)
+    rows = np.random.default_rng(0).normal(size=(200, 30)).astype(np.float32)
+    rows[:, -1] = 0.0
+    replay.extend(rows)
+    sac.learn(replay, updates)
+    return sac, replay
+
+
+def test_resumed_training_is_the_same_bit_for_bit(tmp_path: Path) -> None:
+    sac, replay = trained(20)
+    save_checkpoint(tmp_path / "latest", dump(sac), replay, {"episode": 3})
+    sac.learn(replay, 20)
+
+    checkpoint = load_checkpoint(tmp_path / "latest")
+    again, memory = Sac(OBSERVATIONS, 2, settings_of(checkpoint.learner)), ReplayBuffer(OBSERVATIONS, 2, 300)
+    restore(again, checkpoint.learner)
+    memory.restore(checkpoint.replay, checkpoint.produced)
+    again.learn(memory, 20)
+    assert again.updates == sac.updates == 40
+    assert checkpoint.trainer == {"episode": 3}
+    assert dump(again) == dump(sac)  # every network, moment, counter and the generator
+
+
+def test_interrupted_writer_leaves_the_previous_checkpoint(tmp_path: Path) -> None:
+    sac, replay = trained(1)
+    save_checkpoint(tmp_path / "latest", dump(sac), replay, {"episode": 1})
+    (tmp_path / "latest").rename(tmp_path / "latest.previous")  # as between the writer's two renames
+    (tmp_path / "latest.partial").mkdir()
+    assert load_checkpoint(tmp_path / "latest").trainer == {"episode": 1}
+    save_checkpoint(tmp_path / "latest", dump(sac), replay, {"episode": 2})
+    assert load_checkpoint(tmp_path / "latest").trainer == {"episode": 2}
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["latest"]
+
+
+def test_numpy_policy_equals_the_torch_actor(tmp_path: Path) -> None:
+    sac, _ = trained(50)
+    policy = Policy(SacSettings())
+    policy.load_flat(sac.actor_network.parameters.numpy())
+    policy.save(tmp_path / "policy.safetensors", GainRange(delta_kp_max=285.0), {"episode": 7})
+    loaded, gains, notes = load_policy(tmp_path / "policy.safetensors")
+    assert gains == GainRange(delta_kp_max=285.0) and notes == {"episode": 7}
+    observations = np.random.default_rng(1).normal(size=(500, OBSERVATIONS)).astype(np.float32)
+    hidden, network = torch.from_numpy(observations), sac.actor_network
+    for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        hidden = hidden @ weight[0] + bias[0]
+        hidden = torch.relu(hidden) if k < 2 else hidden
+    expected = torch.tanh(hidden[:, :2]).numpy()
+    for actor in (policy, loaded):
+        ours = np.stack([actor.act(row.astype(np.float64)) for row in observations])
+        np.testing.assert_allclose(ours, expected, atol=1e-6, rtol=0)
+
+
+def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past(tmp_path: Path) -> None:
+    settings = SacSettings(hidden_size=16, seed=5)
+    sac = Sac(OBSERVATIONS, ACTIONS, settings)
+    sac.updates = 280_000
+    (tmp_path / AGENT).write_bytes(dump(sac))
+    policy = Policy(SacSettings(hidden_size=16))
+    policy.load_flat(actor_parameters(dump(sac)))
+    policy.save(RunDirectory(tmp_path).policy, GainRange(delta_kp_max=285.0), {"task": {"trip_penalty": 100.0}})
+    start = load_initial_agent(tmp_path)
+    np.testing.assert_array_equal(actor_parameters(start.agent), actor_parameters(dump(sac)))
+    again = Sac(OBSERVATIONS, ACTIONS, settings)
+    restore(again, start.agent)
+    assert again.updates == 0
+    adopted = start.adopted(TrainingSettings())
+    assert adopted.sac.hidden_size == 16 and adopted.task.trip_penalty == 100.0
+    assert adopted.task.gains == GainRange(delta_kp_max=285.0)
+    with pytest.raises(ValueError, match=r"holds no learner\.safetensors"):
+        load_initial_agent(tmp_path / "nowhere")
+    (tmp_path / AGENT).write_bytes(b"no agent")
+    with pytest.raises(ValueError, match="is not an agent"):
+        load_initial_agent(tmp_path)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -70,7 +69,6 @@ def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
         for sample in transitions.samples[1]:
             values = np.array([sample[name] for name in STATE_FIELDS])
             step = clock.add(int(sample["sequence"]), values, int(sample["flags"])) or step
-        assert step is not None
         assert transitions.reward[1] == pytest.approx(task.reward(step.error, step.error_rate), rel=1e-14)
         kp, _ = task.gains.gains(transitions.action[1])
         assert transitions.samples[1]["proportional_gain"][-1] == 15.0 + kp
@@ -97,19 +95,6 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
     assert following.samples[0]["sequence"][0] == 1
 
 
-def compiled_learned() -> Callable[[Sample], float]:
-    """delta_u [A] of a sample by the learned metric's compiled call."""
-    parts = default_filter(BENCH).parts
-    memory, workspace = memories(), loop_decision.workspace(parts)
-
-    def correct(sample: Sample) -> float:
-        signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate
-        at = *signals, sample.proportional_gain, sample.followed, sample.armed
-        return float(loop_decision.decide(parts, memory[0], sample.state, *at, workspace)[0])
-
-    return correct
-
-
 def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
     """With `Box` and the compiled call of `hydro_filter`, a correction acting one sample late: to the bit."""
     cell = replace(BENCH, load_cell_bandwidth=25.0)
@@ -118,7 +103,8 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
         fleet.begin(index, SINE, index)
     changes = np.array([[0.0, 0.0], [120.0, 10.0]])
     got = np.concatenate([fleet.samples[1, -1:].copy()] + [fleet.step(changes)[1].copy() for _ in range(40)])
-    correct = compiled_learned()
+    parts, memory = default_filter(BENCH).parts, memories()
+    workspace = loop_decision.workspace(parts)
     box, plant = Box(BENCH), AnalyticPlant(cell)
     box.receive(Command(), 0.0)
     measurement, delta_u = plant.reset(1), 0.0
@@ -129,7 +115,9 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
         want = box.tick(measurement, 0.001 * k)
         assert sample["valve_current"] == want["valve_current"], k
         assert sample["flags"] == want["flags"], k
-        delta_u = correct(Sample.of(want))
+        of = Sample.of(want)
+        at = of.nominal_current, of.valve_current, of.reference_force, of.reference_rate, of.proportional_gain
+        delta_u = loop_decision.decide(parts, memory[0], of.state, *at, of.followed, of.armed, workspace)[0]
         measurement = plant.step(float(want["valve_current"]))
     corrected = np.abs(got["valve_current"] - got["nominal_valve_current"]).max()
     assert corrected > 1e-4, "the learned metric corrects K_p = 135"
