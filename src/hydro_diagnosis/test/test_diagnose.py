@@ -155,7 +155,8 @@ def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> 
     ended = ran(sys.executable, "-c", INTERRUPTED_RUN, *worn[:2], "--out", tmp_path / "out", timeout=60)
     assert ended.returncode == 130, ended.stderr
     file = tmp_path / "out" / "report.json"
-    assert ended.stderr.strip() == f"interrupted: {file} holds what was finished, no verdict"
+    said = ended.stderr.splitlines()[-1]  # below the progress that a slow machine shows
+    assert said == f"interrupted: {file} holds what was finished, no verdict"
     report = json.loads(file.read_text())
     assert set(report) >= CONTRACT
     assert report["verdict"] == "interrupted"
