@@ -102,6 +102,13 @@ class Probe:
         """Flags of the latest sample; 0 before the first."""
         return int(self.last(STATE).flags) if self.heard[STATE] else 0
 
+    def drive(self, delta_kp: float, delta_ki: float, seconds: float) -> None:
+        """Publish these changes of the gains for so long."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.commander.gains(delta_kp, delta_ki)
+            self.spin(0.01)
+
     def forget(self) -> None:
         """Drop what was heard."""
         for messages in self.heard.values():

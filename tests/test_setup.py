@@ -119,7 +119,8 @@ def test_run_hands_over_arguments_process_and_exit_status(tmp_path: Path) -> Non
         out, _ = process.communicate(timeout=60)
     assert out == f"{process.pid}: --ros-args -p speed:=0 two words\n"
     assert process.returncode == 7
-    assert ran(sys.executable, ROS2, "pkg", "executables", "rig", env=environment).stdout == "rig echo\n"
+    told = ran(sys.executable, ROS2, "pkg", "executables", "rig", env=environment, check=True)
+    assert told.stdout == "rig echo\n"
 
 
 def test_what_it_cannot_do_it_says_in_a_sentence() -> None:

@@ -251,7 +251,10 @@ class StepClock:
     def add(
         self, sequence: int, sample: FloatArray, flags: int, base: tuple[float, float] | None = None
     ) -> Step | None:
-        """Add a sample; returns the step that it completes, if any. Repeated samples are ignored. `base`: of `held`."""
+        """Add a sample, which stays as it is from now on; returns the step that it completes, if any.
+
+        Repeated samples are ignored. `base`: of `held`.
+        """
         if sequence == self._last:
             return None
         if sequence != self._last + 1:
