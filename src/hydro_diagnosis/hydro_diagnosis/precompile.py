@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hydro_diagnosis.effects import kernels
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.base import PRESSURE, Claim
 from hydro_diagnosis.effects.fluid import LeakageInternal
 from hydro_diagnosis.effects.kernels import limited, opened, splined
 from hydro_diagnosis.effects.valve import ValveGain
@@ -39,7 +39,7 @@ def _equations() -> None:
     model = SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), Bench.nominal())
     begins = np.arange(20, 40, 10)
     for claims in ((), (Claim(LeakageInternal(), {"coefficient": 0.0}),), (Claim(ValveGain(), {"ratio": 1.0}),)):
-        model.chamber_residuals(claims), model.motion_residual(claims)
+        model.residuals(PRESSURE, claims), model.motion_residual(claims)
         plant = Plant.of(model, claims)
         plant.run(plant.start(begins), begins, 3)
 

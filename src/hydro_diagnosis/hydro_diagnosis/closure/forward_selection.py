@@ -49,11 +49,6 @@ def with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit
     return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
 
 
-def plain(label: str) -> str:
-    """Return the label of a law without its reversal velocity."""
-    return label.replace(f", {REVERSING}", "")
-
-
 LEAST = 0.02
 """Least share of the possible gain that a term must bring: less may be a form error of another."""
 CONDENSED = 0.05
@@ -187,7 +182,7 @@ def _exchanged(problem: Problem, found: Fit, forward: ForwardSelection, names: S
         if law or names:
             rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)
             others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their numbers
-            tried = {plain(one.effect.label) for one in found.claims}
+            tried = {one.effect.label.replace(f", {REVERSING}", "") for one in found.claims}  # however they reverse
             instead = forward.fits(problem, others, tried)[0] if law else _names_fitted(problem, others, names)
             found = _simplest([found, *instead], claim) if law else _fewest([found, *instead])
     for place in range(len(found.claims)):  # also if nothing remains: it moves a simulated piston at each reversal

@@ -347,6 +347,10 @@ class BoundedCache:
         what: Kept = self._found[key][0]
         return what
 
+    def under(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
+        """Return a result for these claims, computed once as long as only others change."""
+        return self.kept((what, *values_key(claims)), lambda: compute(claims))
+
     def clear(self) -> None:
         """Drop all entries."""
         self._found.clear()

@@ -34,11 +34,10 @@ from hydro_diagnosis.effects.base import (
     FitParameter,
     FloatArray,
     acting,
-    changes,
     values_key,
 )
 from hydro_diagnosis.estimation.noise import SegmentNoise, mass_attenuation, sensor_noise
-from hydro_diagnosis.model.responses import Responses
+from hydro_diagnosis.model.responses import Responses, intervening
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_sim.model.bench import Bench
@@ -134,12 +133,6 @@ ROOM = 96e6
 """Memory limit of a cache [byte]."""
 ResidualParts = dict[tuple[str, int], FloatArray]
 """Residuals by channel and segment, physical unit; of responses each of shape (amplitudes, n)."""
-_BETWEEN = {
-    MOTION: ("measure",),
-    LOAD: ("measure", "bench"),
-    PRESSURE: ("measure", "unmeasure", "bench", "stiffness", "command"),
-}
-"""By block: hooks of effects that change the response of the residual to an additive term."""
 
 
 def _split_additive(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
@@ -157,17 +150,8 @@ def _split_cached(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list
     """
     adding, others = _split_additive(claims)
     fitted = [one for one in others if not any(one is other for other in known)]
-    kept = [one for one in adding if not _intervening(one, fitted)]
+    kept = [one for one in adding if not intervening(one, fitted)]
     return kept, tuple(one for one in claims if one.acts and not any(one is other for other in kept))
-
-
-def _intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the other claims that change the response of the residual to a term."""
-    hooks = {block: _BETWEEN[block] for block in claim.effect.blocks}
-    return tuple(
-        one for one in others
-        if any(block in one.effect.blocks and changes(one, *own) for block, own in hooks.items())
-    )  # fmt: skip
 
 
 LEVEL = 1.0
@@ -271,6 +255,10 @@ class Problem:
         other._weigh(claims)
         return other
 
+    def on(self, segments: Sequence[Segment]) -> Problem:
+        """Return the same problem for other segments, with the sensors' noise as it was measured here."""
+        return Problem(segments, self.bench, self.baseline, noise=self.sensor_noise, estimated=self.estimated)
+
     def estimating(self, numbers: Sequence[Claim]) -> Problem:
         """Return the problem with these start values of the numbers that every fit estimates; all else is shared."""
         other = copy(self)
@@ -340,7 +328,7 @@ class Problem:
         acting = Claim(claim.effect, {**claim.values, **sizes})
         adding, others = _split_additive((*self.baseline, *claims, acting))
         adds = any(one.effect is claim.effect for one in adding)
-        beside = _intervening(claim, others) if adds else [
+        beside = intervening(claim, others) if adds else [
             one for one in claims if one is not claim and one.acts and one.effect.blocks & claim.effect.blocks
         ]  # fmt: skip
         own = claim.shapes if adds and parameter.smallest > 0.0 else [*claim.values.values()]
@@ -376,7 +364,7 @@ class Problem:
 
     def _responses(self, claim: Claim) -> ResidualParts:
         """Response of the residual to each amplitude of an additive term, shape (amplitudes, n)."""
-        beside = _intervening(claim, self.baseline)
+        beside = intervening(claim, self.baseline)
         limits = getattr(claim.effect, "limits", ())
         key = ("response", claim.effect.label, limits, *claim.shapes, values_key(beside))
 
@@ -401,29 +389,21 @@ class Problem:
 
     def _evaluated(self, everything: Sequence[Claim], only: Collection[str] = ()) -> ResidualParts:
         """Return residuals of claims without superposition; `only`: in these blocks, the arcs left out."""
-        blocks = only or self.blocks
         parts: ResidualParts = {}
-        arcs: list[FloatArray] | None = None
-        if PRESSURE in blocks:
-            chambers = self._block(PRESSURE, everything, SegmentModel.chamber_residuals)
-            parts |= {("pressure_a", k): part for k, (part, _, _) in enumerate(chambers)}
-            parts |= {("pressure_b", k): part for k, (_, part, _) in enumerate(chambers)}
-            arcs = None if only else [arc for _, _, arc in chambers]
-        if MOTION in blocks:
-            motions = self._block(MOTION, everything, SegmentModel.motion_residual)
+        arcs: list[FloatArray] = []
+        for block in (one for one in self.blocks if not only or one in only):
+            shown = self._of_block(block, everything)
+            parts |= {(name, k): one[name] for name in BLOCKS[block] for k, one in enumerate(shown)}
+            arcs = arcs or [one["arc"] for one in shown if "arc" in one]
+        if arcs and MOTION in self.blocks and not only:
             rounded = any(claim.effect.lagged == "hydraulic_force" for claim in everything)
-            for k, part in enumerate(motions):
-                parts["motion", k] = part if arcs is None or rounded else part + arcs[k]
-        for block, compute in ((LOAD, SegmentModel.load_residual), (HYDRAULIC, SegmentModel.hydraulic_residual)):
-            if block in blocks:
-                parts |= {(block, k): part for k, part in enumerate(self._block(block, everything, compute))}
+            for k, arc in enumerate(arcs if not rounded else ()):
+                parts["motion", k] = parts["motion", k] + arc
         return parts
 
-    def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
-        acting = tuple(claim for claim in claims if block in claim.effect.blocks)
-        return self._cache.kept(
-            (block, *values_key(acting)), lambda: [compute(model.placed(acting), acting) for model in self.models]
-        )
+    def _of_block(self, block: str, claims: Sequence[Claim]) -> list[dict[str, FloatArray]]:
+        there = tuple(claim for claim in claims if block in claim.effect.blocks)
+        return self._cache.under(block, there, lambda some: [one.residuals(block, some) for one in self.models])
 
     # -- what residuals hold -------------------------------------------------------------------------------------------
 

@@ -16,7 +16,17 @@ from functools import cached_property
 import numpy as np
 
 from hydro_diagnosis.effects import kernels
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, Pair
+from hydro_diagnosis.effects.base import (
+    LOAD,
+    MOTION,
+    PRESSURE,
+    Claim,
+    FloatArray,
+    Kinematics,
+    Oil,
+    Pair,
+    changes,
+)
 from hydro_diagnosis.effects.closure import (
     AcrossClosure,
     Closure,
@@ -37,6 +47,22 @@ from hydro_sim.model import equations as eq
 _PRESSURES = ("pressure_a", "pressure_b")
 Shown = dict[str, FloatArray]
 """By channel of the residuals: physical unit, shape (terms, judged rows)."""
+
+_BETWEEN = {
+    MOTION: ("measure",),
+    LOAD: ("measure", "bench"),
+    PRESSURE: ("measure", "unmeasure", "bench", "stiffness", "command"),
+}
+"""By block: hooks of effects that change the response of the residual to an additive term."""
+
+
+def intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Return the other claims that change the response of the residual to a term."""
+    hooks = {block: _BETWEEN[block] for block in claim.effect.blocks}
+    return tuple(
+        one for one in others
+        if any(block in one.effect.blocks and changes(one, *own) for block, own in hooks.items())
+    )  # fmt: skip
 
 
 class Responses:
@@ -70,7 +96,9 @@ class Responses:
         effect, model = terms[0].effect, self.model
         assert isinstance(effect, Closure)
         if isinstance(effect, MotionClosure):
-            return self.to_force(np.stack([self._resisting(one) for one in terms]))
+            nothing, motion = self._nothing, model.kinematics
+            return self.to_force(np.stack([one.effect.resistance(nothing, nothing, motion, self._memory, one.values)
+                                           for one in terms]))  # fmt: skip
         if isinstance(effect, LoadClosure):
             return self.to_load(*(np.stack([self._loading(one, motion) for one in terms])
                                   for motion in (model.kinematics, model.recorded)))  # fmt: skip
@@ -85,10 +113,6 @@ class Responses:
         if isinstance(effect, GaugeClosure):
             return self._misread(terms, effect.law.where)
         return self._read(terms, effect.law.where)
-
-    def _resisting(self, claim: Claim) -> FloatArray:
-        nothing = self._nothing
-        return claim.effect.resistance(nothing, nothing, self.model.kinematics, self._memory, claim.values)
 
     def _loading(self, claim: Claim, motion: Kinematics) -> FloatArray:
         return claim.effect.load(self._nothing, motion, self.bench, self._memory, claim.values)

@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -29,12 +29,10 @@ from hydro_diagnosis.effects.base import (
     BoundedCache,
     Claim,
     FloatArray,
-    Kept,
     Kinematics,
     Oil,
     Pair,
     acting,
-    values_key,
 )
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.model import chambers
@@ -206,10 +204,10 @@ class SegmentModel:
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
         moving = sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage)
-        spool = self._cached("spool", moving, self._spool)
-        p_a, p_b = self._cached("pressures", acting(claims, "unmeasure"), self._middle_pressures)
-        position = self._cached("position", (), lambda claims: chambers.middle(self.channels["piston_position"]))
-        velocity = self._cached("velocity", (), lambda claims: chambers.middle(self.v))
+        spool = self._cache.under("spool", moving, self._spool)
+        p_a, p_b = self._cache.under("pressures", acting(claims, "unmeasure"), self._middle_pressures)
+        position = self._cache.under("position", (), lambda claims: chambers.middle(self.channels["piston_position"]))
+        velocity = self._cache.under("velocity", (), lambda claims: chambers.middle(self.v))
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
@@ -217,7 +215,7 @@ class SegmentModel:
         if not claims:
             return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, ())
         *before, last = claims
-        spool = self._cached("spool", before, self._spool) if before else self._held_current
+        spool = self._cache.under("spool", before, self._spool) if before else self._held_current
         return last.effect.command(spool, self.step / chambers.SUBSTEPS, last.values)
 
     @cached_property
@@ -228,10 +226,6 @@ class SegmentModel:
     def _middle_pressures(self, claims: Sequence[Claim]) -> Pair:
         p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
         return p_a, p_b
-
-    def _cached(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
-        """Return the result for these claims, computed once as long as only others change."""
-        return self._cache.kept((what, *values_key(claims)), lambda: compute(claims))
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
         """Innovations and arcs under the claims."""
@@ -362,20 +356,28 @@ class SegmentModel:
         if not moving or not self.has_position:
             return self
 
-        def moved() -> SegmentModel:
+        def moved(moving: Sequence[Claim]) -> SegmentModel:
             channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
             return SegmentModel(replace(self.segment, channels=channels), self.base, self)
 
-        return self._placed.kept(values_key(moving), moved)
+        return self._placed.under("position", moving, moved)
 
-    def chamber_residuals(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Pa, of both pressures; and N, by how much the mean of f_h around each sample exceeds it; decimated.
+    def residuals(self, block: str, claims: Sequence[Claim]) -> dict[str, FloatArray]:
+        """Residuals of a block under its claims by channel, decimated: Pa or N.
 
-        The latter: straight lines between the samples (second differences over 12), and the arcs upon them.
+        Beside those of the pressures `arc` [N]: by how much the mean of f_h around each sample exceeds it. Straight
+        lines between the samples (second differences over 12), and the arcs upon them.
         """
-        run = self.chamber_run(claims)
-        a, b = (self.kept_smooth(innovation) for innovation in run.innovations)
-        return a, b, self.kept_smooth(run.arc) + self._lines_arc
+        model = self.placed(claims)
+        if block == MOTION:
+            return {"motion": model.motion_residual(claims)}
+        if block == LOAD:
+            return {"load": model.load_residual(claims)}
+        if block == HYDRAULIC:
+            return {"hydraulic": model.hydraulic_residual(claims)}
+        run = model.chamber_run(claims)
+        a, b = (model.kept_smooth(innovation) for innovation in run.innovations)
+        return {"pressure_a": a, "pressure_b": b, "arc": model.kept_smooth(run.arc) + model._lines_arc}
 
     def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated, without the arc."""

@@ -15,7 +15,6 @@ from jinja2 import Environment
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, display_unit
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
@@ -126,7 +125,7 @@ def _causes(
 ) -> list[tuple[float, float, str]]:
     """Where the residuals without a cause stand out most from those with it, per interval."""
     problem = found.problem
-    unseen = Problem([model.segment], problem.bench, problem.baseline, noise=problem.sensor_noise)
+    unseen = problem.on([model.segment])
     whole = unseen.residual(claims)
     parts = {one.effect.label: unseen.residual(tuple(k for k in claims if k is not one)) - whole for one in claims}
     shaded = []

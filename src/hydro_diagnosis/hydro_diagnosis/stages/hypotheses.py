@@ -394,9 +394,8 @@ def _searched(case: Case, progress: Progress) -> SearchResult:
     """Return the residuals after a small search for causes."""
     with threadpool_limits(1, "blas"):
         found = Search(case.problem, case.candidates, TRIAL, progress).run()
-    problem = found.problem
-    holdout = Problem(case.held, problem.bench, problem.baseline, noise=problem.sensor_noise)
-    return _left(problem, holdout.weighed(found.fit.claims), found.fit.claims)
+    holdout = found.problem.on(case.held).weighed(found.fit.claims)
+    return _left(found.problem, holdout, found.fit.claims)
 
 
 def _left(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> SearchResult:

@@ -80,8 +80,7 @@ def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
     assessment, bounds = _assess(problem, outcome)
     models = [SegmentModel(segment, problem.bench) for segment in held]
     progress(stage_bar.CHECKING)
-    holdout = Problem(held, problem.bench, problem.baseline, noise=problem.sensor_noise)
-    holdout = holdout.weighed(assessment.fit.claims)
+    holdout = problem.on(held).weighed(assessment.fit.claims)
     simulated: Known = {}
     proof = held_out(problem, holdout, assessment.fit.claims, models, simulated)
     found = StageResult(
@@ -326,9 +325,7 @@ def moved(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]
     labels: list[str] = []
     for name in names if len(names) > 1 and found.judged else []:
         others = [model.segment for model in problem.models if model.segment.recording != name]
-        fewer = Problem(
-            others, problem.bench, problem.baseline, noise=problem.sensor_noise, estimated=problem.estimated
-        ).weighed(found.claims)
+        fewer = problem.on(others).weighed(found.claims)
         labels += apart(found, fit(fewer, found.claims, iterations=_CONFIRMING), bounds)
     return list(dict.fromkeys(labels))
 
