@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_filter.metric.design import MetricDesign, rest_loop
+from hydro_filter.metric import MetricDesign, rest_loop
 from hydro_filter.model.loop import SUBSTEPS, loop_of, memories
 from hydro_filter.model.observer import follow, settle
 from hydro_policy.envs.vector_env import VectorBench

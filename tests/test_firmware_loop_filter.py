@@ -17,7 +17,7 @@ from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, Refere
 from hydro_filter.controller import header, loop_decision
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import memories
 from hydro_sim.box.box import Box
 from hydro_sim.files.learned_bench import load_model

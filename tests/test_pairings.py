@@ -22,7 +22,8 @@ pytest.importorskip("rclpy")
 from rclpy.serialization import serialize_message
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_filter.metric import scheduled
+from hydro_filter.metric import ScheduledMetric
+from hydro_filter.metric import shipped as shipped_metric
 from hydro_msgs.msg import BoxInfo
 from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
 from hydro_policy.nodes.startup.companions import requested_filter
@@ -95,7 +96,7 @@ def make_files(folder: Path) -> None:
     with BagWriter(folder / "own_bag") as writer:
         writer.add_topic(BOX_TOPIC, "hydro_msgs/msg/BoxInfo")
         writer.write(BOX_TOPIC, serialize_message(BoxInfo(bench_digest=own.digest)), 0)
-    metric, learned = scheduled.shipped().read_bytes(), learned_bench.load_model()
+    metric, learned = shipped_metric().read_bytes(), learned_bench.load_model()
     for name in ("other_model.yaml", "own_model.yaml"):  # a hair off the shipped one: another by its digest
         changed = replace(learned, moving_mass=learned.moving_mass * (1.0 + 1e-9), learned=None)
         (folder / name).write_text(yaml.safe_dump(changed.to_mapping()), encoding="utf-8")
@@ -144,7 +145,7 @@ def test_files_of_two_sites_are_refused_wherever_they_are_mixed(files: Path, tmp
     A model does not say its bench; its metric does.
     """
     sites: dict[str, list[Path]] = {}
-    blob, learned = scheduled.shipped().read_bytes(), learned_bench.load_model()
+    blob, learned = shipped_metric().read_bytes(), learned_bench.load_model()
     for name, mass in (("one", 2.0), ("two", 3.0)):
         own = replace(Bench.nominal(), moving_mass=mass)
         bench, model, metric, policy = sites[name] = [
@@ -174,5 +175,5 @@ def test_what_is_shipped_is_for_the_shipped_bench(files: Path) -> None:
     digest = BoxIdentity.of_file(None).digest
     shipped = load_initial_agent(files / "shipped").made
     assert shipped is not None and (shipped.box, shipped.base_kp, shipped.base_ki) == (digest, 15.0, 5.0)
-    metric = scheduled.ScheduledMetric.load().made
+    metric = ScheduledMetric.load().made
     assert metric is not None and (metric.box, metric.model) == (digest, learned_bench.digest())

@@ -29,7 +29,7 @@ from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_bridge.signals import CorrectionStatus, FloatArray
 from hydro_filter.certificate import closed_form
 from hydro_filter.controller.loop_filter import Result as Correction
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model import coordinates
 from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out

@@ -110,16 +110,8 @@ def displacement_share(size, floor):
     return share * share * (3.0 - 2.0 * share)
 
 
-PASS, MODIFIED, RELAXED, INFEASIBLE, NAN = (
-    int(status)
-    for status in (
-        CorrectionStatus.PASS,
-        CorrectionStatus.MODIFIED,
-        CorrectionStatus.RELAXED,
-        CorrectionStatus.INFEASIBLE,
-        CorrectionStatus.NAN,
-    )
-)
+PASS, MODIFIED, RELAXED = int(CorrectionStatus.PASS), int(CorrectionStatus.MODIFIED), int(CorrectionStatus.RELAXED)
+INFEASIBLE, NAN = int(CorrectionStatus.INFEASIBLE), int(CorrectionStatus.NAN)
 
 LEAST_IMPROVEMENT = 0.01
 """Share of the violation that a correction at the valve's limit must remove; otherwise no correction is made."""

@@ -11,13 +11,10 @@ import numpy as np
 
 from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
-from hydro_filter.metric.design import rest_loop
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric, rest_loop
 from hydro_filter.model.loop import loop_of
-from hydro_filter.training import thresholds
-from hydro_filter.training.data import DataSettings, roll_out, windows_of
-from hydro_filter.validation.cases import CASES, PLANTS
-from hydro_filter.validation.runs import FILTERS, Task, evaluate_task
+from hydro_filter.training.data import DataSettings, displacements, integral_terms, roll_out, windows_of
+from hydro_filter.validation.runs import CASES, FILTERS, PLANTS, Task, evaluate_task
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
 
@@ -59,8 +56,8 @@ def _metric_learning() -> None:
     rest_loop(loop, 60.0)
     metric = ScheduledMetric.load(None)
     metric.matrix(float(np.inf))
-    thresholds.displacements(loop, plant, 60.0, 0)
-    thresholds.integral_terms(loop, rollout.states[:2])
+    displacements(loop, plant, 60.0, 0)
+    integral_terms(loop, rollout.states[:2])
 
 
 STEPS: dict[str, Callable[[], None]] = {

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.metric.design import MetricDesign
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import MetricDesign, ScheduledMetric
 from hydro_filter.model.loop import loop_of
 from hydro_filter.model.sample import STATES
 from hydro_filter.precompile import FOUND

@@ -13,8 +13,7 @@ import pytest
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller import innovations
 from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import MetricDesign, ScheduledMetric, require_decay, rest_loop
 from hydro_filter.model import coordinates
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.linearization import CLOSED, displace, linearize

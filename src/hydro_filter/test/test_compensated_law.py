@@ -23,8 +23,7 @@ from hydro_bridge.signals import (
 )
 from hydro_filter.controller.loop_decision import certified_gain, feedforward_excess, integral_term
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter, loop_parts
-from hydro_filter.metric.design import lyapunov, rest_loop
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric, lyapunov, rest_loop
 from hydro_filter.model.loop import loop_of
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND

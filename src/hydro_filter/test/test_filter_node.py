@@ -45,7 +45,7 @@ from hydro_bridge.signals import (
 )
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.sample import Sample
 from hydro_msgs.msg import BoxInfo, Correction
 from hydro_msgs.msg import LawState as LawStateMessage

@@ -13,8 +13,7 @@ from hydro_bridge.signals import CorrectionStatus, Flag, FloatArray, ReferenceSi
 from hydro_filter.controller.innovations import RETURN
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample
-from hydro_filter.validation.cases import CASES
-from hydro_filter.validation.runs import Run, Trial, run
+from hydro_filter.validation.runs import CASES, Run, Trial, run
 from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant

@@ -16,7 +16,7 @@ import yaml
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.controller.factory import FilterChoice
-from hydro_filter.metric.design import rest_loop
+from hydro_filter.metric import rest_loop
 from hydro_filter.model.coordinates import LOOP, PAPER_SCALES
 from hydro_filter.model.linearization import linearize
 from hydro_filter.model.loop import (

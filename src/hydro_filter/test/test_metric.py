@@ -11,8 +11,7 @@ import pytest
 
 from hydro_bridge.settings import check
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
-from hydro_filter.metric.design import MOST_STEPS, MetricDesign, decaying_range, rest_loop
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import MOST_STEPS, MetricDesign, ScheduledMetric, decaying_range, rest_loop
 from hydro_filter.model.loop import loop_of, without_overlap
 from hydro_filter.model.parts import Loop
 from hydro_filter.precompile import FOUND

@@ -11,7 +11,7 @@ import pytest
 from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, Waveform
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import memories, overlap_of, without_overlap
 from hydro_filter.model.overlap import Overlap, change_for, lost, passed_change
 from hydro_filter.model.sample import Sample

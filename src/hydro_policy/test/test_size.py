@@ -13,8 +13,7 @@ from hydro_bridge.settings import to_mapping
 from hydro_bridge.signals import STATE_FIELDS, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_bridge.size import resized
 from hydro_filter.controller.loop_filter import loop_filter
-from hydro_filter.metric.design import MetricDesign, design_table
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import MetricDesign, ScheduledMetric, design_table
 from hydro_filter.model.loop import loop_of
 from hydro_filter.validation.runs import Trial, run
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings

@@ -29,11 +29,6 @@ WaveformName = Literal["hold", "sine", "multisine", "smooth_step"]
 """`Waveform` in YAML."""
 
 
-def name_of(waveform: int) -> WaveformName:
-    """A `Waveform`'s name in YAML."""
-    return cast("WaveformName", Waveform(waveform).name.lower())
-
-
 @dataclass(frozen=True, kw_only=True)
 class Segment:
     """One segment of a schedule: one reference and one pair of total gains."""
@@ -63,10 +58,7 @@ class Segment:
 def load_schedule(path: str | Path) -> list[Segment]:
     """Load segments from a YAML file with a list under `segments`.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read or a segment has an unknown key or a value out of range.
+    Raises SettingsError: the file cannot be read, or a segment has an unknown key or a value out of range.
     """
     return schedule_from(read_yaml(path), Path(path).name)
 
@@ -196,9 +188,10 @@ def _segment(seconds: float, limits: Range, generator: np.random.Generator) -> S
     phase, kp, ki = generator.uniform(0.0, 2.0 * pi), generator.uniform(*limits.kp), generator.uniform(*limits.ki)
     numbers = (round(float(number), 4) for number in (amplitude, offset, frequency, phase, kp, ki))
     amplitude, offset, frequency, phase, kp, ki = numbers
+    name = cast("WaveformName", waveform.name.lower())
     return Segment(
-        seconds=seconds, waveform=name_of(waveform), amplitude=amplitude, offset=offset, frequency=frequency,
-        phase=phase, kp=kp, ki=ki,
+        seconds=seconds, waveform=name, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase, kp=kp,
+        ki=ki,
     )  # fmt: skip
 
 

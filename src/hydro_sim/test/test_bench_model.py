@@ -11,9 +11,9 @@ import pytest
 from scipy.linalg import expm
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.identification.bench_states import Sensitivities
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import SUBSTEPS, BenchModel
-from hydro_sim.model.sensitivities import Sensitivities
 from hydro_sim.model.source import c_source
 
 

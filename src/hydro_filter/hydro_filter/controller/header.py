@@ -19,7 +19,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import SUBSTEPS, closing_current, without_disturbances
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import NONE, Loop

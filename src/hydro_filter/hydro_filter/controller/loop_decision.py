@@ -27,8 +27,7 @@ import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter import certificate
-from hydro_filter.metric import scheduled
-from hydro_filter.metric.design import MetricParts
+from hydro_filter.metric import MetricParts, evaluate, scratch, uncertified
 from hydro_filter.model import overlap
 from hydro_filter.model.coordinates import Q_VELOCITY
 from hydro_filter.model.linearization import displace, linearize
@@ -109,7 +108,7 @@ class Problem(NamedTuple):
 def workspace(parts: LoopParts) -> Workspace:
     """Allocate a workspace."""
     displacements = (np.zeros(len(parts.loop.scale)) for _ in range(3))
-    return Workspace(step_of(parts.loop), *scheduled.scratch(parts.metric), *displacements)
+    return Workspace(step_of(parts.loop), *scratch(parts.metric), *displacements)
 
 
 @njit(inline="always")
@@ -154,8 +153,8 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     displace(loop, memory, x, reference, reference_rate, workspace.v)
     follow(loop, memory, x, current, reference_rate)
     known = certified_gain(parts, gain, law)
-    scheduled.evaluate(parts.metric, known, workspace.factor, metric)
-    outside = scheduled.uncertified(parts.metric, known)
+    evaluate(parts.metric, known, workspace.factor, metric)
+    outside = uncertified(parts.metric, known)
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, gain, law)
     asked = certificate.excess_integral(term, parts.integral_allowance) / law_gain

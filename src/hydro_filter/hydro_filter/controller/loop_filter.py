@@ -28,7 +28,7 @@ from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate import QpFilter
 from hydro_filter.controller import innovations, loop_decision
 from hydro_filter.controller.loop_decision import LoopParts, Problem
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model import observer
 from hydro_filter.model.loop import coordinates_of, loop_of, memories, overlap_of
 from hydro_filter.model.sample import Sample
@@ -207,10 +207,7 @@ def loop_parts(
 ) -> LoopParts:
     """Return the inputs of `decide` for a metric, its training model, and the bench that the box is configured for.
 
-    Raises
-    ------
-    ValueError
-        The metric's coordinates are not those of the model's loop, or as `loop_of`.
+    Raises ValueError: the metric's coordinates are not those of the model's loop, or as `loop_of`.
     """
     chosen, levels, loop = settings or LoopFilterSettings(), metric.thresholds, loop_of(model, bench)
     if metric.coordinates != (needed := coordinates_of(loop)):

@@ -190,7 +190,7 @@ def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, Floa
     least = least_gain(area, stiffness_a, float(numbers["valve_gain"]), float(numbers["supply_pressure"]))
     cell, loop_cell = cell_states(truth, places), cell_states(loop_bench, loop_places)
     model = ModelParts(
-        sample_at=whole.address, rates_at=whole.address_of("bench_rates"), k=k,
+        sample_at=whole.address_of("bench_sample"), rates_at=whole.address_of("bench_rates"), k=k,
         sample_k=whole.begin(carried)[0],
         loop_rates_at=loop.address_of("bench_rates"), loop_jacobian_at=loop.address_of("bench_jacobian"),
         loop_k=loop_k, from_whole=np.array(from_whole, np.int64), rest=rest,

@@ -69,10 +69,9 @@ from hydro_bridge.ros.topics import (
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
 from hydro_filter.certificate import QpCounts
-from hydro_filter.controller.factory import FilterChoice, warm_up
+from hydro_filter.controller.factory import FilterChoice, arguments, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
-from hydro_filter.nodes.options import arguments
 from hydro_msgs.msg import Authority
 
 PATIENCE = 2.0

@@ -31,15 +31,16 @@ import numpy as np
 from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.metric.design import (
+from hydro_filter.metric import (
     MetricDesign,
-    correcting_feedback,
+    ScheduledMetric,
+    Thresholds,
+    best_correction,
     decaying_range,
     factor_entries,
     require_decay,
     rest_loop,
 )
-from hydro_filter.metric.scheduled import ScheduledMetric, Thresholds
 from hydro_filter.model.coordinates import Q_LOAD
 from hydro_filter.model.loop import driven_coordinate, loop_of, without_overlap
 from hydro_filter.model.parts import Loop
@@ -52,10 +53,11 @@ from hydro_filter.training.data import (
     Windows,
     certified_range,
     concatenated,
+    integral_allowance,
+    noise_sizes,
     roll_out,
     windows_of,
 )
-from hydro_filter.training.thresholds import integral_allowance, noise_sizes
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
@@ -348,11 +350,11 @@ def _certificate(
             f"the box's base K_p of {data.compensated.base_kp:.0f} 1/s is above that range: the filter corrects it as "
             "any gain without a certificate; a lower one, with fewer corrections, is the box's to set"
         )
-    best_correction = correction(loop, design)
-    metric = _refined(ScheduledMetric.designed(loop, design), material.training, best_correction, rates, options.seed)
+    best = correction(loop, design)
+    metric = _refined(ScheduledMetric.designed(loop, design), material.training, best, rates, options.seed)
 
     def held_out(one: ScheduledMetric) -> tuple[Samples, Samples]:
-        return certified_samples(material.held_out, one), foreign_samples(material.held_out, best_correction)
+        return certified_samples(material.held_out, one), foreign_samples(material.held_out, best)
 
     sizes = noise_sizes(metric, loop, plant, clean)
     allowance = integral_allowance(loop, plant, bench, data)
@@ -415,7 +417,7 @@ def collect_rollouts(
 def correction(loop: Loop, design: MetricDesign) -> Correction:
     """The best correction about the still bench."""
     driven, push = driven_coordinate(loop), rest_loop(loop, design.gain_low)[1]
-    return Correction(correcting_feedback(loop, design), driven, float(push[driven]))
+    return Correction(best_correction(loop, design)[1], driven, float(push[driven]))
 
 
 def _refined(

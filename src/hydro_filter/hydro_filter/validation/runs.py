@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table val_cont: runs of a case on a bench under a filter, and their statistics.
+"""Table val_cont: cases, their runs on a bench under a filter, and statistics of these.
+
+A case is gains over time and a reference, by seed (paper, Learned Metric Validation). The emulator's plant is
+identical, sample for sample, to the one behind the serial line, except for its clock. Nothing else in this package
+imports the emulator.
 
 Plant, box and filter run sample by sample without a graph, with the graph's delays::
 
@@ -12,6 +16,7 @@ part of the run. Gains change at 100 Hz. A run ends where the box trips (700 N, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from math import nan
@@ -30,16 +35,118 @@ from hydro_bridge.signals import (
     FloatArray,
     ReferenceSignal,
     StateArray,
+    Waveform,
 )
 from hydro_bridge.size import Size
 from hydro_filter.controller.loop_filter import LoopFilterSettings, Result, loop_filter
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.sample import Sample
-from hydro_filter.validation.cases import CASES, Case, plant_named
 from hydro_sim.box.box import Box, BoxConfig
-from hydro_sim.files.learned_bench import load_model
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import Plant
+
+CHANGES: dict[str, dict[str, float]] = {
+    "emulator": {},
+    "spring 10 kN/m": {"spring_stiffness": 1e4},
+    "spring 30 kN/m": {"spring_stiffness": 3e4},
+    "supply 12 MPa": {"supply_pressure": 12e6},
+}
+"""Emulated benches and their changes, while filter and box assume the nominal one."""
+
+PLANTS = (*CHANGES, "sim")
+
+
+@cache  # kept in this process, as filters are
+def plant_named(name: str, model: str | None = None) -> Plant:
+    """One of `PLANTS`; `model`: bench file of the learned simulation, the shipped one by default."""
+    if name == "sim":
+        return make_plant(model)
+    return TruthPlant(truth_from_mapping({"profile": "default", "bench": CHANGES[name]}))
+
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force * 2.0 / 3.0, frequency=1.0)
+FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force, frequency=2.0)
+Ranges = tuple[tuple[float, float], tuple[float, float]]
+"""Ranges of K_p [1/s] and K_i [1/s^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A case: gains over time, and the reference."""
+
+    name: str
+    about: str
+    gains: Callable[[np.random.Generator, int], FloatArray]
+    """Generator and policy steps to K_p, K_i, shape (steps, 2)."""
+    reference: ReferenceSignal = SINE
+
+    def draw(self, seed: int, seconds: float) -> FloatArray:
+        """Gains of a run, shape (policy steps, 2)."""
+        return self.gains(np.random.default_rng(seed), round(seconds / (SAMPLES_PER_STEP * SAMPLE_PERIOD)))
+
+
+def constant_gains(kp: float, ki: float) -> Callable[[np.random.Generator, int], FloatArray]:
+    """One pair of gains."""
+    return lambda rng, steps: np.tile((kp, ki), (steps, 1))
+
+
+def random_gains(ranges: Ranges, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
+    """Random gains, redrawn every `every` policy steps of 10 ms; 0: once."""
+
+    def gains(rng: np.random.Generator, steps: int) -> FloatArray:
+        span = every or steps
+        draws = -(-steps // span)
+        pairs = np.column_stack([rng.uniform(*ranges[0], draws), rng.uniform(*ranges[1], draws)])
+        return np.repeat(pairs, span, axis=0)[:steps]
+
+    return gains
+
+
+def switching_gains(low: float, high: float, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
+    """K_p that switches between two values every `every` policy steps, from a random step on."""
+
+    def gains(rng: np.random.Generator, steps: int) -> FloatArray:
+        phase = (np.arange(steps) + int(rng.integers(2 * every))) // every % 2
+        return np.column_stack([np.where(phase == 0, low, high), np.full(steps, 15.0)])
+
+    return gains
+
+
+UNSTABLE: Ranges = ((-40.0, 40.0), (-5.0, 5.0))
+NEGATIVE: Ranges = ((-40.0, 0.0), (-5.0, 0.0))
+POSITIVE: Ranges = ((0.0, 40.0), (0.0, 5.0))
+HIGH: Ranges = ((100.0, 300.0), (5.0, 15.0))
+WIDE: Ranges = ((-40.0, 300.0), (-5.0, 15.0))
+
+CASES: dict[str, Case] = {
+    case.name: case
+    for case in (
+        Case(name="stable", about="K_p 90, K_i 15 (paper)", gains=constant_gains(90.0, 15.0)),
+        Case(name="stable-fast", about="the same, 300 N at 2 Hz", gains=constant_gains(90.0, 15.0), reference=FAST),
+        Case(name="base", about="K_p 15, K_i 5", gains=constant_gains(15.0, 5.0)),
+        Case(
+            name="unstable",
+            about="K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)",
+            gains=random_gains(UNSTABLE, 1),
+        ),
+        Case(name="unstable-slow", about="the same, drawn every 0.5 s", gains=random_gains(UNSTABLE, 50)),
+        Case(name="negative", about="K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", gains=random_gains(NEGATIVE, 1)),
+        Case(name="negative-held", about="the same, drawn once", gains=random_gains(NEGATIVE, 0)),
+        Case(name="positive", about="K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", gains=random_gains(POSITIVE, 1)),
+        Case(name="high", about="K_p 100 to 300, K_i 5 to 15, drawn once", gains=random_gains(HIGH, 0)),
+        Case(name="high-fast", about="the same, 300 N at 2 Hz", gains=random_gains(HIGH, 0), reference=FAST),
+        Case(name="highest", about="K_p 300, K_i 15", gains=constant_gains(300.0, 15.0)),
+        Case(name="wide", about="K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", gains=random_gains(WIDE, 1)),
+        Case(name="wide-slow", about="the same, drawn every 0.5 s", gains=random_gains(WIDE, 50)),
+        Case(name="switched", about="K_p 15 and 300 in turn, each for 10 ms", gains=switching_gains(15.0, 300.0, 1)),
+        Case(
+            name="switched-slow", about="K_p 15 and 300 in turn, each for 0.5 s", gains=switching_gains(15.0, 300.0, 50)
+        ),
+    )
+}
 
 
 class Corrector(Protocol):
@@ -182,9 +289,6 @@ class Outcome:
     """Samples with status RELAXED, INFEASIBLE or NAN."""
 
 
-_plant = cache(plant_named)  # kept in this process, as filters are
-
-
 @cache
 def make_filter(
     chosen: str,
@@ -213,7 +317,7 @@ def simulate(task: Task) -> tuple[Run, Case]:
         box=BoxConfig().of_bench(bench), seed=task.seed,
     )  # fmt: skip
     chosen = make_filter(task.filter, task.metric, task.model, task.bench, task.rate)
-    return run(trial, _plant(task.plant, task.model), chosen), case
+    return run(trial, plant_named(task.plant, task.model), chosen), case
 
 
 def evaluate_task(task: Task) -> Outcome:

@@ -22,8 +22,18 @@ from hydro_bridge.cli.console import Table, UserError, add_json_argument, comman
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_filter.controller.factory import LEARNED, FilterChoice
-from hydro_filter.validation.cases import CASES, PLANTS
-from hydro_filter.validation.runs import COLUMNS, FILTERS, Outcome, Run, Task, evaluate_task, simulate, table_row
+from hydro_filter.validation.runs import (
+    CASES,
+    COLUMNS,
+    FILTERS,
+    PLANTS,
+    Outcome,
+    Run,
+    Task,
+    evaluate_task,
+    simulate,
+    table_row,
+)
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench

@@ -39,7 +39,7 @@ from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import BOX, BOX_LAW, DIAGNOSTICS, STATE
 from hydro_bridge.signals import Flag, StateArray
 from hydro_filter.controller.loop_filter import loop_filter
-from hydro_filter.metric.scheduled import ScheduledMetric
+from hydro_filter.metric import ScheduledMetric
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError, GateSkipped, Record, best, scored
 from hydro_sim.model.bench import Bench

@@ -181,10 +181,7 @@ class Box:
 def with_base_gains(kp: float, ki: float) -> BoxConfig:
     """Return a configuration with these base gains [1/s], [1/s^2] and the default limits of the total gains.
 
-    Raises
-    ------
-    SettingsError
-        If they are outside of these limits.
+    Raises SettingsError: they are outside of these limits.
     """
     usual = BoxConfig()
     kp_shift, ki_shift = usual.base_kp - kp, usual.base_ki - ki

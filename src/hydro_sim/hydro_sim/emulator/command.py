@@ -149,17 +149,17 @@ def _serve(options: argparse.Namespace) -> None:
         flush=True,
     )
     try:
-        timing = running.run(options.seconds, lambda: bool(stop))
+        running.run(options.seconds, lambda: bool(stop))
     finally:
         terminal.unplug()
         if control is not None:
             control.close()
         if options.load_force:
             options.load_force.unlink(missing_ok=True)
-    pacer, worst = timing.pacer, 1e3 * timing.pacer.lateness.longest
+    pacer, samples = running.pacer, running.samples
     print(
-        f"{timing.samples} samples, {pacer.late} late by more than 1 ms (worst {worst:.2f} ms, "
-        f"{pacer.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
+        f"{samples} samples, {pacer.late} late by more than 1 ms (worst {1e3 * pacer.lateness.longest:.2f} ms, "
+        f"{pacer.skipped:.1f} s skipped), {running.cpu / max(samples * 1e-3, 1e-3):.3f} s of CPU per second"
     )
     refused = machine.refused[0]
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)

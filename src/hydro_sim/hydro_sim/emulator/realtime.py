@@ -10,7 +10,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hydro_bridge.process.realtime import Pacer, exact_timers, limit_run
@@ -89,15 +89,6 @@ _CONTROL_EVERY = 20  # samples between looks at the control pipe
 
 
 @dataclass
-class Timing:
-    """Statistics of a run."""
-
-    pacer: Pacer = field(default_factory=lambda: Pacer(SAMPLE_PERIOD))
-    samples: int = 0
-    cpu: float = 0.0  # s
-
-
-@dataclass
 class RealTime:
     """The running emulator."""
 
@@ -109,28 +100,26 @@ class RealTime:
     status: Callable[[str], None] | None = None  # takes one line a second
 
     def __post_init__(self) -> None:
-        self.timing = Timing()
+        self.pacer, self.samples, self.cpu = Pacer(SAMPLE_PERIOD), 0, 0.0  # statistics; s of CPU
         self._events = sorted(self.faults.events, key=lambda event: event.at)
 
-    def run(self, seconds: float | None, stopped: Callable[[], bool]) -> Timing:
-        """Run for `seconds`, or until `stopped`; return the statistics of the deadlines."""
-        count = None if seconds is None else round(seconds / SAMPLE_PERIOD)
-        timing, cpu = self.timing, time.process_time()
+    def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
+        """Run for `seconds`, or until `stopped`."""
+        count, cpu = None if seconds is None else round(seconds / SAMPLE_PERIOD), time.process_time()
         gc.collect()
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
         try:
-            timing.pacer.restart()
-            while (count is None or timing.samples < count) and not stopped():
-                self._sample(timing.samples * SAMPLE_PERIOD)
-                timing.samples += 1
-                if self.status is not None and timing.samples % 1000 == 0:
-                    timing.cpu = time.process_time() - cpu
+            self.pacer.restart()
+            while (count is None or self.samples < count) and not stopped():
+                self._sample(self.samples * SAMPLE_PERIOD)
+                self.samples += 1
+                if self.status is not None and self.samples % 1000 == 0:
+                    self.cpu = time.process_time() - cpu
                     self.status(self._line())
-                timing.pacer.wait()
+                self.pacer.wait()
         finally:
             gc.enable()
-        timing.cpu = time.process_time() - cpu
-        return timing
+        self.cpu = time.process_time() - cpu
 
     def _sample(self, now: float) -> None:
         while self._events and self._events[0].at <= now:
@@ -139,7 +128,7 @@ class RealTime:
                 self.link.stall(event.stall, now)
             if event.unplug:
                 self.link.unplug(event.unplug, now)
-        if self.control is not None and self.timing.samples % _CONTROL_EVERY == 0:
+        if self.control is not None and self.samples % _CONTROL_EVERY == 0:
             self._obey(now)
         command = self.link.poll(now)
         if command is not None:
@@ -159,14 +148,13 @@ class RealTime:
                 print(f"error: {error}", file=sys.stderr)
 
     def _line(self) -> str:
-        sample, timing = self.sample, self.timing
-        flags = int(sample["flags"])
+        sample, flags = self.sample, int(self.sample["flags"])
         mode = "tripped" if flags & 8 else "armed" if flags & 1 else "disarmed"
         port = "open" if self.link.terminal.opened else "closed" if self.link.terminal.plugged else "unplugged"
         return (
-            f"{timing.samples / 1000:6.0f} s  port {port:9}  {mode:8}  f_r {sample['reference_force']:7.1f} N  "
-            f"f_l {sample['load_force']:7.1f} N  late {timing.pacer.late}  blocked {self.link.report.blocked}  "
-            f"CPU {100 * timing.cpu / (timing.samples * SAMPLE_PERIOD):.0f} %"
+            f"{self.samples / 1000:6.0f} s  port {port:9}  {mode:8}  f_r {sample['reference_force']:7.1f} N  "
+            f"f_l {sample['load_force']:7.1f} N  late {self.pacer.late}  blocked {self.link.report.blocked}  "
+            f"CPU {100 * self.cpu / (self.samples * SAMPLE_PERIOD):.0f} %"
         )
 
 

@@ -31,23 +31,14 @@ def is_bench_file(path: str | Path) -> bool:
 
 
 def read(path: str | Path | None = None) -> Bench:
-    """Read a bench file; None: the shipped one.
-
-    Raises
-    ------
-    ValueError
-        If it is invalid.
-    """
+    """Read a bench file; None: the shipped one. Raises ValueError: it is invalid."""
     return Bench.load(path or shipped())
 
 
 def load_model(path: str | Path | None = None) -> Bench:
     """Load a bench that a certificate may rest on; None: the shipped one.
 
-    Raises
-    ------
-    ValueError
-        As `read`, or if the file states that it predicts the bench badly.
+    Raises ValueError: as `read`, or the file states that it predicts the bench badly.
     """
     bench = read(path)
     if bench.unfit:

@@ -17,12 +17,12 @@ import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Data, Run
-from hydro_sim.identification.bench_states import SETTLED, Indices, StateEstimator, noise_of
+from hydro_sim.identification.bench_states import SETTLED, Indices, Sensitivities, StateEstimator, noise_of
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel, Named
+from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
 from hydro_sim.model.effects import catalogue, valve
+from hydro_sim.model.effects.base import Parameter
 from hydro_sim.model.quality import HORIZON, Quality
-from hydro_sim.model.sensitivities import Sensitivities
 
 PRIOR = 10.0
 """Prior standard deviation of a parameter about its value in the bench file: typical sizes, or factors of e."""
@@ -41,7 +41,7 @@ class Coordinates:
     learned.
     """
 
-    def __init__(self, parameters: Sequence[Named], values: FloatArray, free: Indices) -> None:
+    def __init__(self, parameters: Sequence[Parameter], values: FloatArray, free: Indices) -> None:
         self.values, self.free = values, free
         chosen = [parameters[i] for i in free]
         self.low, self.high = (np.array([getattr(one, name) for one in chosen]) for name in ("low", "high"))

@@ -22,12 +22,11 @@ from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.files.recordings import READING_COLUMNS, Run
 from hydro_sim.identification.bench_learning import SUBSTEPS, best_prediction_rmse
-from hydro_sim.identification.bench_states import SETTLED, noise_of
+from hydro_sim.identification.bench_states import SETTLED, Sensitivities, noise_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.quality import HORIZON, Quality
-from hydro_sim.model.sensitivities import Sensitivities
 from hydro_sim.model.sensors import Sensors
 
 

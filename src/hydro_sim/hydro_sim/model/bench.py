@@ -119,10 +119,7 @@ class Bench:
     def load(cls, path: str | Path) -> Bench:
         """Read a `bench.yaml` or a diagnosis' `corrected.yaml` (the same keys and a list `effects`).
 
-        Raises
-        ------
-        ValueError
-            In one sentence that names the file, and the key if it is about one.
+        Raises ValueError: in one sentence that names the file, and the key if it is about one.
         """
         content = read_yaml(path)
         try:
@@ -134,10 +131,7 @@ class Bench:
     def from_mapping(cls, content: Mapping[str, Any]) -> Bench:
         """Create a bench from keys and values, for instance of a YAML file or of a recording's metadata.
 
-        Raises
-        ------
-        ValueError
-            If a key is missing, unknown, or its value is not a number in range.
+        Raises ValueError: a key is missing, unknown, or its value is not a number in range.
         """
         if not isinstance(content, Mapping):
             raise ValueError("a bench is a mapping of keys to numbers")

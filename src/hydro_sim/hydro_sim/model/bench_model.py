@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
 from importlib.metadata import version
 from math import ceil
 from pathlib import Path
@@ -29,6 +29,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics, machine_code
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, grown, valve
+from hydro_sim.model.effects.base import Hidden, Parameter
 
 if TYPE_CHECKING:
     from hydro_sim.model.assembly import Functions
@@ -48,28 +49,6 @@ TEXTBOOK = 6
 READINGS = 5
 
 
-@dataclass(frozen=True)
-class Named:
-    """A parameter of a model."""
-
-    name: str
-    """Name as in bench.yaml; for an effect: its label, a dot, and the parameter."""
-    unit: str
-    low: float
-    high: float
-    scale: float
-    """A typical size: the standard deviation of the prior."""
-
-
-@dataclass(frozen=True)
-class State:
-    """A state of a model."""
-
-    name: str
-    unit: str
-    scale: float
-
-
 class BenchModel:
     """See the module.
 
@@ -79,25 +58,28 @@ class BenchModel:
     def __init__(self, bench: Bench, *, substeps: int = SUBSTEPS) -> None:
         self.bench, self.substeps = bench, substeps
         kinds = [catalogue.kind_of(effect) for effect in bench.terms]
-        self.parameters = tuple(_numbers(bench)) + tuple(
-            Named(f"{catalogue.label(effect)}.{one.name}", one.unit, one.low, one.high, one.scale)
+        numbers = [float(getattr(bench, name) or 0.0) for name in bench.quantities()]
+        own = tuple(
+            Parameter(name=name, unit=one.unit, low=one.low, high=one.high, neutral=value, scale=0.1 * abs(value))
+            for (name, one), value in zip(bench.quantities().items(), numbers, strict=True)
+        )
+        self.parameters = own + tuple(
+            replace(one, name=f"{catalogue.label(effect)}.{one.name}")
             for effect, (kind, _) in zip(bench.terms, kinds, strict=True)
             for one in kind.parameters
         )
-        numbers = [float(getattr(bench, name) or 0.0) for name in bench.quantities()]
+        """By their names in bench.yaml; those of an effect: its label, a dot, and the parameter."""
         self.values: FloatArray = np.array(numbers + [value for _, values in kinds for value in values])
         """The parameters' values in the bench file."""
         self.structure = structure_of(bench, substeps)
         past = self.structure.past
         self._code = library(self.structure)
-        hidden = [State(one.name, one.unit, one.scale) for kind, _ in kinds for one in kind.effect.states]
-        self.states = (*_TEXTBOOK, *hidden, *(State(f"current {i} samples ago", "A", 1e-2) for i in range(past)))
-        self.address = ctypes.cast(self._code.bench_sample, ctypes.c_void_p).value or 0
-        """Address of `bench_sample`, for `machine_code.sample`."""
+        currents = (_state(f"current {i} samples ago", "A", 1e-2, integrated=False) for i in range(past))
+        self.states = (*_TEXTBOOK, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
         self.coefficients = ctypes.c_long.in_dll(self._code, "bench_coefficients").value
 
     def address_of(self, name: str) -> int:
-        """Address in this process of a compiled function, such as "bench_jacobian", for `machine_code`."""
+        """Address in this process of a compiled function, such as "bench_sample", for `machine_code`."""
         code = self._derivatives if name == "bench_jacobian" else self._code
         return ctypes.cast(getattr(code, name), ctypes.c_void_p).value or 0
 
@@ -139,7 +121,7 @@ class BenchModel:
         return _assembled(self.structure)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made, (self.bench, self.substeps)
+        return partial(BenchModel, substeps=self.substeps), (self.bench,)
 
     @cached_property
     def _derivatives(self) -> ctypes.CDLL:
@@ -163,21 +145,14 @@ def structure_of(bench: Bench, substeps: int = SUBSTEPS) -> Structure:
     return Structure(labels, bench.load_cell_bandwidth is None, _past(catalogue.delay(bench.effects)), substeps)
 
 
-def _made(bench: Bench, substeps: int) -> BenchModel:
-    return BenchModel(bench, substeps=substeps)
+def _state(name: str, unit: str, scale: float, *, integrated: bool = True) -> Hidden:
+    return Hidden(name=name, unit=unit, scale=scale, integrated=integrated)
 
 
 _TEXTBOOK = (
-    State("pressure_a", "Pa", 1e6), State("pressure_b", "Pa", 1e6), State("piston_position", "m", 1e-2),
-    State("piston_velocity", "m/s", 0.1), State("load_force", "N", 100.0), State("load_force_rate", "N/s", 1e3),
+    _state("pressure_a", "Pa", 1e6), _state("pressure_b", "Pa", 1e6), _state("piston_position", "m", 1e-2),
+    _state("piston_velocity", "m/s", 0.1), _state("load_force", "N", 100.0), _state("load_force_rate", "N/s", 1e3),
 )  # fmt: skip
-
-
-def _numbers(bench: Bench) -> list[Named]:
-    return [
-        Named(name, one.unit, one.low, one.high, 0.1 * abs(getattr(bench, name) or 0.0))
-        for name, one in bench.quantities().items()
-    ]
 
 
 def _past(delay: float) -> int:
@@ -186,7 +161,7 @@ def _past(delay: float) -> int:
 
 
 Part = Literal["", "derivatives", "sensitivities"]
-"""Content of a library beside the simulation: `BenchModel`'s derivatives, or what `model.sensitivities` calls."""
+"""Content of a library beside the simulation: `BenchModel`'s derivatives, or those of `bench_states.Sensitivities`."""
 
 
 @lru_cache(maxsize=256)

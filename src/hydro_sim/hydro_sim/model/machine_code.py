@@ -36,15 +36,8 @@ FLAGS = (
 def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], None] = lambda: None) -> ctypes.CDLL:
     """The library of a name; `source` writes its C where there is none yet, after `said`.
 
-    Parameters
-    ----------
-    name
-        Specification of the source as text: all that it depends on.
-
-    Raises
-    ------
-    ValueError
-        If there is no C compiler, it fails, or there is no place to keep the library.
+    `name`: specification of the source as text: all that it depends on. Raises ValueError: there is no C compiler, it
+    fails, or there is no place to keep the library.
     """
     file = library_path(name)
     if found := _loaded(file):

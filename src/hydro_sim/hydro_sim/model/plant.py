@@ -58,7 +58,7 @@ class AnalyticPlant:
             raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
         self.model = BenchModel(bench)
         self.constants = np.zeros(1, MODEL_DTYPE)
-        self.constants["address"] = self.model.address
+        self.constants["address"] = self.model.address_of("bench_sample")
         self.sensors = (settings or Sensors()).constants(noise)
         self.state = np.zeros(1, PLANT_STATE_DTYPE)
         self.noise = Noise(0)
@@ -84,7 +84,7 @@ class AnalyticPlant:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore in another process, where the model has another address."""
         vars(self).update(state)
-        self.constants["address"] = self.model.address
+        self.constants["address"] = self.model.address_of("bench_sample")
 
 
 @njit

@@ -76,10 +76,7 @@ def simulate(
     -------
     Records of `STATE_DTYPE`, shape (schedule.samples,), time from 0.
 
-    Raises
-    ------
-    ValueError
-        If the schedule's shapes are wrong.
+    Raises ValueError: the schedule's shapes are wrong.
     """
     box = Box(bench, config)
     gains, correction = _changes(schedule, box.config)

@@ -181,11 +181,6 @@ class Simulation:
         return self.settings.speed == 1.0
 
     @property
-    def refused(self) -> int:
-        """Number of values in commands that the box altered."""
-        return self._box.refused
-
-    @property
     def law_state(self) -> LawState | None:
         """Force law as it acted in the present sample, for `on_state` alone; None: the paper's."""
         state = self._box.state[0]

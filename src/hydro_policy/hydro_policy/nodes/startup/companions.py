@@ -68,7 +68,7 @@ def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[F
 
     Raises PairingError: its metric and model are not this bench's: nothing is started, and no guard is widened for it.
     """
-    from hydro_filter.nodes.options import arguments
+    from hydro_filter.controller.factory import arguments
 
     choice, settings, _ = arguments([*(["--bench", str(bench)] if bench else []), *words])
     return choice, settings

@@ -43,24 +43,6 @@ class LinkReport:
     hellos: int = 0  # connections opened by a host
 
 
-class CommandOrder:
-    """Acceptance of the commands of one connection, once each and in order (protocol.md, Order of commands)."""
-
-    def __init__(self) -> None:
-        self._newest: int | None = None
-
-    def accept(self, sequence: int) -> bool:
-        """Return whether this sequence number is newer than all before, by half of the circle of 2^32 (RFC 1982)."""
-        if self._newest is not None and not 0 < (sequence - self._newest) % _CIRCLE < _CIRCLE // 2:
-            return False
-        self._newest = sequence
-        return True
-
-    def reset(self) -> None:
-        """Begin a new conversation: its first command may have any number."""
-        self._newest = None
-
-
 class BoxLink:
     """Serial line of the emulated box.
 
@@ -102,7 +84,8 @@ class BoxLink:
         up, down = np.random.default_rng(seed).spawn(2)
         self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
         self.last_command = 0
-        self._order = CommandOrder()
+        self._newest: int | None = None
+        """Sequence number of the connection's last command; its first one may have any."""
         self._waiting: list[Frame] = []
         self._hellos = 0
         self._unwritten = b""
@@ -133,7 +116,7 @@ class BoxLink:
         self.last_command = 0
         self.decoder.reset()
         self._waiting.clear()
-        self._order.reset()
+        self._newest = None
         self.details = replace(self.details, epoch=self.details.epoch % 0xFFFFFFFF + 1)
         self.version, self._hellos = VERSION_MIN, 0
         self._greeting = True
@@ -149,7 +132,7 @@ class BoxLink:
         newest, greeted = None, False
         for frame in frames:
             if isinstance(frame, Hello) and frame.info is None:
-                self._order.reset()
+                self._newest = None
                 self._greeting = greeted = True
                 self.version = max(VERSION_MIN, min(VERSION, frame.version_max))
                 self._hellos = max(self._hellos, 1)  # an answer, no power-on
@@ -157,12 +140,16 @@ class BoxLink:
                 self.report.hellos += 1
             elif isinstance(frame, CommandFrame) and greeted:
                 self._waiting.append(frame)
-            elif isinstance(frame, CommandFrame) and self._order.accept(frame.sequence):
-                newest, self.last_command = frame.command, frame.sequence
+            elif isinstance(frame, CommandFrame) and self._is_newer(frame.sequence):
+                newest, self.last_command, self._newest = frame.command, frame.sequence, frame.sequence
                 self.report.commands += 1
             elif isinstance(frame, CommandFrame):
                 self.report.refused += 1
         return Command() if greeted else newest
+
+    def _is_newer(self, sequence: int) -> bool:
+        """Return whether a sequence number is newer than all before (protocol.md, Order of commands; RFC 1982)."""
+        return self._newest is None or 0 < (sequence - self._newest) % _CIRCLE < _CIRCLE // 2
 
     def _arrived(self, now: float) -> bytes:
         """Return bytes that have arrived by `now` [s]; plug in again when it is time."""
