@@ -288,10 +288,10 @@ class Assembly:
             return first, (_nothing, lambda velocity: velocity)
         dragged = rates.inertia(self.effects, start[2])
         mass = self.numbers.moving_mass + dragged
-        friction = stick_event(lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step)
+        force, end = stick_event(lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step)
         mobility = self.numbers.mobility if isinstance(dragged, float) else 1.0 / mass
-        first[3] = first[3] - friction.force(start[3]) * mobility
-        return first, (friction.force, friction.end)
+        first[3] = first[3] - force(start[3]) * mobility
+        return first, (force, end)
 
     def _remembered(self, start: list[Symbol], end: list[Symbol]) -> SX:
         """y after a step whose integrated states go from start to end."""

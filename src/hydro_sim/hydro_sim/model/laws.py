@@ -164,17 +164,8 @@ class Element:
         return _UNITS.get(self.signal, "Pa")
 
 
-_UNITS = {
-    "position": "m",
-    "current": "A",
-    "force": "N",
-    "speed": "m/s",
-    "velocity": "m/s",
-    "acceleration": "m/s2",
-    "opening": "A",
-    "heating": "A2",
-    "time": "-",
-}
+_UNITS = {"position": "m", "current": "A", "force": "N", "speed": "m/s", "velocity": "m/s", "acceleration": "m/s2",
+          "opening": "A", "heating": "A2", "time": "-"}  # fmt: skip
 
 
 _SIGNALS = {
@@ -294,14 +285,11 @@ def edge_losses(
 
     over_out, over_back = drops_out[0] + drops_out[1], drops_back[0] + drops_back[1]
 
-    def fed(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
-        return share(side.but(drop=drop, both=both, opened=opened, feeds=1.0)) * orifice(opened, drop)
+    def lost(opened: Symbol, drop: Symbol, both: Symbol, feeds: float) -> Symbol:
+        return share(side.but(drop=drop, both=both, opened=opened, feeds=feeds)) * orifice(opened, drop)
 
-    def drained(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
-        return share(side.but(drop=drop, both=both, opened=opened)) * orifice(opened, drop)
-
-    lost_a = fed(out, drops_out[0], over_out) - drained(back, drops_back[0], over_back)
-    return lost_a, fed(back, drops_back[1], over_back) - drained(out, drops_out[1], over_out)
+    lost_a = lost(out, drops_out[0], over_out, 1.0) - lost(back, drops_back[0], over_back, 0.0)
+    return lost_a, lost(back, drops_back[1], over_back, 1.0) - lost(out, drops_out[1], over_out, 0.0)
 
 
 def shifted(n: Any, spool: Symbol, shift: Symbol, pressures: tuple[Symbol, Symbol]) -> tuple[Symbol, Symbol]:

@@ -9,7 +9,6 @@ Derivatives are those of the side on which the step is: a mass that is held stay
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -99,36 +98,22 @@ STANDSTILL = 1e-9
 """Smallest speed [m/s] at which a level that depends on the direction is evaluated."""
 
 
-@dataclass(frozen=True)
-class DryFriction:
-    """Effect of dry friction over a step."""
-
-    level: Callable[[Symbol], Symbol]
-    """N, at a velocity [m/s]."""
-    sign: Symbol
-    """Sign of the motion that it opposes."""
-    held: Symbol
-    """Whether it brings the mass to rest."""
-    holding: Symbol
-    """The force [N] that does."""
-
-    def force(self, velocity: Symbol) -> Symbol:
-        """N, against the motion."""
-        return choose(self.held, self.holding, self._sliding(velocity))
-
-    def end(self, velocity: Symbol) -> Symbol:
-        """Velocity [m/s] where the step has ended."""
-        return choose(self.held, 0.0, velocity)
-
-    def _sliding(self, velocity: Symbol) -> Symbol:
-        return self.sign * self.level(self.sign * np.fmax(np.abs(velocity), STANDSTILL))
+Friction = Callable[[Symbol], Symbol]
+"""A force [N] against the motion at a velocity [m/s], or what becomes of the velocity where a step ends."""
 
 
 def stick_event(
-    level: Callable[[Symbol], Symbol], mass: Symbol, velocity: Symbol, free: Symbol, step: float
-) -> DryFriction:
-    """Effect over a step [s] that begins at a velocity [m/s] and, without friction, an acceleration `free` [m/s2]."""
+    level: Friction, mass: Symbol, velocity: Symbol, free: Symbol, step: float
+) -> tuple[Friction, Friction]:
+    """Dry friction of a `level` over a step [s]: its force, and its end of the step.
+
+    The step begins at a velocity [m/s] and, without friction, an acceleration `free` [m/s2].
+    """
     holding = mass * (velocity / step + free)
     sign = choose(holding >= 0.0, 1.0, -1.0)
-    reach = level(sign * np.fmax(np.abs(velocity), STANDSTILL))
-    return DryFriction(level, sign, np.abs(holding) < reach, holding)
+
+    def reach(velocity: Symbol) -> Symbol:
+        return level(sign * np.fmax(np.abs(velocity), STANDSTILL))
+
+    held = np.abs(holding) < reach(velocity)
+    return lambda v: choose(held, holding, sign * reach(v)), lambda v: choose(held, 0.0, v)

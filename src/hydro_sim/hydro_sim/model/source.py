@@ -148,6 +148,9 @@ def _function(name: str, inputs: Inputs, outputs: Outputs) -> str:
     for i in range(function.n_instructions()):
         operation = function.instruction_id(i)
         read, written = function.instruction_input(i), function.instruction_output(i)
+        if operation == casadi.OP_OUTPUT:
+            lines.append(f"{outputs[written[0]][0]}[{written[1]}] = a{read[0]};")
+            continue
         if operation == casadi.OP_INPUT:
             label = inputs[read[0]][0]
             if label == "D":  # by rows in C, by columns in CasADi
@@ -155,26 +158,17 @@ def _function(name: str, inputs: Inputs, outputs: Outputs) -> str:
                 value = f"D[{(read[1] % rows) * columns + read[1] // rows}]"
             else:
                 value = label if column[read[0]] else f"{label}[{read[1]}]"
-            lines.append(f"a{written[0]} = {value};")
-            used.add(written[0])
-        elif operation == casadi.OP_OUTPUT:
-            lines.append(f"{outputs[written[0]][0]}[{written[1]}] = a{read[0]};")
         elif operation == casadi.OP_CONST:
-            lines.append(f"a{written[0]} = {function.instruction_constant(i)!r};")
-            used.add(written[0])
+            value = repr(function.instruction_constant(i))
         else:
-            lines.append(f"a{written[0]} = {_operation(operation, *(f'a{one}' for one in read))};")
-            used.add(written[0])
+            value = _OPERATIONS[operation].format(*(f"a{one}" for one in read))
+        lines.append(f"a{written[0]} = {value};")
+        used.add(written[0])
     words = [f"double {label}" if column[i] else f"const double *{label}" for i, (label, _) in enumerate(inputs)]
     words += [f"double *restrict {label}" for label, _ in outputs]
     declared = f"    double {', '.join(f'a{one}' for one in sorted(used))};\n" if used else ""
     text = "\n".join(f"    {line}" for line in lines)
     return f"static void {name}({', '.join(words)})\n{{\n{declared}{text}\n}}\n"
-
-
-def _operation(operation: int, first: str, second: str = "") -> str:
-    """One elementary operation in C."""
-    return _OPERATIONS[operation].format(first, second)
 
 
 _OPERATIONS = {
@@ -189,3 +183,4 @@ _OPERATIONS = {
     casadi.OP_FMIN: "{0} < {1} ? {0} : {1}", casadi.OP_FMAX: "{0} > {1} ? {0} : {1}",
     casadi.OP_LOG1P: "log1p({0})", casadi.OP_EXPM1: "expm1({0})", casadi.OP_COPYSIGN: "copysign({0}, {1})",
 }  # fmt: skip
+"""Elementary operations in C."""

@@ -34,16 +34,12 @@ class Closure(Effect):
         return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
 
     def _past(self) -> Symbol:
-        """State of the law at this instant."""
-        return 0.0
+        """State of the law at this instant, if it has one."""
+        return getattr(self, "past", 0.0)
 
     def _remembered(self, signal: Symbol) -> Symbol:
         """State of the law at the end of a step in which its signal has come to this."""
         return self._past()
-
-    def _held(self) -> Symbol:
-        """Current [A] under which a sensor is read."""
-        return 0.0
 
 
 class MotionClosure(Closure):
@@ -85,8 +81,6 @@ class AcrossClosure(Closure):
 class DraggedClosure(Closure):
     """A mass that the load drags along."""
 
-    shaken = True
-
     def inertia(self, position: Symbol) -> Symbol:
         return self._value(Signals(position, self.at.velocity, acceleration=1.0))
 
@@ -99,14 +93,18 @@ class LoadClosure(Closure):
 
 
 class SensorClosure(Closure):
-    """What a sensor shows more than its signal."""
+    """What a sensor shows more than its signal; `held`: the current under which it is read, if it follows that."""
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        self.next["held"] = self.at.current
 
     def show(self, channel: str, signal: Symbol) -> Symbol:
         if channel != self.law.where:
             return signal
         pressure_a, pressure_b = self.at.pressures
         beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
-                  "pressure_b": pressure_b, "current": self._held(), "acceleration": self.at.acceleration}  # fmt: skip
+                  "pressure_b": pressure_b, "current": getattr(self, "held", 0.0),
+                  "acceleration": self.at.acceleration}  # fmt: skip
         return signal + self._value(replace(sensed(channel, signal, beside), memory=self._past()))
 
 
@@ -117,22 +115,6 @@ class ValveClosure(Closure):
 
     def command(self, spool: Symbol) -> Symbol:
         return spool + self._value(Signals(current=spool, memory=self._remembered(spool)))
-
-
-class Shaken(SensorClosure):
-    """A reading that follows the acceleration."""
-
-    shaken = True
-
-
-class PickingUp(SensorClosure):
-    """A reading that follows the valve's current: that which was held until the sample."""
-
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
-        self.next["held"] = self.at.current
-
-    def _held(self) -> Symbol:
-        return self.held
 
 
 # --- what they remember ----------------------------------------------------------------------------------------------
@@ -152,12 +134,12 @@ class Measured(Closure):
         ]
 
     def _now(self) -> Symbol:
-        """Its signal at this instant."""
+        """Its signal at this instant; time alone is 1."""
         p_a, p_b = self.at.pressures
-        loaded = self.law.where == "load_force"
+        loaded, first = self.law.where == "load_force", getattr(self, self.law.names[1])
         force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
-        now = Signals(self.at.position, self.at.velocity, p_a, p_b, force=force)
-        return getattr(now, self.element.signal)
+        now = Signals(self.at.position, self.at.velocity, p_a, p_b, self.at.spool, force, number=first)
+        return 1.0 if self.element.signal == "time" else getattr(now, self.element.signal)
 
 
 class Lagging(Measured):
@@ -168,9 +150,6 @@ class Lagging(Measured):
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
         return {"past": (self._now() - self.past) / self.time}
-
-    def _past(self) -> Symbol:
-        return self.past
 
 
 class Turning(Lagging):
@@ -187,22 +166,12 @@ class Warming(Closure):
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
         return {"past": np.abs(self.at.velocity) / self.path - self.past / self.time}
 
-    def _past(self) -> Symbol:
-        return self.past
 
-
-class Following(Closure):
+class Following(Lagging):
     """A law that follows a size over a time, or time alone; it begins at nothing."""
 
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        signal = self.element.signal
-        pressure_a, pressure_b = self.at.pressures
-        first = getattr(self, self.law.names[1])
-        now = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, number=first)
-        return {"past": ((1.0 if signal == "time" else getattr(now, signal)) - self.past) / self.time}
-
-    def _past(self) -> Symbol:
-        return self.past
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {}
 
 
 class Settling(Closure):
@@ -248,52 +217,42 @@ class Bending(Measured):
         return goal + (self.bent - goal) * np.exp(-np.abs(moved) / self.path)
 
 
-class Limited(Closure):
+class LateSpool(Closure):
+    """A law of a spool that is behind its signal."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"where": signals["spool"]}
+
+    def command(self, spool: Symbol) -> Symbol:
+        self.next["where"] = spool - self._behind(spool - self.where)[0]
+        return super().command(spool)
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """Mean over the step, exact for a signal that is held."""
+        return signal - self._behind(signal - self.where)[1]
+
+    def _behind(self, off: Symbol) -> tuple[Symbol, Symbol]:
+        """How far it is behind after a step that it began so far off, and in the mean over that step."""
+        raise NotImplementedError
+
+
+class Limited(LateSpool):
     """A law of a spool that lags, and moves no faster than a rate."""
 
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": signals["spool"]}
-
-    def command(self, spool: Symbol) -> Symbol:
-        off, near, left = self._course(spool)
-        self.next["where"] = spool - np.sign(off) * near * left
-        return super().command(spool)
-
-    def _remembered(self, signal: Symbol) -> Symbol:
-        """Mean over the step, exact for a signal that is held."""
-        off, near, left = self._course(signal)
-        fast = (np.abs(off) - near) / self.rate
-        area = 0.5 * (np.abs(off) + near) * fast + near * self.time * (1.0 - left)
-        return signal - np.sign(off) * area / self.at.step
-
-    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
-        """How far off the signal is, how far after what it goes at full rate, and what an exponential leaves of it."""
-        off = signal - self.where
-        fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)
-        return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
+    def _behind(self, off: Symbol) -> tuple[Symbol, Symbol]:
+        fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)  # s, at full rate
+        near, left = np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
+        area = 0.5 * (np.abs(off) + near) * ((np.abs(off) - near) / self.rate) + near * self.time * (1.0 - left)
+        return np.sign(off) * near * left, np.sign(off) * area / self.at.step
 
 
-class TurningSpool(Closure):
+class TurningSpool(LateSpool):
     """A law of a spool that follows rises by another time than falls."""
 
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": signals["spool"]}
-
-    def command(self, spool: Symbol) -> Symbol:
-        off, _, left = self._course(spool)
-        self.next["where"] = spool - off * left
-        return super().command(spool)
-
-    def _remembered(self, signal: Symbol) -> Symbol:
-        """Mean over the step, exact for a signal that is held."""
-        off, time, left = self._course(signal)
-        return signal - off * time * (1.0 - left) / self.at.step
-
-    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
-        """How far off the signal is, the time over which that fades, and what a step leaves of it."""
-        off = signal - self.where
+    def _behind(self, off: Symbol) -> tuple[Symbol, Symbol]:
         time = self._time(off)
-        return off, time, np.exp(-self.at.step / time)
+        left = np.exp(-self.at.step / time)
+        return off * left, off * time * (1.0 - left) / self.at.step
 
     def _time(self, off: Symbol) -> Symbol:
         return eq.choose(off > 0.0, self.rising, self.falling)
@@ -328,8 +287,9 @@ def made(law: Law | Table) -> type[Closure]:
         members |= {**_states(element, law), "element": element}
     elif law.picks_up:
         members |= {"held": hidden("A", scale=1e-3)}
-    about = {"law": law, "options": {"equation": (law.equation,), "form": (law.form,)}, "__doc__": Closure.__doc__}
-    return type("Closure", _bases(law, element), {**about, **members})
+    members |= {"law": law, "shaken": "acceleration" in law.uses, "__doc__": Closure.__doc__}
+    members |= {"options": {"equation": (law.equation,), "form": (law.form,)}}
+    return type("Closure", _bases(law, element), members)
 
 
 def _number(number: Number) -> dict[str, Any]:
@@ -354,30 +314,16 @@ def _states(element: Element, law: Law | Table) -> dict[str, Any]:
 
 
 _PLACES = {"edges": EdgeClosure, "across": AcrossClosure}
-_MEMORIES = {
-    "lag": Lagging,
-    "heat": Warming,
-    "path": Bending,
-    "slow": Following,
-    "turn": Turning,
-}
-_AT_SPOOL = {"rate": Limited, "slow": Settling, "turn": TurningSpool,
-             "lag": LaggingSpool}  # fmt: skip
+_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "slow": Following, "turn": Turning}
+_AT_SPOOL = {"rate": Limited, "slow": Settling, "turn": TurningSpool, "lag": LaggingSpool}
 """What a spool, which is held over a step, remembers otherwise."""
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
-    acting = {
-        "motion": MotionClosure,
-        "load": LoadClosure,
-        "sensor": SensorClosure,
-        "actuation": ValveClosure,
-    }
+    acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
     acts = _PLACES.get(law.where) or acting.get(law.equation, FlowClosure)
-    if "acceleration" in law.uses:
-        return (Shaken,) if law.equation == "sensor" else (DraggedClosure,)
     if element is None:
-        return (PickingUp,) if law.picks_up else (acts,)
+        return (DraggedClosure if "acceleration" in law.uses and law.equation == "load" else acts,)
     remembers = _AT_SPOOL.get(element.kind) if acts is ValveClosure else None
     return remembers or _MEMORIES[element.kind], acts
 

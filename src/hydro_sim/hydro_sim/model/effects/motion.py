@@ -131,13 +131,11 @@ class Backlash(Effect):
         return force - n.spring_stiffness * clip(position - n.spring_rest_position, -half, half)
 
 
-class BacklashPlay(Effect):
+class BacklashPlay(Backlash):
     """Play in the linkage: the spring is dragged behind the piston, and lags by half the width at each reversal."""
 
-    id = "backlash"
     options = {"form": ("play",)}
     single = True
-    width = parameter("m", 0.0, 0.1, scale=1e-3)
     dragged = hidden("m", scale=1e-2)
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:

@@ -42,12 +42,10 @@ class LeakageInternal(Effect):
         return across, -across
 
 
-class LeakageInternalOrifice(Effect):
+class LeakageInternalOrifice(LeakageInternal):
     """Flow between the chambers through a sharp edge."""
 
-    id = "leakage_internal"
     options = {"form": ("orifice",)}
-    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13)
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         across = orifice(self.coefficient * np.sqrt(MEETING_POINT), pressure_a - pressure_b)

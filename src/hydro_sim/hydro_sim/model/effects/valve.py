@@ -83,26 +83,20 @@ class ValveDeadband(Effect):
         return spool - clip(spool, -self.half_width, self.half_width)
 
 
-class ValveDeadbandLopsided(Effect):
+class ValveDeadbandLopsided(ValveDeadband):
     """Overlap, another on each side."""
 
-    id = "valve_deadband"
     options = {"form": ("lopsided",)}
-    late = True
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4)
     half_width_negative = parameter("A", 0.0, 0.1, scale=5e-4)
 
     def command(self, spool: Symbol) -> Symbol:
         return spool - clip(spool, -self.half_width_negative, self.half_width)
 
 
-class ValveDeadbandSoft(Effect):
+class ValveDeadbandSoft(ValveDeadband):
     """Overlap whose edges open gradually: each side is a softplus of what exceeds the half width."""
 
-    id = "valve_deadband"
     options = {"form": ("soft",)}
-    late = True
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4)
     softness = parameter("A", 1e-7, 0.1, scale=1e-4, neutral=1e-7)
 
     def command(self, spool: Symbol) -> Symbol:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from hydro_sim.model.grammar.composition import Carrier
 from hydro_sim.model.laws import Number
 
@@ -11,17 +13,7 @@ _EDGE = "current pressure_a pressure_b"
 _BEND = "(x - x_rest)"
 
 
-def _force(
-    name: str, unit: str, text: str, formula: str, phrase: str, scale: float, uses: str, degree: float
-) -> Carrier:
-    return Carrier("motion", name, unit, text, formula, phrase, scale, uses, degree)
-
-
-def _load(
-    name: str, unit: str, text: str, formula: str, phrase: str, scale: float, uses: str, degree: float
-) -> Carrier:
-    return Carrier("load", name, unit, text, formula, phrase, scale, uses, degree)
-
+_force, _load = partial(Carrier, "motion"), partial(Carrier, "load")
 
 # --- forces against the motion, and of the load -----------------------------------------------------------------------
 
