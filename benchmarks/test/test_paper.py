@@ -14,7 +14,10 @@ from benchmarks.paper.metric import NetworkMetric, PaperFilter
 from benchmarks.paper.models import NetworkModel
 from benchmarks.paper.store import FULL, RESULTS, Store
 from hydro_filter.model.sample import Sample
+from hydro_filter.training.data import DataSettings, roll_out
 from hydro_sim.files.recordings import Run
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
 pytestmark = pytest.mark.study
@@ -36,6 +39,13 @@ def network() -> torch.nn.Sequential:
     ).double()
 
 
+class Another:
+    """A plant that no compiled loop knows, as `NetworkPlant` is."""
+
+    def __init__(self, plant: AnalyticPlant) -> None:
+        self.reset, self.step = plant.reset, plant.step
+
+
 def metric_of(made: torch.nn.Module, model: NetworkModel) -> NetworkMetric:
     return NetworkMetric(tuple(p.detach().numpy().T for p in made.parameters()), model.center, model.scale)
 
@@ -55,6 +65,14 @@ def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
         np.testing.assert_allclose(state_matrix[:, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
     up, down = (model.linearized(STATE, 1e-3 + sign * 1e-9)[2] for sign in (1.0, -1.0))
     np.testing.assert_allclose(input_vector, (up - down) / 2e-9, rtol=1e-4, atol=1e-3)
+
+
+def test_rollouts_of_another_plant_are_those_of_the_compiled_loop_to_the_bit() -> None:
+    plant, bench = AnalyticPlant(Bench.nominal()), Bench.nominal()
+    settings = DataSettings(rollouts=2, gain_max=200.0, seconds=2.0)
+    compiled, by_samples = (roll_out(one, bench, settings, 1) for one in (plant, Another(plant)))
+    assert compiled.states.tobytes() == by_samples.states.tobytes()
+    assert len(compiled.states) == 2000
 
 
 def test_the_metrics_rate_is_its_difference_along_the_motion(model: NetworkModel) -> None:

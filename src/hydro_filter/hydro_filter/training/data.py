@@ -42,7 +42,7 @@ from hydro_sim import excitation
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 PULSE = 0.06
@@ -142,9 +142,7 @@ class Windows:
         return Windows(**{entry.name: getattr(self, entry.name)[which] for entry in fields(self)})
 
 
-def roll_out(
-    plant: AnalyticPlant, bench: Bench, settings: DataSettings, index: int, free: AnalyticPlant | None = None
-) -> Rollout:
+def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, free: Plant | None = None) -> Rollout:
     """Run rollout number `index`, reproducible for equal settings; `free`: the plant without its overlap."""
     rng = np.random.default_rng((settings.seed, index))
     low, high = settings.gain_min, settings.gain_max
@@ -163,9 +161,7 @@ def roll_out(
     return Rollout(states=kept, gains=gains, label=label)
 
 
-def _twins(
-    plant: AnalyticPlant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int
-) -> tuple[StateArray, StateArray]:
+def _twins(plant: Plant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int) -> tuple[StateArray, StateArray]:
     """Run twice with the same noise, the second time with the pulse."""
     pulse = np.zeros(plan.samples)
     first = simulate(plant, bench, replace(plan, correction=pulse.copy()), config=box, seed=seed)

@@ -5,12 +5,12 @@
 
     k:   receive(command_k)   tick(x_k) -> u_k, BenchState_k   plant holds u_k -> x_{k+1}
 
-Box and plant run in one compiled loop.
+Box and bench model run in one compiled loop; another `Plant` runs the same compiled box sample by sample.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,7 @@ from hydro_sim.box.box import Box, BoxConfig, fill_command
 from hydro_sim.jit import njit
 from hydro_sim.model import plant as plants
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.plant import AnalyticPlant, Plant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Schedule:
 
 
 def simulate(
-    plant: AnalyticPlant, bench: Bench, schedule: Schedule, *, config: BoxConfig | None = None, seed: int = 0
+    plant: Plant, bench: Bench, schedule: Schedule, *, config: BoxConfig | None = None, seed: int = 0
 ) -> StateArray:
     """Simulate one armed run from rest.
 
@@ -81,15 +81,24 @@ def simulate(
     box = Box(bench, config)
     gains, correction = _changes(schedule, box.config)
     box.receive(Command(), 0.0)
-    plant.reset(seed)
+    measurement = plant.reset(seed)
     law = box.config.compensated if schedule.law is Law.COMPENSATED else PAPER_LAW
     begin = Command(
         arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0, law=schedule.law,
         velocity_compensation=law.velocity_compensation, valve_gain_scale=law.valve_gain_scale,
     )  # fmt: skip
+    output = np.zeros(schedule.samples, STATE_DTYPE)
+    if not isinstance(plant, AnalyticPlant):
+        for k in range(len(output)):
+            delta_kp, delta_ki = map(float, gains[min(k // SAMPLES_PER_STEP, len(gains) - 1)])
+            delta_u = float(correction[k]) if len(correction) else 0.0
+            now = k * SAMPLE_PERIOD
+            box.receive(replace(begin, delta_kp=delta_kp, delta_ki=delta_ki, delta_u=delta_u), now)
+            output[k] = box.tick(measurement, now)
+            measurement = plant.step(float(output["valve_current"][k]))
+        return output
     command = np.zeros(1, kernel.COMMAND_DTYPE)
     fill_command(command, begin)
-    output = np.zeros(schedule.samples, STATE_DTYPE)
     noise = plant.noise.rows(schedule.samples)
     records = (plant.constants, plant.sensors, plant.state, box.bench, box.settings, box.state, command)
     _loop(*records, gains, correction, noise, output)
