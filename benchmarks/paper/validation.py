@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.paper import metric, models
 from benchmarks.paper.store import CASES, FILTERS, Result, Store
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_filter.validation import cases, runs
+from hydro_filter.validation import runs
 from hydro_filter.validation.runs import Corrector, Trial, gammas
 from hydro_filter.validation.runs import run as run_trial
 from hydro_sim.emulator.truth.config import profile
@@ -39,7 +39,7 @@ def corrector(store: Store, chosen: str, seed: int) -> Corrector:
 
 
 def _run(store: Store, name: str, chosen: str, seed: int) -> Result:
-    case, bench = cases.CASES[name], Bench.nominal()
+    case, bench = runs.CASES[name], Bench.nominal()
     gains = case.draw(seed, store.size.validation_seconds)
     trial = Trial(bench=bench, reference=case.reference, gains=gains, seed=seed)
     done = run_trial(trial, TruthPlant(profile("default")), corrector(store, chosen, seed))
