@@ -40,7 +40,7 @@ def slow_temperature(time: Array) -> Array:
     return 40.0 + 0.1 * np.round(time[::100], 1)
 
 
-def control_desk_csv(folder: Path, states: StateArray, *, decimal: str = ",") -> Path:
+def control_desk_csv(folder: Path, states: StateArray) -> Path:
     """Keyed header, two rasters with a column of times each, degrees Celsius in the encoding of Windows."""
     time, channels = raw(states)
     names = ["", *channels, "", "T_oil"]
@@ -59,7 +59,7 @@ def control_desk_csv(folder: Path, states: StateArray, *, decimal: str = ",") ->
     for k, at in enumerate(time):
         numbers = [at, *(values[k] for values in channels.values())]
         late = [slow[k], temperature[k]] if k < len(slow) else []
-        cells = [repr(float(one)).replace(".", decimal) for one in (*numbers, *late)]
+        cells = [repr(float(one)).replace(".", ",") for one in (*numbers, *late)]
         lines.append(";".join(["trace_values" if k == 0 else "", *cells, *[""] * (2 - len(late))]))
     path = folder / "control_desk.csv"
     path.write_bytes(("\r\n".join(lines) + "\r\n").encode("cp1252"))

@@ -21,6 +21,7 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.header import header, values
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
+from tests.checks import compiled
 
 FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
 IN_TIME = ("framing", "hello", "version", "idle", "clamp", "order.repeated", "order.old", "refused", "watchdog.hold")
@@ -58,18 +59,14 @@ def configured(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def compiled(folder: Path, source: Path, *words: str) -> Path:
-    program = folder / source.stem
-    strict = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-    places = [f"-I{FIRMWARE}", f"-I{folder}"]
-    compiler = os.environ.get("CC", "cc")
-    subprocess.run([compiler, *strict, *places, *words, str(source), "-o", str(program), "-lm"], check=True)
-    return program
+def example(name: str, folder: Path, *words: str) -> Path:
+    source, places = FIRMWARE / "examples" / f"{name}.c", (f"-I{FIRMWARE}", f"-I{folder}")
+    return compiled(source, folder / name, "-O2", *places, *words)
 
 
 def test_the_frame_for_a_microcontroller_compiles(configured: Path) -> None:
     for words in ((), ("-DHYDRO_SINGLE",)):
-        compiled(configured, FIRMWARE / "examples" / "bare_metal.c", "-c", "-ffreestanding", *words)
+        example("bare_metal", configured, "-c", "-ffreestanding", *words)
 
 
 class End:
@@ -95,7 +92,7 @@ class End:
 
 @pytest.fixture
 def linux_box(configured: Path) -> Iterator[End]:
-    program = compiled(configured, FIRMWARE / "examples" / "linux_serial.c")
+    program = example("linux_serial", configured)
     near, far = os.openpty()
     tty.setraw(far)
     process = subprocess.Popen([str(program), os.ttyname(far), "60"], stdout=subprocess.PIPE)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,6 +22,7 @@ from hydro_sim.box.box import Box
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from tests import checks
 
 FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
 WIDTH = len(STATE_FIELDS)
@@ -30,7 +30,6 @@ READ = WIDTH - 1
 """Columns that a decision rests on: all of STATE but integral_gain."""
 KINDS = {"double": np.float64, "single": np.float32}
 WORDS = {"double": (), "single": ("-DHYDRO_SINGLE",)}
-STRICT = ("-std=c99", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
 PLACES = [STATE_FIELDS.index(name) for name in SIGNALS]
 LOW = np.array([-5e3, -1e8, -5e3, -1e8, -0.5e6, -0.5e6, -5e-3, -10, -0.05, -100, -5e3, -3.2e7, -40, -20])
@@ -74,9 +73,7 @@ def written(folder: Path, truth: Bench) -> Path:
 def compiled(folder: Path, precision: str, *words: str) -> Path:
     """The program that decides about samples, with the header of `folder`."""
     program, source = folder / f"replay_{precision}", FIRMWARE / "test" / "replay_filter.c"
-    command = [os.environ.get("CC", "cc"), *STRICT, f"-I{FIRMWARE}", f"-I{folder}", *WORDS[precision], *words]
-    subprocess.run([*command, str(source), "-o", str(program), "-lm"], check=True)
-    return program
+    return checks.compiled(source, program, f"-I{FIRMWARE}", f"-I{folder}", *WORDS[precision], *words)
 
 
 def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
@@ -158,17 +155,15 @@ def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
     return np.array(rows)
 
 
-def drawn(count: int, seed: int = 4, gains: tuple[float, ...] = ()) -> FloatArray:
+def drawn(count: int, seed: int = 4) -> FloatArray:
     """Samples that do not follow one another, over `LOW` to `HIGH`: each number from the ends to a millionth of them.
 
-    Of every seventh one number is not finite, each column and each kind in its turn; every eleventh has one of `gains`.
+    Of every seventh one number is not finite, each column and each kind in its turn.
     """
     rng = np.random.default_rng(seed)
     middle, half = 0.5 * (LOW + HIGH), 0.5 * (HIGH - LOW)
     reach = 10.0 ** -rng.uniform(0.0, 6.0, (count, WIDTH))
     rows = middle + half * rng.choice([-1.0, 1.0], (count, WIDTH)) * reach
-    if gains:
-        rows[::11, PLACES[-1]] = rng.choice(gains, len(rows[::11]))
     for turn, k in enumerate(range(6, count, 7)):
         rows[k, turn % WIDTH] = (math.nan, math.inf, -math.inf)[turn // WIDTH % 3]
     return np.column_stack([rows, rng.random(count) < 0.9])

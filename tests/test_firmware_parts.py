@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-import os
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,7 @@ from hydro_policy.sac import header as policy_header
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, observe
 from hydro_sim.model.bench import Bench
-from tests.checks import status_of
+from tests.checks import compiled, status_of
 from tests.test_firmware_loop_filter import hostile
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -48,10 +46,8 @@ def many(folder: Path, precision: str, source: str, rows: FloatArray, width: int
     words, kind = PRECISIONS[precision]
     (folder / "many.c").write_text(source)
     library = folder / f"many_{precision}.so"
-    strict = ["-std=c99", "-O2", "-ffreestanding", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-    places = [f"-I{ROOT / 'firmware'}", f"-I{folder}", "-fPIC", "-shared"]
-    program = [os.environ.get("CC", "cc"), *strict, *places, *words, str(folder / "many.c"), "-o", str(library), "-lm"]
-    subprocess.run(program, check=True)
+    places = (f"-I{ROOT / 'firmware'}", f"-I{folder}")
+    compiled(folder / "many.c", library, "-O2", "-ffreestanding", "-fPIC", "-shared", *places, *words)
     given, made = np.ascontiguousarray(rows, kind), np.zeros((len(rows), width), kind)
     pointer = ctypes.POINTER(kind)
     raised = ctypes.CDLL(str(library)).many(len(rows), given.ctypes.data_as(pointer), made.ctypes.data_as(pointer))
@@ -67,23 +63,16 @@ def trained(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pol
     return policy, gains, folder
 
 
-def drawn_states(count: int) -> FloatArray:
-    rng = np.random.default_rng(5)
-    spread = [200, 3e3, 200, 3e3, 2e6, 2e6, 8e-3, 0.1, 0.02, 0.02, 200, 3e3, 40, 5]
-    center = [0, 0, 0, 0, 8e6, 8e6, 0.04, 0, 0, 0, 0, 0, 50, 8]
-    assert len(center) == len(STATE_FIELDS)
-    rows = center + rng.normal(0.0, 1.0, (count, 14)) * spread
-    rows[count // 2, 4] = math.nan  # there the last action stays
-    return np.asarray(rows)
-
-
 @pytest.mark.parametrize(("precision", "allowed"), [("double", 1e-13), ("single", 2e-5)])
 def test_the_policy_in_c_acts_as_the_policy(
     trained: tuple[Policy, GainRange, Path], precision: str, allowed: float
 ) -> None:
     policy, _, folder = trained
-    rows, worst = drawn_states(2000).astype(np.float32).astype(np.float64), 0.0
-    action: FloatArray = np.zeros(ACTIONS)
+    spread = [200, 3e3, 200, 3e3, 2e6, 2e6, 8e-3, 0.1, 0.02, 0.02, 200, 3e3, 40, 5]
+    center = [0, 0, 0, 0, 8e6, 8e6, 0.04, 0, 0, 0, 0, 0, 50, 8]
+    rows = (center + np.random.default_rng(5).normal(size=(2000, len(STATE_FIELDS))) * spread).astype(np.float32)
+    rows[1000, 4] = math.nan  # there the last action stays
+    rows, worst, action = rows.astype(np.float64), 0.0, np.zeros(ACTIONS)
     for row, found in zip(rows, many(folder, precision, POLICY, rows, 4), strict=True):
         observation = observe(row, action, policy.size)
         action = policy.act(observation) if np.isfinite(observation).all() else action

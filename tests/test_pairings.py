@@ -105,7 +105,6 @@ def make_files(folder: Path) -> None:
     (folder / "other_metric.safetensors").write_bytes(with_provenance(metric, MadeFor(box=nominal.digest, model=other)))
     (folder / "unmarked_metric.safetensors").write_bytes(with_provenance(metric, None))
     start = shipped_agent("paper")
-    assert start is not None
     for name, made in (("own", MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)), ("unmarked", None)):
         shutil.copytree(start.source, folder / name)
         for file in (folder / name).iterdir():
