@@ -268,9 +268,7 @@ QUANTILE = 0.99
 """Quantile of the noise's v'Mv that is treated as noise."""
 
 
-def displacements(
-    loop: Loop, plant: AnalyticPlant, gain: float, seed: int, velocity_compensation: float = 1.0
-) -> FloatArray:
+def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0) -> FloatArray:
     """v_1 of a still bench, its valve closed, shape (samples, coordinates)."""
     x, memory, step, closing = plant.reset(seed), memories(), step_of(loop), closing_current(loop)
     out, scales = np.empty((SAMPLES_AT_REST, len(loop.scale))), (velocity_compensation, 1.0)
@@ -284,7 +282,7 @@ def displacements(
     return out[100:]
 
 
-def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: AnalyticPlant, clean: AnalyticPlant) -> tuple[float, float]:
+def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant) -> tuple[float, float]:
     """`QUANTILE` of v'Mv of the noise: the largest over the certified range, and that of the metric for other gains."""
     sizes = []
     for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
@@ -319,7 +317,7 @@ ASKED_FOR = 18.0
 """s: the integral takes some K_p / K_i = 6 s to settle."""
 
 
-def integral_allowance(loop: Loop, plant: AnalyticPlant, bench: Bench, data: DataSettings) -> float:
+def integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: DataSettings) -> float:
     """Largest integral action of stable loops under the law of `data` after the first second [N/s], plus a quarter."""
     largest = 0.0
     law, asking = data.compensated, list(ASKING)
