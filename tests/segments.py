@@ -63,6 +63,7 @@ def problem_of(**values: Any) -> Problem:
 def claim(label: str, *sizes: float) -> Claim:
     """A cause of the nominal bench; its parameters in turn, those that are not given at their first guesses."""
     effect = next(one for one in CANDIDATES if one.label == label).adapted(Bench.nominal())
+    assert len(sizes) <= len(effect.parameters)
     given = dict(zip((one.name for one in effect.parameters), sizes, strict=False))
     return Claim(effect, {one.name: one.probes[0] for one in effect.parameters} | given)
 
