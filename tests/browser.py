@@ -64,10 +64,6 @@ class Page:
             time.sleep(0.02)
         return time.monotonic() - begin
 
-    def picture(self, path: Path) -> None:
-        """Save what is to be seen as PNG."""
-        self.driver.save_screenshot(str(path))
-
 
 @contextmanager
 def browser(profile: Path) -> Iterator[Page]:

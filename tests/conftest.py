@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-import importlib
-import shlex
-import sys
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
+    from tests.attacks import Defended
     from tests.graph_probe import Probe
 
 
@@ -27,20 +25,11 @@ def probe() -> Iterator[Probe]:
         watcher.close()
 
 
-@pytest.fixture
-def refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., None]:
-    """Call `package executable` as its entry point does: one sentence, status 2, nothing left in the folder, its @."""
-    from docs.generate_reference import executables
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Defended]:
+    """An emulator with its filter that can be attacked, in a domain of its own."""
+    from tests.attacks import Defended
+    from tests.graph_probe import own_domain
 
-    def check(command: str, words: str, sentence: str, folder: Path) -> None:
-        package, name = command.split()
-        before = set(folder.rglob("*"))
-        monkeypatch.setattr(sys, "argv", [name, *shlex.split(words.replace("@", f"{folder}/"))])
-        with pytest.raises(SystemExit) as ended:
-            sys.exit(importlib.import_module(executables(package)[name]).main())
-        *others, said = capfd.readouterr().err.splitlines()
-        assert ended.value.code == 2, said
-        assert "error: " in said and sentence in said, said
-        assert "Traceback" not in "".join(others) and set(folder.rglob("*")) == before, "nothing is left behind"
-
-    return check
+    with own_domain(), ExitStack() as stack:
+        yield Defended(tmp_path_factory.mktemp("graph"), stack)

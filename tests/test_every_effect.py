@@ -10,19 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.signals import FloatArray
 from hydro_filter.metric import MetricDesign, rest_loop
 from hydro_filter.model.loop import SUBSTEPS, loop_of, memories
 from hydro_filter.model.observer import follow, settle
-from hydro_policy.envs.vector_env import VectorBench
 from hydro_sim.files import recordings
 from hydro_sim.identification.bench_learning import learn
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
-from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.offline import Schedule, simulate
 from tests.segments import record
 
 BENCH = Bench.nominal()
@@ -115,19 +112,3 @@ def shown(parts: Any, y: FloatArray, z: FloatArray) -> FloatArray:
     x[3] = parts.gain[1] * y[parts.cell_rate] if parts.cell_rate >= 0 else 0.0
     x[7] = parts.gain[4] * y[3]
     return x
-
-
-@pytest.mark.parametrize("label", CATALOGUE)
-def test_a_fleet_that_is_trained_on_moves_as_the_simulation_to_the_bit(label: str) -> None:
-    bench, sine = having(label), ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.3)
-    schedule = Schedule(reference=sine, gains=(60.0, 10.0), seconds=0.3)
-    want = simulate(AnalyticPlant(bench), BENCH, schedule, seed=7)
-    fleet = VectorBench([BENCH] * 2, [AnalyticPlant(bench) for _ in range(2)])
-    for index in range(2):
-        fleet.begin(index, sine, 7 + index, (45.0, 5.0))
-    got = [fleet.samples[0, -1:].copy()]
-    for _ in range(29):
-        got.append(fleet.step(np.full((2, 2), (45.0, 5.0)))[0].copy())
-    samples = np.concatenate(got)[: len(want)]
-    for name in ("load_force", "hydraulic_force", "pressure_a", "pressure_b", "piston_position", "valve_current"):
-        np.testing.assert_array_equal(samples[name][: len(want)], want[name][: len(samples)], err_msg=name)

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-import tty
+import time
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +18,7 @@ from hydro_bridge.conformance.host import Host
 from hydro_bridge.files import bench_file
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.header import header, values
+from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 from tests.checks import compiled
@@ -69,38 +69,27 @@ def test_the_frame_for_a_microcontroller_compiles(configured: Path) -> None:
         example("bare_metal", configured, "-c", "-ffreestanding", *words)
 
 
-class End:
+class End(Terminal):
     """The far end of a pseudo-terminal as a line."""
 
-    def __init__(self, descriptor: int) -> None:
-        self.descriptor = descriptor
-        os.set_blocking(descriptor, False)
+    def read(self, timeout: float = 0.0) -> bytes:
+        end = time.monotonic() + timeout
+        while not (data := super().read()) and time.monotonic() < end:
+            time.sleep(1e-4)
+        return data
 
-    def read(self, timeout: float) -> bytes:
-        import select
-
-        if not select.select([self.descriptor], [], [], timeout)[0]:
-            return b""
-        try:
-            return os.read(self.descriptor, 65536)
-        except OSError:
-            return b""
-
-    def write(self, frame: bytes) -> bool:
-        return os.write(self.descriptor, frame) == len(frame)
+    def write(self, data: bytes) -> bool:
+        return super().write(data) == len(data)
 
 
 @pytest.fixture
 def linux_box(configured: Path) -> Iterator[End]:
-    program = example("linux_serial", configured)
-    near, far = os.openpty()
-    tty.setraw(far)
-    process = subprocess.Popen([str(program), os.ttyname(far), "60"], stdout=subprocess.PIPE)
-    yield End(near)
-    process.terminate()
-    process.wait()
-    os.close(near)
-    os.close(far)
+    program, port = example("linux_serial", configured), configured / "port"
+    line = End(port)
+    with subprocess.Popen([str(program), str(port), "60"], stdout=subprocess.DEVNULL) as process:
+        yield line
+        process.terminate()
+    line.unplug()
 
 
 @pytest.mark.graph

@@ -117,14 +117,6 @@ def stated(sentence: str) -> list[float]:
     return [float(number) for number in ([found] if isinstance(found, str) else found)]
 
 
-def test_the_lengths_and_rates_of_the_line_are_those_of_its_frames() -> None:
-    assert [len(MADE[4]), len(MADE[6])] == stated(r"STATE has (\d+) bytes on the line, a COMMAND (\d+)")
-    assert [len(MADE[5]), len(MADE[7])] == stated(r"version 2 they have (\d+) and (\d+)")
-    rates = [10_000 * len(MADE[number]) for number in (4, 6, 5)]
-    millions, thousands, older = stated(r"([\d.]+) Mbit/s and (\d+) 000 bit/s .*? (\d+) 000 bit/s in version 2")
-    assert rates == [1e6 * millions, 1000 * thousands, 1000 * older]
-
-
 def test_the_ranges_of_the_page_are_those_of_the_box() -> None:
     record = BoxConfig().constants(Bench.nominal())[0]
     force, low, high, near, far, rate, velocity = stated(

@@ -1,9 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a command line asks for and cannot have: one sentence, status 2, nothing left behind."""
+"""What a command line asks for and cannot have: one sentence, status 2, nothing left; wrong pairings of files first.
+
+Each command is called as its executable calls it.
+
+The files differ in nothing but what they say they were made for: `own` is for another bench (another spring, cylinder
+and supply), `other` for this bench and another model, `unmarked` does not say. A learned bench of one's own is for any
+box; the shipped one is for the shipped box.
+"""
 
 from __future__ import annotations
 
+import importlib
+import shlex
+import shutil
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +24,20 @@ import yaml
 
 pytest.importorskip("rclpy")
 
+from rclpy.serialization import serialize_message
+
+from docs.generate_reference import executables
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE
+from hydro_filter.metric import shipped as shipped_metric
+from hydro_msgs.msg import BoxInfo
+from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
+from hydro_policy.nodes.startup.companions import requested_filter
+from hydro_policy.pretraining.run import SimulationSetup
+from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
+from hydro_sim.files import learned_bench
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, with_provenance
+from hydro_sim.files.recordings import BOX_TOPIC
 from hydro_sim.model.bench import Bench
 from tests.checks import each
 
@@ -21,49 +45,80 @@ SINE = "{seconds: 1.0, amplitude: 200}"
 SCHEDULES = {
     "seconds": f"[{SINE}, {{seconds: abc}}]",
     "pulse": f"[{SINE}, {{seconds: 1, delta_u: 0.01}}]",
-    "none": "3",
 }
+FOREIGN = "was made for bench"
+UNMARKED = "does not say which bench it was made for"
+OWN = "--model @own_model.yaml --metric @own_metric.safetensors"
+"""The filter of `own.yaml`."""
+WRONG: dict[str, tuple[tuple[str, str], ...]] = {
+    "hydro_filter filter": (
+        ("--bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+        ("--bench @own.yaml --model @own_model.yaml", f"the metric default_metric.safetensors {FOREIGN}"),
+        ("--bench @own.yaml --metric @own_metric.safetensors", f"the model learned_bench.yaml {FOREIGN}"),
+        ("--metric @own_metric.safetensors", f"the metric own_metric.safetensors {FOREIGN}"),
+        ("--model @other_model.yaml", "the metric default_metric.safetensors was made for model"),
+        ("--metric @other_metric.safetensors", "the metric other_metric.safetensors was made for model"),
+        ("--metric @unmarked_metric.safetensors", UNMARKED),
+    ),
+    "hydro_filter validate": (
+        ("--metric @own_metric.safetensors", f"the metric own_metric.safetensors {FOREIGN}"),
+        ("--model @other_model.yaml", "was made for model"),
+    ),
+    "hydro_filter learn_metric": (
+        ("--out @new/m.safetensors --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+        ("--out @new/m.safetensors --recording @own_bag", "the box of the recording own_bag believes bench"),
+    ),
+    "hydro_sim sim": (
+        ("--model shipped --box-bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+    ),
+    "hydro_sim validate": (
+        ("@bag --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+    ),
+    "hydro_policy pretrain": (
+        ("--out @new --box @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+        ("--out @new --bench @own.yaml --box @own.yaml --filter learned", FOREIGN),
+    ),
+    "hydro_policy trainer": (
+        ("--runs @new --plant emulator --bench @own.yaml --configuration wide", FOREIGN),
+        (f"--runs @new --plant sim --bench @own.yaml --filter='{OWN}'", f"the agent pretrained_paper {FOREIGN}"),
+        ("--runs @new --plant sim --from @own", f"the agent own {FOREIGN}"),
+        ("--runs @new --plant sim --from @unmarked", UNMARKED),
+        ("--runs @new --plant sim --base-gains 30 8", "was made for a box with base K_p 15, this one has 30"),
+        ("--runs @new --plant sim --filter=--metric=@own_metric.safetensors", "the metric own_metric.safetensors"),
+        ("--runs @new --plant bench --filter=--model=@other_model.yaml", "was made for model"),
+    ),
+    "hydro_policy evaluate": (
+        ("--runs @new --plant sim --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
+        ("--runs @new --plant sim --policy @own", f"the policy own {FOREIGN}"),
+        ("--runs @new --plant emulator --policy @unmarked", UNMARKED),
+        (f"--runs @new --plant sim --bench @own.yaml --policy @shipped --filter='{OWN}'", FOREIGN),
+        ("--runs @new --plant sim --base-gains 30 8 --policy @shipped", "was made for a box with base K_p 15"),
+        ("--runs @new --plant sim --filter=--metric=@unmarked_metric.safetensors", UNMARKED),
+    ),
+}  # fmt: skip
+"""Words of each command that pairs anything, @ for the folder of `make_files`, with part of what is said."""
 REFUSED = {
     "hydro_bridge bridge": (
         ("--ros-args -p guard.delta_kp_mx:=30.0", "no parameter guard.delta_kp_mx; is guard.delta_kp_max"),
-        ("--ros-args --nonsense", "--nonsense"),
         ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
-        ("--port /dev/null", "/dev/null is another device, not a serial port"),
         ("--bench @corrected.yaml", "has effects, which no force law believes"),
     ),
-    "hydro_bridge recorder": (
-        ("--out /dev/null/bag", "/dev/null is not a folder: choose another place"),
-        ("--out @bag", "exists already; a recording is never overwritten"),
-    ),
-    "hydro_bridge arm": (("--timeout=nan", "argument --timeout: nan: must be 0.01 or more"),),
-    "hydro_bridge view": (
-        ("@bag --no-open --from 3 --to 2", "the end must come behind the begin"),
-        ("@bag --no-open --from 60", "no samples from 60"),
-    ),
-    "hydro_bridge dashboard": (("--port 65536", "65536"), ("--port http", "http")),
+    "hydro_bridge recorder": (("--out @bag", "exists already; a recording is never overwritten"),),
+    "hydro_bridge view": (("@bag --no-open --from 3 --to 2", "the end must come behind the begin"),),
     "hydro_sim collect": (
-        ("--out @new --seconds nan", "argument --seconds: nan: must be 1 to 36000"),
-        ("--out /dev/null/bag --seconds 5", "/dev/null/bag cannot be made"),
-        ("--out @new --bench nowhere.yaml", "nowhere.yaml cannot be read: "),
         ("--out @new --schedule @seconds", "segments[1].seconds must be a number in s, not 'abc'"),
         ("--out @new --schedule @pulse", "segments[1].delta_u is 0.01 A: only the emulator"),
-        ("--out @new --schedule @none", "must hold one list of segments under the key segments"),
     ),
     "hydro_sim emulator": (
         ("--offline", "--offline needs --out"),
-        ("--out @new", "add --offline"),
-        ("--offline --out @new --truth none.yaml", "none.yaml cannot be read"),
         ("--offline --out /dev/null/x", "/dev/null is not a folder: choose another place"),
-        ("--seconds nan", "--seconds nan"),
     ),
     "hydro_sim learn": (
         ("@bag --out @new", "a bench file's name ends in .yaml or .yml"),
-        ("@bag --out @new.yaml --windows 0", "argument --windows: 0: must be a whole number, 1 or more"),
         ("@bag --out /dev/null/x", "/dev/null/x cannot be written"),
     ),
     "hydro_sim validate": (("@nowhere", "nowhere does not exist"),),
     "hydro_sim sim": (
-        ("--bench nowhere.yaml", "nowhere.yaml cannot be read: "),
         ("--speed -1", "speed must be within [0, 100], not -1"),
         ("--ros-args -p box.load_force_limit:=-5.0", "parameter box.load_force_limit: "),
     ),
@@ -71,53 +126,98 @@ REFUSED = {
         ("--metric /nowhere.safetensors", "cannot be read as weights"),
         ("--site @", "bench.yaml is not there: `ros2 run hydro_policy commission` has not got that far"),
     ),
-    "hydro_filter export_c": (("--out @new --contraction-rate -1", "contraction_rate"),),
-    "hydro_filter learn_metric": (("--out /dev/null/x", "/dev/null"),),
-    "hydro_policy export_c": (("--out @new --policy @plain.yaml", "cannot be read as weights"),),
     "hydro_policy pretrain": (
         ("--out @new --model nowhere.safetensors", "nowhere.safetensors"),
-        ("--out @new --bench b.yaml --model shipped", "a bench of its own"),
         ("--out @new --bench b.yaml --model c.yaml", "which of them is simulated?"),
-        ("--out @new --episodes 0", "episodes must be within"),
-        ("--out /dev/null/run", "/dev/null is not a folder: choose another place"),
     ),
     "hydro_policy trainer": (
         ("--runs @new --resume /nowhere", "holds no run to resume"),
         ("--runs @new --ros-args -p sac.discont:=0.9", "no parameter sac.discont; is sac.discount meant?"),
         ("--runs @new --plant sim --truth t.yaml", "--truth is of no use with --plant sim; it goes with emulator"),
-        ("--runs @new --plant external --filter=--bypass", "--filter is of no use with --plant external"),
-        ("--runs @new --plant sim --model /nowhere", "--model /nowhere: there is no such file"),
-        ("--runs /dev/null", "cannot be made"),
     ),
     "hydro_policy evaluate": (
         ("--runs @new --fixed nan 5", "fixed gains are two finite numbers, not nan and 5"),
-        ("--runs @new --repeats 0", "repeats must be within [1, 1000], not 0"),
-        ("--runs @new --json /dev/null/figures.json", "/dev/null is not a folder: choose another place"),
-        ("--runs @new --record @new", "--record is of no use where the plant runs already"),
         ("--runs @new --plant sim --site @ --bench b.yaml", "--bench is told by --site"),
         ("--runs @new --plant sim --filter none", "--filter none leaves the compensated law"),
     ),
     "hydro_policy commission": (
         ("--site @new", "which bench? Name its --port"),
         ("--site @new --port /dev/null", "which bench.yaml does the box believe?"),
-        ("--site @new --port /dev/null --truth t.yaml", "--truth is of the emulated bench"),
     ),
 }
+"""The same of other words."""
+
+
+def make_files(folder: Path) -> None:
+    """Own bench, models, metrics and policies, by what they say they were made for."""
+    nominal = Bench.nominal()
+    (folder / "plain.yaml").write_text(yaml.safe_dump(nominal.to_mapping()))
+    effects = [{"id": "friction_coulomb", "parameters": {"force": 12.0}}]
+    (folder / "corrected.yaml").write_text(yaml.safe_dump(nominal.to_mapping() | {"effects": effects}))
+    for name, segments in SCHEDULES.items():
+        (folder / name).write_text(f"segments: {segments}\n")
+    with BagWriter(folder / "bag") as bag:
+        bag.write_states(np.zeros(10, STATE_DTYPE))
+    own = replace(nominal, spring_stiffness=4e4, piston_area=3e-4, supply_pressure=12e6)
+    (folder / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()), encoding="utf-8")
+    with BagWriter(folder / "own_bag") as writer:
+        writer.add_topic(BOX_TOPIC, "hydro_msgs/msg/BoxInfo")
+        writer.write(BOX_TOPIC, serialize_message(BoxInfo(bench_digest=own.digest)), 0)
+    metric, learned = shipped_metric().read_bytes(), learned_bench.load_model()
+    for name in ("other_model.yaml", "own_model.yaml"):  # a hair off the shipped one: another by its digest
+        changed = replace(learned, moving_mass=learned.moving_mass * (1.0 + 1e-9), learned=None)
+        (folder / name).write_text(yaml.safe_dump(changed.to_mapping()), encoding="utf-8")
+    other = learned_bench.digest(folder / "other_model.yaml")
+    (folder / "own_metric.safetensors").write_bytes(with_provenance(metric, MadeFor(box=own.digest, model=other)))
+    (folder / "other_metric.safetensors").write_bytes(with_provenance(metric, MadeFor(box=nominal.digest, model=other)))
+    (folder / "unmarked_metric.safetensors").write_bytes(with_provenance(metric, None))
+    start = shipped_agent("paper")
+    for name, made in (("own", MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)), ("unmarked", None)):
+        shutil.copytree(start.source, folder / name)
+        for file in (folder / name).iterdir():
+            file.write_bytes(with_provenance(file.read_bytes(), made))
+    shutil.copytree(start.source, folder / "shipped")
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    (folder / "plain.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
-    effects = [{"id": "friction_coulomb", "parameters": {"force": 12.0}}]
-    (folder / "corrected.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping() | {"effects": effects}))
-    for name, segments in SCHEDULES.items():
-        (folder / name).write_text(f"segments: {segments}\n")
-    with BagWriter(folder / "bag") as bag:
-        bag.write_states(np.zeros(10, STATE_DTYPE))
+    make_files(folder)
     return folder
 
 
-@pytest.mark.parametrize("command", REFUSED)
+@pytest.fixture
+def refused(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Callable[..., None]:
+    """Call `package executable` as its entry point does: one sentence, status 2, nothing left in the folder, its @."""
+
+    def check(command: str, words: str, sentence: str, folder: Path) -> None:
+        package, name = command.split()
+        before = set(folder.rglob("*"))
+        monkeypatch.setattr(sys, "argv", [name, *shlex.split(words.replace("@", f"{folder}/"))])
+        with pytest.raises(SystemExit) as ended:
+            sys.exit(importlib.import_module(executables(package)[name]).main())
+        *others, said = capfd.readouterr().err.splitlines()
+        assert ended.value.code == 2, said
+        assert "error: " in said and sentence in said, said
+        assert "Traceback" not in "".join(others) and set(folder.rglob("*")) == before, "nothing is left behind"
+
+    return check
+
+
+@pytest.mark.parametrize("command", sorted(WRONG.keys() | REFUSED.keys()))
 def test_it_is_refused_in_one_sentence(command: str, files: Path, refused: Callable[..., None]) -> None:
-    each(REFUSED[command], lambda row: refused(command, *row, files))
+    rows = (*WRONG.get(command, ()), *REFUSED.get(command, ()))
+    each(rows, lambda row: refused(command, *row, files))
+
+
+def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path) -> None:
+    nominal, own = (BoxIdentity.of_file(path, (15.0, 5.0)) for path in (None, files / "own.yaml"))
+    for name, box in (("shipped", nominal), ("own", own)):
+        require_matching_policy(files / name, box)
+        require_matching_agent(load_initial_agent(files / name), box)
+    bench = str(files / "own.yaml")
+    assert SimulationSetup(model="shipped").trouble() == ""
+    assert SimulationSetup(model="shipped", filter="learned").trouble() == ""
+    assert SimulationSetup(model="analytic", bench=bench).trouble() == "", "the plant may be another than believed"
+    assert SimulationSetup(model=str(files / "own_model.yaml"), box=bench).trouble() == ""
+    requested_filter(OWN.replace("@", f"{files}/").split(), files / "own.yaml")
