@@ -87,16 +87,14 @@ def record(plan: Plan) -> list[Path]:
     """Recordings of the bench under careful fixed gains; the last one is to be held out."""
     folder = plan.folder / "recordings"
     folder.mkdir(exist_ok=True)
-    bags, missing = [folder / f"run{k}" for k in range(len(DRIVES))], []
+    bags = [folder / f"run{k}" for k in range(len(DRIVES))]
     for k, drive in enumerate(DRIVES):
         schedule = folder / f"schedule{k}.yaml"
         schedule.write_text(yaml.safe_dump({"segments": [dict(drive)]}), encoding="utf-8")
         if not (bags[k] / "metadata.yaml").exists():
-            job = {"out": str(bags[k]), "truth": str(plan.truth), "schedule": str(schedule)}
-            missing.append({**job, "bench": str(plan.believed), "seed": 100 + k})
-    if missing:
-        (folder / "batch.yaml").write_text(yaml.safe_dump({"jobs": missing}), encoding="utf-8")
-        _run(["hydro_sim", "emulator", "--offline", "--batch", str(folder / "batch.yaml")])
+            bench = ["--truth", str(plan.truth), "--bench", str(plan.believed), "--seed", str(100 + k)]
+            words = ["--offline", "--out", str(bags[k]), "--schedule", str(schedule), *bench]
+            _run(["hydro_sim", "emulator", *words])
     return bags
 
 

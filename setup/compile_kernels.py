@@ -21,7 +21,7 @@ from numba.core import caching
 
 from hydro_sim import compiled
 
-PACKAGES = ("hydro_policy", "hydro_sim", "hydro_sim.emulator", "hydro_filter", "hydro_diagnosis")
+PACKAGES = ("hydro_policy", "hydro_sim", "hydro_filter", "hydro_diagnosis")
 """In whose `precompile` the steps are. The learner first: it shares no kernel with the rest, and takes long."""
 
 FOLDERS = ("hydro_bridge", "hydro_sim", "hydro_filter", "hydro_policy", "hydro_diagnosis")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Schedules: segments of references and gains, their one YAML form, checked whole as it is read, and their coverage.
+"""Schedules: segments of references and gains, and their one YAML form, checked whole as it is read.
 
 What `ros2 run hydro_sim collect` plays into the graph and what the emulator records offline (schedule.md). A fade
 of 0.3 s joins the segments (hydro_sim.box.reference).
@@ -17,13 +17,10 @@ from typing import Annotated, Literal, cast
 import numpy as np
 import yaml
 
-from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, ReferenceSignal, StateArray, Waveform
-from hydro_bridge.size import Size
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag, ReferenceSignal, Waveform
 from hydro_sim.model.bench import NOMINAL
-from hydro_sim.plotting import UNITS
 
 WaveformName = Literal["hold", "sine", "multisine", "smooth_step"]
 """`Waveform` in YAML."""
@@ -193,63 +190,3 @@ def _segment(seconds: float, limits: Range, generator: np.random.Generator) -> S
         seconds=seconds, waveform=name, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase, kp=kp,
         ki=ki,
     )  # fmt: skip
-
-
-WORKING_RANGE: dict[str, tuple[str, float, float]] = {
-    "load_force": ("force", -400.0, 400.0),
-    "load_force_rate": ("force", -3770.0, 3770.0),
-    "pressure_a": ("pressure", 4e6, 9e6),
-    "pressure_b": ("pressure", 5e6, 14e6),
-    "piston_position": ("length", 0.02, 0.06),
-    "piston_velocity": ("length", -0.19, 0.19),
-    "valve_current": ("current", -5e-3, 5e-3),
-    "proportional_gain": ("", 15.0, 75.0),
-    "integral_gain": ("", 5.0, 15.0),
-}
-"""Scale of `Size`, and working range of a model of the nominal bench: 300 N at 2 Hz with offsets (physics.md), SI."""
-
-
-def working_range(size: Size) -> dict[str, tuple[float, float]]:
-    """Return the working range of a model of a bench of this size, SI units."""
-    shares = {name: getattr(size, name) / getattr(NOMINAL, name) for name in vars(NOMINAL)} | {"": 1.0}
-    return {field: (shares[scale] * low, shares[scale] * high) for field, (scale, low, high) in WORKING_RANGE.items()}
-
-
-BINS = 20
-
-
-def coverage(states: StateArray, size: Size) -> Table:
-    """One row per quantity: its range, its spread, and how much of the bench's working range was visited while armed.
-
-    `visited` is the share of 20 bins of the working range with at least 0.1 % of the samples; the last row is the share
-    of cells of load force by velocity, 10 each way, within the ellipse that sines of 400 N and 3770 N/s fill (on the
-    nominal bench).
-    """
-    armed = states[(states["flags"] & Flag.ARMED) != 0]
-    seconds = 1e-3 * len(armed)
-    columns = {
-        "quantity": "", "unit": "", "low": "0.1 % of samples are below", "high": "0.1 % of samples are above",
-        "std": "standard deviation", "visited": "share of the working range visited",
-    }  # fmt: skip
-    table = Table(columns, title=f"{seconds:g} s armed of {1e-3 * len(states):g} s")
-    ranges = working_range(size)
-    for field in ranges:
-        name, unit, factor = UNITS[field]
-        values = armed[field]
-        low, high = np.quantile(values, [0.001, 0.999])
-        counts, _ = np.histogram(values, BINS, ranges[field])
-        table.add(
-            quantity=name, unit=unit, low=float(factor * low), high=float(factor * high),
-            std=float(factor * values.std()),
-            visited=float((counts > 0.001 * len(values)).mean()),
-        )  # fmt: skip
-    table.add(quantity="force by velocity", unit="", low=np.nan, high=np.nan, std=np.nan, visited=_plane(armed, size))
-    return table
-
-
-def _plane(armed: StateArray, size: Size) -> float:
-    ranges = [working_range(size)[field] for field in ("load_force", "piston_velocity")]
-    counts, force, velocity = np.histogram2d(armed["load_force"], armed["piston_velocity"], 10, ranges)
-    f, v = 0.5 * (force[1:] + force[:-1]) / ranges[0][1], 0.5 * (velocity[1:] + velocity[:-1]) / ranges[1][1]
-    inside = f[:, None] ** 2 + v[None, :] ** 2 <= 1.0
-    return float((counts[inside] >= 10).mean())

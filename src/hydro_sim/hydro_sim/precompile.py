@@ -9,6 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_sim import excitation
+from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import profile
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.identification import bench_learning
 from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Scored, prediction_errors
@@ -46,5 +50,13 @@ def _learning() -> None:
         prediction_errors(predictor, states, scored, recorded=True, horizon=70, stride=500)
 
 
-STEPS: dict[str, Callable[[], None]] = {"simulation": _simulation, "learning": _learning}
+def _emulator() -> None:
+    truth = profile("default")
+    machine = Machine(truth)
+    machine.warm_up()
+    machine.plant.step(0.0)
+    record_offline(truth, excitation.draw(0.1, 0))
+
+
+STEPS: dict[str, Callable[[], None]] = {"simulation": _simulation, "learning": _learning, "emulator": _emulator}
 """By the message shown while each runs."""

@@ -26,9 +26,8 @@ from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.signals import Flag
-from hydro_bridge.size import Size
-from hydro_sim.excitation import WORKING_RANGE, Playback, Segment, working_range
-from hydro_sim.model.bench import NOMINAL, Bench
+from hydro_sim.excitation import Playback, Segment
+from hydro_sim.model.bench import Bench
 from hydro_sim.nodes.collect import CollectNode
 from tests.checks import ran
 from tests.graph_probe import Probe
@@ -84,16 +83,6 @@ def fresh(listener: Probe) -> int:
 def _collect(folder: Path, segments: list[dict[str, object]], *words: str) -> list[str]:
     (folder / "s.yaml").write_text(yaml.safe_dump({"segments": segments}))
     return ["--out", str(folder / "bag"), "--schedule", str(folder / "s.yaml"), *words]
-
-
-def test_the_working_range_is_a_share_of_the_bench_s_size() -> None:
-    assert working_range(NOMINAL) == {
-        field: limits for field, (_, *pair) in WORKING_RANGE.items() for limits in [(*pair,)]
-    }
-    other = working_range(Size(force=3000.0, pressure=8e6, length=0.32, current=0.1))
-    assert other["load_force_rate"] == (-37700.0, 37700.0) and other["pressure_b"] == (2.5e6, 7e6)
-    assert other["piston_position"] == (0.08, 0.24) and other["valve_current"] == (-0.01, 0.01)
-    assert other["proportional_gain"] == (15.0, 75.0)
 
 
 def test_enter_while_the_plant_is_armed_is_no_consent_to_arm_it_again() -> None:

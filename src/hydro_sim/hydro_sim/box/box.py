@@ -173,9 +173,9 @@ class Box:
         return sample
 
     @property
-    def refused(self) -> int:
-        """Number of values in commands that were not finite or out of range, since the reset."""
-        return int(self.state["refused"][0])
+    def refused(self) -> tuple[int, int]:
+        """Numbers of values in commands that were not finite or out of range, and of references, since the reset."""
+        return int(self.state["refused"][0]), int(self.state["refused_references"][0])
 
 
 def with_base_gains(kp: float, ki: float) -> BoxConfig:

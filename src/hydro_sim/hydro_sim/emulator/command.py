@@ -5,19 +5,16 @@ from __future__ import annotations
 
 import argparse
 import secrets
-import sys
-from collections.abc import Sequence
+import time
 from pathlib import Path
 from types import FrameType
 from typing import get_args
 
 import yaml
 
-from hydro_bridge.bags.recording import RecordingError
-from hydro_bridge.cli.console import writable, writable_folder
-from hydro_bridge.errors import user_message
+from hydro_bridge.cli.console import command, number, writable, writable_folder
 from hydro_bridge.process import endings
-from hydro_bridge.settings import SettingsError, from_mapping, read_yaml
+from hydro_bridge.settings import SettingsError
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_details, box_info
 from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator import offline
@@ -28,35 +25,20 @@ from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import ControlPipe, RealTime, raise_priority
 from hydro_sim.emulator.truth.config import truth_to_mapping
+from hydro_sim.excitation import load_schedule
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status: 0, or 2 after one sentence on what cannot be used."""
-    options = _parser().parse_args(arguments)
-    try:
-        with endings.raised():
-            _run(options)
-    except (SettingsError, RecordingError, ValueError, OSError) as error:
-        endings.complain(user_message(error))
-        return 2
-    except endings.Ended as ended:  # before it serves, or because it spins
-        if ended.sentence:
-            endings.complain(ended.sentence)
-        return 128 + ended.number
-    return 0
-
-
-def _run(options: argparse.Namespace) -> None:
+@command(ValueError, OSError)
+def main() -> None:
+    """Entry point."""
+    options = _parser().parse_args()
     if options.print_truth:
         truth = offline.truth(options.truth, _believed(options))
         print(yaml.safe_dump(truth_to_mapping(truth), sort_keys=False), end="")
-    elif options.offline or options.batch:
-        if options.firmware != "python":
-            raise SettingsError("--firmware is for a serial line: offline the Python box runs")
-        for job in _jobs(options):
-            offline.run(job)
+    elif options.offline:
+        _record(options)
     else:
         _serve(options)
 
@@ -66,8 +48,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--truth", metavar="FILE", help="what the bench is made of (default: the default profile)")
     parser.add_argument("--bench", metavar="FILE", help="what the box believes, and the numbers of the "
                         "emulated bench where --truth has no others (default: the nominal bench)")  # fmt: skip
-    parser.add_argument("--seconds", type=float, metavar="S", help="how long (default: until stopped)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of noise, random forces and link faults")
+    parser.add_argument(
+        "--seconds", type=number(1e-3, 36000.0), metavar="S", help="how long (default: until stopped, or the schedule)"
+    )
+    parser.add_argument("--seed", type=number(0), default=0, metavar="N", help="of noise, random forces, link faults")
     parser.add_argument(
         "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
     )
@@ -92,35 +76,35 @@ def _parser() -> argparse.ArgumentParser:
         "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
     )
     group.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
-    group.add_argument("--batch", metavar="FILE", help="many recordings: a list `jobs` with these options as keys")
     return parser
-
-
-def _jobs(options: argparse.Namespace) -> list[offline.Job]:
-    if options.batch:
-        entries = read_yaml(options.batch).get("jobs")
-        if not isinstance(entries, list):
-            raise SettingsError(f"{options.batch} must hold a list under the key jobs")
-        return [from_mapping(offline.Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
-    if not options.out:
-        raise SettingsError("--offline needs --out, the folder of the recording")
-    keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed", "integral")
-    return [
-        from_mapping(offline.Job, {**{key: getattr(options, key) for key in keys}, "out": str(options.out)}, "emulator")
-    ]
 
 
 def _believed(options: argparse.Namespace) -> Bench:
     return Bench.load(options.bench) if options.bench else Bench.nominal()
 
 
+def _record(options: argparse.Namespace) -> None:
+    """Record offline into a folder and, if asked for, a noise-free file; prints one line."""
+    if not options.out:
+        raise SettingsError("--offline needs --out, the folder of the recording")
+    if options.firmware != "python":
+        raise SettingsError("--firmware is for a serial line: offline the Python box runs")
+    began, bench = time.perf_counter(), _believed(options)
+    truth = offline.truth(options.truth, bench)
+    segments = load_schedule(options.schedule) if options.schedule else offline.default_schedule(bench)
+    if options.seconds is not None:
+        segments = offline.fit_to(segments, options.seconds)
+    box = offline.with_gain_limits_for(segments, BoxConfig(integral=options.integral).of_bench(bench))
+    recording = offline.record_offline(truth, segments, bench=bench, box=box, seed=options.seed)
+    offline.write_bag(options.out, recording, bench)
+    if options.noise_free:
+        recording.save_noise_free(options.noise_free)
+    print(f"{options.out}: {len(recording.states) * 1e-3:g} s of bench in {time.perf_counter() - began:.2f} s")
+
+
 def _serve(options: argparse.Namespace) -> None:
     if options.out or options.schedule or options.noise_free:
         raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
-    if options.seconds is not None and not 0.001 <= options.seconds < float("inf"):
-        raise SettingsError(f"--seconds {options.seconds:g}: must be 0.001 s or more")
-    if options.seed < 0:
-        raise SettingsError(f"--seed {options.seed}: must be 0 or more")
     bench = _believed(options)
     box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.truth(options.truth, bench)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
@@ -140,9 +124,8 @@ def _serve(options: argparse.Namespace) -> None:
         terminal = Terminal(options.link or default_link())
         link = FirmwareLink(terminal, machine.firmware, box_info(bench, box, EMULATED_BOX), faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
-    status = _show if sys.stderr.isatty() else None
     felt = load_force.create(options.load_force) if options.load_force else None
-    running = RealTime(machine, link, faults, control, felt, status)
+    running = RealTime(machine, link, control, felt)
     stop = _stopper()
     print(
         f"port {terminal.path}, 1 kHz, {raise_priority()}: ros2 run hydro_bridge bridge --port {terminal.path}",
@@ -175,8 +158,3 @@ def _stopper() -> list[int]:
 
     endings.answer(ask)
     return asked
-
-
-def _show(line: str) -> None:
-    sys.stderr.write(f"\r{line}\x1b[K")
-    sys.stderr.flush()

@@ -12,12 +12,11 @@ import numpy.typing as npt
 from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim.box import kernel
-from hydro_sim.box.box import BoxConfig, fill_command, law_state
+from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.sensors import Sensors
 
 
 @njit
@@ -66,29 +65,23 @@ class Machine:
     def __init__(
         self, config: TruthConfig, bench: Bench | None = None, box: BoxConfig | None = None, seed: int = 0
     ) -> None:
-        believed = bench or Bench.nominal()
         self._seed = seed
         self.plant = truth.TruthPlant(config, seed)
         self.records = (self.plant.parameters, self.plant.differentiation, self.plant.state, self.plant.chain)
-        self.bench = believed.constants()
-        ages = config.sensors
-        self.sensors = Sensors(force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age)
-        self.settings = (box or BoxConfig()).constants(believed)
-        self.box = np.zeros(1, kernel.STATE_DTYPE)
-        kernel.reset(self.box)
+        self.sensors = self.plant.sensors
+        self.box = Box(bench or Bench.nominal(), box)
         self.clean, self.physical = np.empty(len(PLANT_FIELDS)), np.empty(len(truth.TRUTH_FIELDS))
         self.samples = 0  # since the last power-up
-        self._command = np.zeros(1, kernel.COMMAND_DTYPE)
 
     @property
     def refused(self) -> tuple[int, int]:
         """Numbers of values, and of references, that the box refused since its power-up."""
-        return int(self.box["refused"][0]), int(self.box["refused_references"][0])
+        return self.box.refused
 
     @property
     def law_state(self) -> LawState:
         """Force law as it acted in the last sample."""
-        return law_state(self.box[0])
+        return law_state(self.box.state[0])
 
     @property
     def time(self) -> float:
@@ -104,22 +97,19 @@ class Machine:
 
     def restart(self) -> None:
         """Power-cycle the box: disarmed, sequence and clock from zero. The plant goes on."""
-        kernel.reset(self.box)
+        self.box.reset()
         self.samples = 0
 
     def receive(self, command: Command) -> None:
         """Process a command that arrived since the last sample."""
-        fill_command(self._command, command)
-        kernel.receive(self.settings, self.box, self._command, self.time)
+        self.box.receive(command, self.time)
 
     def tick(self) -> np.void:
         """Run one sample; return a record of `STATE_DTYPE`. `clean` and `physical` then belong to it."""
         sample: StateArray = np.empty(1, STATE_DTYPE)
-        noise = self.plant.noise.row()
-        work = self.plant.work
-        exchange(
-            self.bench, self.settings, self.box, self.records, work, noise, self.time, sample, self.clean, self.physical
-        )
+        box, plant = self.box, self.plant
+        place = (self.time, sample, self.clean, self.physical)
+        exchange(box.bench, box.settings, box.state, self.records, plant.work, plant.noise.row(), *place)
         self.samples += 1
         record: np.void = sample[0]
         return record
@@ -144,7 +134,7 @@ class Machine:
         states = np.empty(count, STATE_DTYPE)
         clean, physical = np.empty((count, len(PLANT_FIELDS))), np.empty((count, len(truth.TRUTH_FIELDS)))
         noise = self.plant.noise.rows(count)
-        box = (self.bench, self.settings, self.box)
+        box = (self.box.bench, self.box.settings, self.box.state)
         _run(box, self.records, self.plant.work, noise, self.samples, commands, which, states, clean, physical)
         self.samples += count
         return states, clean, physical

@@ -8,22 +8,21 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.settings import from_mapping, quantity
+from hydro_bridge.settings import from_mapping
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
 from hydro_bridge.size import resized
 from hydro_sim.box import kernel
-from hydro_sim.box.box import BoxConfig, Integral, fill_command
+from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, load_truth, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
-from hydro_sim.excitation import Segment, load_schedule
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import NOMINAL, Bench
 
 
@@ -73,15 +72,10 @@ def record_offline(
     machine = Machine(config, bench, settings, seed)
     commands, which = _schedule(segments, settings)
     states, clean, physical = machine.run(commands, which)
-    return Recording(states=states, noise_free=noise_free_states(states, clean), physical=physical)
-
-
-def noise_free_states(states: StateArray, clean: FloatArray) -> StateArray:
-    """Copy of `states`, shape (n,), with the measured fields replaced by `clean`, shape (n, 8)."""
-    result = states.copy()
+    noise_free = states.copy()
     for column, name in enumerate(PLANT_FIELDS):
-        result[name] = clean[:, column]
-    return result
+        noise_free[name] = clean[:, column]
+    return Recording(states=states, noise_free=noise_free, physical=physical)
 
 
 def with_gain_limits_for(segments: Sequence[Segment], base: BoxConfig | None = None) -> BoxConfig:
@@ -144,37 +138,6 @@ def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
         result.append(replace(segment, seconds=min(segment.seconds, left)))
         left -= segment.seconds
     return result
-
-
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """One offline recording; paths are relative to the working directory."""
-
-    out: str
-    truth: str | None = None  # absent: the default profile, with the numbers of `bench`
-    schedule: str | None = None  # absent: 20 s with something of everything
-    bench: str | None = None  # what the box believes; absent: the nominal bench
-    noise_free: str | None = None  # .npz for scoring; absent: none
-    seconds: Annotated[float, quantity("s", 1e-3, 36000.0)] | None = None  # absent: the schedule once
-    seed: Annotated[int, quantity("-", 0, 2**62)] = 0
-    integral: Integral = "bumpless"  # form of the force law's integral
-
-
-def run(job: Job) -> Recording:
-    """Record `job` into its folder and, if asked for, its noise-free file; prints one line."""
-    began = time.perf_counter()
-    bench = Bench.load(job.bench) if job.bench else Bench.nominal()
-    config = truth(job.truth, bench)
-    segments = load_schedule(job.schedule) if job.schedule else default_schedule(bench)
-    if job.seconds is not None:
-        segments = fit_to(segments, job.seconds)
-    box = with_gain_limits_for(segments, BoxConfig(integral=job.integral).of_bench(bench))
-    recording = record_offline(config, segments, bench=bench, box=box, seed=job.seed)
-    write_bag(job.out, recording, bench)
-    if job.noise_free:
-        recording.save_noise_free(job.noise_free)
-    print(f"{job.out}: {len(recording.states) * 1e-3:g} s of bench in {time.perf_counter() - began:.2f} s", flush=True)
-    return recording
 
 
 def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:

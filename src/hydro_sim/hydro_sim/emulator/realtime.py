@@ -73,7 +73,7 @@ def execute(order: str, machine: Machine, link: BoxLink, now: float) -> None:
     elif number > 1.0:
         raise SettingsError(f"order {order!r}: a chance is within [0, 1]")
     else:
-        link.set_faults(replace(link.up.faults, **{word: number}))  # type: ignore[arg-type]
+        link.set_faults(replace(link.up.faults, **{word: number}))
 
 
 def _number(text: str) -> float:
@@ -94,14 +94,11 @@ class RealTime:
 
     machine: Machine
     link: BoxLink
-    faults: LinkFaults
     control: ControlPipe | None = None
     load_force: load_force.Ring | None = None
-    status: Callable[[str], None] | None = None  # takes one line a second
 
     def __post_init__(self) -> None:
         self.pacer, self.samples, self.cpu = Pacer(SAMPLE_PERIOD), 0, 0.0  # statistics; s of CPU
-        self._events = sorted(self.faults.events, key=lambda event: event.at)
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Run for `seconds`, or until `stopped`."""
@@ -113,21 +110,12 @@ class RealTime:
             while (count is None or self.samples < count) and not stopped():
                 self._sample(self.samples * SAMPLE_PERIOD)
                 self.samples += 1
-                if self.status is not None and self.samples % 1000 == 0:
-                    self.cpu = time.process_time() - cpu
-                    self.status(self._line())
                 self.pacer.wait()
         finally:
             gc.enable()
         self.cpu = time.process_time() - cpu
 
     def _sample(self, now: float) -> None:
-        while self._events and self._events[0].at <= now:
-            event = self._events.pop(0)
-            if event.stall:
-                self.link.stall(event.stall, now)
-            if event.unplug:
-                self.link.unplug(event.unplug, now)
         if self.control is not None and self.samples % _CONTROL_EVERY == 0:
             self._obey(now)
         command = self.link.poll(now)
@@ -137,7 +125,6 @@ class RealTime:
         if self.load_force is not None:
             load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
         self.link.send(sample, now)
-        self.sample = sample
 
     def _obey(self, now: float) -> None:
         assert self.control is not None
@@ -146,16 +133,6 @@ class RealTime:
                 execute(order, self.machine, self.link, now)
             except SettingsError as error:
                 print(f"error: {error}", file=sys.stderr)
-
-    def _line(self) -> str:
-        sample, flags = self.sample, int(self.sample["flags"])
-        mode = "tripped" if flags & 8 else "armed" if flags & 1 else "disarmed"
-        port = "open" if self.link.terminal.opened else "closed" if self.link.terminal.plugged else "unplugged"
-        return (
-            f"{self.samples / 1000:6.0f} s  port {port:9}  {mode:8}  f_r {sample['reference_force']:7.1f} N  "
-            f"f_l {sample['load_force']:7.1f} N  late {self.pacer.late}  blocked {self.link.report.blocked}  "
-            f"CPU {100 * self.cpu / (self.samples * SAMPLE_PERIOD):.0f} %"
-        )
 
 
 def raise_priority() -> str:

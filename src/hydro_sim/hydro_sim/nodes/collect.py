@@ -31,10 +31,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli.console import (
     UserError,
-    add_json_argument,
     command,
     number,
     print_above_progress,
@@ -58,7 +56,7 @@ from hydro_bridge.signals import Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState
 from hydro_sim.box.box import EMULATED_BOX
-from hydro_sim.excitation import Playback, Range, Segment, coverage, draw, load_schedule, save_schedule
+from hydro_sim.excitation import Playback, Range, Segment, draw, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
@@ -307,6 +305,7 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
         raise UserError(node.ended)
     if node.playback.trips and not tripped_out:
         print(f"the plant tripped {node.playback.trips} times; the schedule went on after it was armed again")
+    print(f"{options.out}: {node.playback.elapsed:.1f} s armed")
     return node.ended
 
 
@@ -373,9 +372,6 @@ def main() -> int:
     if options.out.exists():
         raise UserError(f"{options.out} exists already; a recording is never overwritten")
     trouble = _play(schedule, bench, options, ros)
-    recorded = read_bag(options.out)
-    played = Bench.from_mapping(yaml.safe_load(recorded.attachments["bench.yaml"]))
-    coverage(recorded.state, played.size).show(options.json)
     if trouble:
         print(f"error: {trouble}; {options.out} holds what was played so far", file=sys.stderr)
     return TRIPPED if trouble else 0
@@ -417,7 +413,6 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`",
     )
     add_page_option(parser)
-    add_json_argument(parser)
     options = parser.parse_args(own)
     if not (options.out or options.write_schedule):
         parser.error("give --out, --write-schedule, or both")

@@ -53,7 +53,7 @@ class SimSide(Simulation):
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
             "effects": self.effects or "none",
-            "refused by the box": self._box.refused,
+            "refused by the box": self._box.refused[0],
         }
         pace = "in lock-step" if self.steps.engaged else f"{self.speed_reached():.2f} times real time"
         return Status(message=f"{mode(self.flags)}, {pace}", values=values)

@@ -7,7 +7,7 @@ Probabilities are per frame. The unit is one frame up (box to bridge), and down 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -17,17 +17,8 @@ from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_ya
 
 
 @dataclass(frozen=True, kw_only=True)
-class Event:
-    """A single fault event."""
-
-    at: Annotated[float, quantity("s", 0.0, 1e6)]  # after the start of the emulator
-    stall: Annotated[float, quantity("s", 0.0, 60.0)] = 0.0  # nothing passes for so long, then all that waited
-    unplug: Annotated[float, quantity("s", 0.0, 3600.0)] = 0.0  # the port is gone for so long
-
-
-@dataclass(frozen=True, kw_only=True)
 class LinkFaults:
-    """Fault probabilities per frame, for both directions, and events. All zero: a clean line."""
+    """Fault probabilities per frame, for both directions. All zero: a clean line."""
 
     corrupt: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # one to eight bits flip
     lose: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # one byte is missing
@@ -36,24 +27,14 @@ class LinkFaults:
     duplicate: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # it comes twice
     reorder: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # it comes after the next
     noise: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # up to 64 random bytes before it
-    events: tuple[Event, ...] = ()
 
 
 PRESETS = {
     "clean": LinkFaults(),
     "noisy": LinkFaults(corrupt=0.005, lose=0.002, drop=0.005, duplicate=0.002, reorder=0.002),
-    "awful": LinkFaults(
-        corrupt=0.05,
-        lose=0.02,
-        truncate=0.02,
-        drop=0.05,
-        duplicate=0.02,
-        reorder=0.02,
-        noise=0.02,
-        events=(Event(at=3.0, stall=0.03), Event(at=6.0, stall=0.3), Event(at=10.0, unplug=2.0)),
-    ),
+    "awful": LinkFaults(corrupt=0.05, lose=0.02, truncate=0.02, drop=0.05, duplicate=0.02, reorder=0.02, noise=0.02),
 }
-CHANCES = ("corrupt", "lose", "truncate", "drop", "duplicate", "reorder", "noise")
+CHANCES = tuple(entry.name for entry in fields(LinkFaults))
 
 
 def load_faults(name: str) -> LinkFaults:

@@ -164,7 +164,8 @@ class TruthPlant:
         self.config = config
         self.parameters = compile_parameters(config)
         ages = config.sensors
-        self.differentiation = Sensors(force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age).constants()
+        self.sensors = Sensors(force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age)
+        self.differentiation = self.sensors.constants()
         self.state = np.zeros(1, dynamics.STATE)
         self.chain = np.zeros(1, CHAIN)
         self.work = np.zeros((3, 8))
