@@ -57,29 +57,3 @@ void hydro_c_law_state(const hydro_box *box, double out[9])
         out[3 + i] = box->acting.shaping[i];
     }
 }
-
-size_t hydro_c_rates_size(void)
-{
-    return sizeof(hydro_rates);
-}
-
-void hydro_c_rates_reset(hydro_rates *rates, const hydro_config *config)
-{
-    hydro_rates_reset(rates, config);
-}
-
-/* Readings, 5, into the measurement, 8. */
-void hydro_c_differentiate(hydro_rates *rates, const double *raw, double *measurement)
-{
-    hydro_real readings[5], values[HYDRO_MEASURED];
-    for (int i = 0; i < 5; i++) {
-        readings[i] = (hydro_real)raw[i];
-    }
-    for (int i = 0; i < HYDRO_MEASURED; i++) {
-        values[i] = (hydro_real)measurement[i];
-    }
-    hydro_differentiate(rates, readings, values);
-    for (int i = 0; i < HYDRO_MEASURED; i++) {
-        measurement[i] = values[i];
-    }
-}

@@ -13,8 +13,7 @@ from scipy.linalg import expm
 from hydro_bridge.signals import FloatArray
 from hydro_sim.identification.bench_states import Sensitivities
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import SUBSTEPS, BenchModel
-from hydro_sim.model.source import c_source
+from hydro_sim.model.bench_model import BenchModel
 
 
 def effect(name: str, **parameters: float) -> dict[str, Any]:
@@ -69,39 +68,6 @@ def test_jacobian_of_a_sample_is_that_of_differences(name: str) -> None:
         np.testing.assert_allclose(dz[:, j] * scale, by_difference[1] * scale, rtol=1e-5, atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        (effect("sensor_lag sensor=load_force", bandwidth=25.0, damping=0.55),),
-        (MOTION[3], effect("sensor_lag sensor=load_force", bandwidth=25.0, damping=0.55)),
-        (effect("valve_lag", bandwidth=90.0, damping=0.7), *MEMORY[2:]),
-    ],
-    ids=["lag", "hardening spring", "memory"],
-)
-def test_a_lagging_cell_follows_a_displaced_piston_from_the_samples_start(effects: tuple[dict[str, Any], ...]) -> None:
-    """In few steps per sample, as the filter linearizes: a piston elsewhere is another load in the first step, too."""
-    model = BenchModel(replace(Bench.nominal(), effects=effects), substeps=4)
-    k, y, _ = model.begin(model.values)
-    model.rollout(k, y, wave(137))
-    _, dy, _ = model.jacobian(k, y.copy(), 3e-3)
-    assert (dy[:, 4] == 0.0).all()  # the load is no state of its own
-
-    def load(position: float) -> float:
-        hardening = sum(one["parameters"]["coefficient"] for one in effects if one["id"] == "spring_hardening")
-        travel = position - model.bench.spring_rest_position
-        return float(model.bench.spring_stiffness * travel + hardening * travel**3)
-
-    ends = []
-    for position in (y[2] + 1e-7, y[2] - 1e-7):
-        moved = y.copy()
-        moved[2], moved[4] = position, load(position)
-        model.sample(k, moved, 3e-3)
-        ends.append(moved)
-    scales = np.array([state.scale for state in model.states])
-    difference = (ends[0] - ends[1]) / 2e-7 * scales[2] / scales
-    np.testing.assert_allclose(dy[:, 2] * scales[2] / scales, difference, atol=2e-6)
-
-
 @pytest.mark.parametrize("damping", [0.2, 1.0, 3.0])
 def test_lags_are_exponentials_of_their_matrix(damping: float) -> None:
     bench = replace(Bench.nominal(), effects=(effect("valve_lag", bandwidth=300.0, damping=damping),))
@@ -124,14 +90,6 @@ def test_a_mass_that_is_held_has_no_derivative_of_its_place_by_a_small_force() -
     assert y[3] == 0.0
     assert (dy[3] == 0.0).all()
     assert dy[2, 0] == 0.0 and dy[2, 2] == 1.0
-
-
-def test_the_c_source_stands_alone() -> None:
-    """What a box compiles: nothing but the language and its mathematics."""
-    source = c_source(BenchModel(Bench.nominal()).symbols(), SUBSTEPS)
-    assert [line for line in source.splitlines() if line.startswith("#include")] == [
-        "#include <math.h>", "#include <string.h>",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("spoil", ["current", "state"])

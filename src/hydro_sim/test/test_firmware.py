@@ -15,12 +15,9 @@ import pytest
 
 from hydro_bridge.serial.protocol import (
     VERSION,
-    Hello,
-    State,
     encode_command,
     encode_hello,
 )
-from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box, BoxConfig, box_details, box_info, law_state
 from hydro_sim.box.firmware import Firmware
@@ -30,7 +27,7 @@ from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors, condition, restart
+from hydro_sim.model.sensors import Sensors
 
 BROKEN = (nan, inf, -inf, 1e30, -1e30, 5001.0)
 
@@ -105,7 +102,7 @@ def pair(line: Any, integral: str = "bumpless") -> tuple[Box, BoxLink, Firmware]
     bench, config = Bench.nominal(), BoxConfig(integral=integral)  # type: ignore[arg-type]
     box = Box(bench, config)
     details = box_details(bench, config, Sensors(), epoch=7)
-    told = (lambda: refused(box), config.compensated, lambda: law_state(box.state[0]))
+    told = (lambda: box.refused, config.compensated, lambda: law_state(box.state[0]))
     link = BoxLink(line, box_info(bench, config, NAME), LinkFaults(), 0, details, *told)
     return box, link, Firmware(bench, config, epoch=7)
 
@@ -113,10 +110,6 @@ def pair(line: Any, integral: str = "bumpless") -> tuple[Box, BoxLink, Firmware]
 def bits(sample: np.void) -> bytes:
     """All of a sample, without what lies between its fields."""
     return struct.pack("<dI14dI", *sample.item())
-
-
-def refused(box: Box) -> tuple[int, int]:
-    return int(box.state["refused"][0]), int(box.state["refused_references"][0])
 
 
 @pytest.mark.parametrize(("seed", "integral"), [(1, "bumpless"), (2, "bumpless"), (3, "paper")])
@@ -144,7 +137,7 @@ def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(memory: Any, s
         memory.up = b""
         seen.add(int(expected["flags"]))
     counts = firmware.counts()
-    assert (counts["refused"], counts["refused_references"]) == refused(box)
+    assert (counts["refused"], counts["refused_references"]) == box.refused
     assert (counts["taken"], counts["stale"], counts["greetings"]) == (
         link.report.commands, link.report.refused, link.report.hellos,
     )  # fmt: skip
@@ -197,54 +190,3 @@ def test_single_precision_stays_within_its_rounding(law: Law) -> None:
     print(worst)
     assert worst["valve_current"] < 1e-7 and worst["reference_force"] < 1e-4
     assert worst["reference_force_rate"] < 1e-2 and worst["f_c"] < 2e-3 and worst["f_c'"] < 2.0
-
-
-def test_rates_pass_over_readings_that_are_none_as_those_of_the_sensors_module_do() -> None:
-    """Also where the very first reading is none: afterwards all rates are finite at once."""
-    firmware, random = Firmware(Bench.nominal()), Random(2)
-    last, x, y = np.zeros(1, CONDITIONING_DTYPE)[0], np.zeros(8), np.zeros(8)
-    sensors, begun = Sensors().constants()[0], False
-    for k in range(5000):
-        raw = np.array([30.0, 20.0, 4e6, 6e6, 0.04]) + np.sin(k * np.array([0.01, 0.02, 0.03, 0.04, 0.05]))
-        if k == 0 or random.random() < 0.2:
-            raw[random.randrange(5)] = random.choice((nan, inf, -inf, 1e9, -1e300))
-        restart(last, raw, x) if not begun else condition(sensors, last, raw, x)
-        begun = True
-        firmware.differentiate(raw, y)
-        np.testing.assert_array_equal(x, y)
-        assert np.isfinite(x[[1, 3, 7]]).all()
-
-
-@pytest.mark.parametrize("cut", [0, 30, 60])
-def test_a_box_that_is_powered_on_anew_is_the_same_in_both(memory: Any, cut: int) -> None:
-    """Restarted amid a frame that arms, behind a greeting with a command that waits: of neither anything is left."""
-    box, link, firmware = pair(memory)
-    x, frame = np.array([0.0, 0.0, 0.0, 0.0, 3.7e6, 6.2e6, 0.04, 0.0]), encode_command(9, 0, Command(arm=True))
-    time = 0.0
-
-    def both(data: bytes) -> bytes:
-        nonlocal time
-        memory.down += data
-        if (command := link.poll(time)) is not None:
-            box.receive(command, time)
-        firmware.take(data)
-        expected = box.tick(x, time)
-        assert bits(firmware.tick(x, time)[0]) == bits(expected)
-        link.send(expected, time)
-        sent, memory.up = memory.up, b""
-        assert firmware.frames() == sent
-        time += 1e-3
-        return bytes(sent)
-
-    greeted = both(b"")
-    assert [type(each) for each in Decoder().feed(greeted)] == [Hello, State]  # HELLO of power-on: no DETAILS
-    both(encode_hello(0, 0) + encode_command(1, 0, Command(delta_kp=10.0)) + frame[:cut])
-    box.reset()
-    link.reboot()
-    firmware.power_on()
-    time = 0.0
-    hello, state = Decoder().feed(both(frame[cut:] if cut else b""))
-    assert isinstance(hello, Hello) and hello.sequence == 0 and isinstance(state, State) and state.last_command == 0
-    for _ in range(3):
-        (state,) = Decoder().feed(both(b""))
-        assert isinstance(state, State) and state.last_command == 0 and not state.flags & Flag.ARMED

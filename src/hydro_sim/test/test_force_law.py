@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from math import copysign, exp, log, pi, sqrt
 
@@ -15,8 +14,7 @@ from hypothesis import strategies as st
 
 from hydro_bridge.serial.protocol import INTEGRAL_FORMS
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_sim.box import force_law, reference
-from hydro_sim.box.reference import REFERENCE_DTYPE
+from hydro_sim.box import force_law
 from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -97,92 +95,6 @@ def test_tracking_error_is_what_the_age_of_the_velocity_predicts(ideal: Bench, f
     left = s * load + s * oil / ideal.spring_stiffness * late
     response = (left - s) / (left + 90.0 + 15.0 / s)
     assert np.sqrt(np.mean(error**2)) == pytest.approx(300.0 / np.sqrt(2.0) * abs(response), rel=0.05)
-
-
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("k_i", [15.0, -15.0])
-def test_integral_stands_still_only_while_it_would_saturate_further(form: int, k_i: float) -> None:
-    """K_i e is what pushes: with a negative K_i an error of the other sign."""
-
-    def after(error: float, unlimited: float, current: float) -> float:
-        return float(force_law.integrate(form, 1.0, error, k_i, unlimited, current, 1e-3))
-
-    grown = 0.01 * (k_i if form == force_law.BUMPLESS else 1.0)
-    push = math.copysign(10.0, k_i)
-    assert after(push, 0.07, 0.05) == 1.0
-    assert after(-push, 0.07, 0.05) == pytest.approx(1.0 - math.copysign(grown, grown * push))
-    assert after(-push, -0.07, -0.05) == 1.0
-    assert after(push, 0.02, 0.02) == pytest.approx(1.0 + math.copysign(grown, grown * push))
-
-
-SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
-
-
-def generator(signal: ReferenceSignal) -> np.ndarray:
-    state = np.zeros(1, REFERENCE_DTYPE)
-    want(state, signal)
-    return state
-
-
-def want(state: np.ndarray, signal: ReferenceSignal) -> None:
-    values = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
-    state["wanted"] = np.array([values], reference.SIGNAL_DTYPE)
-
-
-@given(
-    waveform=st.sampled_from(Waveform),
-    offset=st.floats(-100.0, 100.0),
-    frequency=st.floats(0.1, 5.0),
-    phase=st.floats(-7.0, 7.0),
-    start=st.floats(0.0, 20.0),
-)
-@settings(max_examples=60, deadline=None)
-def test_rate_is_the_derivative_and_amplitude_the_bound(
-    waveform: Waveform, offset: float, frequency: float, phase: float, start: float
-) -> None:
-    signal = ReferenceSignal(waveform=waveform, amplitude=300.0, offset=offset, frequency=frequency, phase=phase)
-    times = start + np.linspace(0.0, 2.0, 500)
-    step = 1e-7
-    _, rates = reference.sample(signal, times)
-    ahead, behind = (reference.sample(signal, times + shift)[0] for shift in (step, -step))
-    values, _ = reference.sample(signal, times)
-    np.testing.assert_allclose(rates, (ahead - behind) / (2.0 * step), atol=0.2)
-    assert np.max(np.abs(values - offset)) <= 300.0 * (1.0 + 1e-12)
-
-
-def trace(state: np.ndarray, times: FloatArray, changes: dict[int, ReferenceSignal]) -> FloatArray:
-    """Value and rate at each time, shape (n, 2), with the signals wanted from given samples on."""
-    out = []
-    for k, time in enumerate(times):
-        if k in changes:
-            want(state, changes[k])
-        out.append(reference.advance(state[0], time)[:2])
-    return np.array(out)
-
-
-def test_arming_fades_in_from_the_measured_force() -> None:
-    state = generator(SINE)
-    reference.begin(state[0], -120.0, 4.0)
-    assert reference.advance(state[0], 4.0)[:2] == (-120.0, 0.0)
-    values = trace(state, 4.0 + 1e-3 * np.arange(1000), {})
-    np.testing.assert_allclose(values[300:, 0], reference.sample(SINE, 1e-3 * np.arange(300, 1000))[0], atol=1e-9)
-
-
-@pytest.mark.parametrize("changes", [(700,), (700, 800), (50, 120, 900)])
-def test_changes_at_any_time_leave_value_and_rate_continuous(changes: tuple[int, ...]) -> None:
-    """Also in the middle of a fade: the rate is everywhere the derivative of the value, and finite."""
-    others = [
-        ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=250.0, frequency=1.0, phase=0.3),
-        ReferenceSignal(offset=-200.0),
-        ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=0.7, phase=1.0),
-    ]
-    state = generator(SINE)
-    reference.begin(state[0], 0.0, 0.0)
-    step = 1e-3
-    values = trace(state, step * np.arange(2500), dict(zip(changes, others, strict=False)))
-    slopes = np.diff(values[:, 0]) / step
-    np.testing.assert_allclose(slopes, 0.5 * (values[1:, 1] + values[:-1, 1]), atol=5.0)
-    assert np.max(np.abs(np.diff(values[:, 1]))) < 200.0
 
 
 @pytest.mark.parametrize("age", [5e-4, 1e-3, 2e-3])

@@ -6,15 +6,11 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from hydro_sim.model import machine_code
-from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import BenchModel
 from tests.checks import ran
 
 SOURCE = "int answer(void) { return 42; }\n"
@@ -37,17 +33,6 @@ def test_a_damaged_library_is_compiled_anew(apart: Path) -> None:
     kept.write_bytes(kept.read_bytes()[:100])
     again = ran(sys.executable, "-c", make)
     assert first.stdout == again.stdout == "42\n"
-
-
-def test_arrays_that_are_not_the_models_are_refused() -> None:
-    model = BenchModel(replace(Bench.nominal(), effects=()))
-    k, y, _ = model.begin(model.values)
-    with pytest.raises(ValueError, match="an array has shape"):
-        model.sample(k, y[:-1].copy(), 0.0)
-    with pytest.raises(ValueError, match="an array has shape"):
-        model.rollout(k[1:].copy(), y, np.zeros(3))
-    with pytest.raises(ValueError, match="strides"):
-        model.rollout(k, y, np.zeros((4, 2))[:, 0])
 
 
 INNER = "from numba import njit\n@njit(cache=True)\ndef inner(): return {value}\n"

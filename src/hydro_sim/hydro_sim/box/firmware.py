@@ -48,7 +48,7 @@ def library_path(precision: Precision) -> Path:
 @cache
 def _library(precision: Precision) -> ctypes.CDLL:
     library = ctypes.CDLL(str(library_path(precision)))
-    for function in ("hydro_c_box_size", "hydro_c_config_size", "hydro_c_frames", "hydro_c_rates_size"):
+    for function in ("hydro_c_box_size", "hydro_c_config_size", "hydro_c_frames"):
         getattr(library, function).restype = ctypes.c_size_t
     return library
 
@@ -87,7 +87,6 @@ class Firmware:
         self._counts = (ctypes.c_uint32 * len(_COUNTS))()
         self._sample = np.zeros(1, SINGLE_DTYPE if precision == "single" else STATE_DTYPE)
         self._measurement = np.zeros(8)
-        self._rates: ctypes.Array[ctypes.c_char] | None = None
         self.epoch = epoch
         self.power_on(epoch)
 
@@ -109,15 +108,6 @@ class Firmware:
         )  # fmt: skip
         result: StateArray = self._sample.astype(STATE_DTYPE)
         return result
-
-    def differentiate(self, raw: FloatArray, measurement: FloatArray) -> None:
-        """Readings f_h, f_l, p_a, p_b, x_p into a measurement, shape (8,), in place; it is the rates' memory."""
-        if self._rates is None:
-            self._rates = ctypes.create_string_buffer(self._c.hydro_c_rates_size())
-            self._c.hydro_c_rates_reset(self._rates, ctypes.byref(self._config))
-        readings = np.ascontiguousarray(raw, np.float64)
-        places = (ctypes.c_void_p(readings.ctypes.data), ctypes.c_void_p(measurement.ctypes.data))
-        self._c.hydro_c_differentiate(self._rates, *places)
 
     def frames(self) -> bytes:
         """Return the bytes sent up the line after a tick."""
