@@ -82,6 +82,7 @@ def test_the_codec_makes_and_reads_the_bytes_of_the_page() -> None:
     assert [type(frame).__name__ for frame in frames] == kinds
     assert frames[4][2] == VALUES and frames[4][5:] == (1, 1, ACTING) and frames[5][5:] == (1, 1, None)
     assert (frames[3][3], frames[6][2], frames[7][2]) == (LAW, COMPENSATED, COMMAND)
+    assert encode_details(1, 2_000_000, frames[2][2]) == MADE[2], "numbers of float32 are those that were sent"
 
 
 def test_the_firmware_is_tried_with_the_bytes_of_the_page() -> None:

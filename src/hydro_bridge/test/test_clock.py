@@ -2,11 +2,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.link.clock import BoxClock, HostClock
+from hydro_bridge.link.clock import BoxClock
 
 OFFSET = 1_700_000_000_000_000_000
 
@@ -40,28 +39,3 @@ def test_stamps_ascend_whatever_the_delays(delays):
     steps = np.diff(stamps)
     assert np.all(steps > 0)
     assert np.all(np.abs(steps - 1_000_000) <= 50_001)  # the box's millisecond, slewed by at most 5 %
-
-
-class Clocks:
-    """A host's two clocks; reading one takes `reading` ns."""
-
-    def __init__(self) -> None:
-        self.now, self.difference, self.reading = 5_000_000_000, OFFSET, 100
-
-    def wall(self) -> int:
-        self.now += self.reading
-        return self.now + self.difference
-
-    def monotonic(self) -> int:
-        self.now += self.reading
-        return self.now
-
-
-@pytest.mark.parametrize("step", [100_000_000, -100_000_000, 3_600_000_000_000, -20_000_000])
-def test_a_step_of_the_hosts_clock_is_seen_once_and_followed_at_once(step):
-    clocks = Clocks()
-    host = HostClock(clocks.wall, clocks.monotonic)
-    assert host.look() == 0 and abs(host.ros_time(7) - OFFSET - 7) < 1000
-    clocks.difference += step
-    assert abs(host.look() - step) < 1000
-    assert host.look() == 0 and abs(host.ros_time(7) - OFFSET - step - 7) < 1000

@@ -106,24 +106,19 @@ def test_stale_gains_give_base_gains_and_keep_the_correction():
     assert guard.command(0.3).delta_kp == 0.0 and not guard.take_events(), "nobody is to act on it while disarmed"
 
 
-@pytest.mark.parametrize("status", [CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.BYPASSED])
-def test_a_filter_that_did_not_decide_is_no_filter(status):
-    guard = fresh()
-    guard.set_correction(0.0, status, 90, 0.021)
-    assert not guard.command(0.021).filter_fresh
-    assert guard.counts.undecided == 1
-
-
-@pytest.mark.parametrize("bad", [nan, inf, -inf])
-def test_not_finite_is_dropped_counted_and_the_last_value_ages_on(bad):
-    guard = fresh()
-    guard.set_gains(bad, 1.0, 0.01)
-    guard.set_gains(1.0, bad, 0.01)
-    guard.set_correction(bad, CorrectionStatus.PASS, 80, 0.01)
-    assert guard.command(0.01).delta_kp == 30.0
-    assert guard.counts.not_finite == 3
-    assert not guard.command(0.0201).filter_fresh
-    assert next(iter(guard.take_events())) == "gains are not finite: dropped, the ones before hold"
+def test_what_is_not_decided_or_not_finite_is_dropped_and_counted_and_the_last_value_ages_on():
+    for status in (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.BYPASSED):
+        guard = fresh()
+        guard.set_correction(0.0, status, 90, 0.021)
+        assert not guard.command(0.021).filter_fresh and guard.counts.undecided == 1
+    for bad in (nan, inf, -inf):
+        guard = fresh()
+        guard.set_gains(bad, 1.0, 0.01)
+        guard.set_gains(1.0, bad, 0.01)
+        guard.set_correction(bad, CorrectionStatus.PASS, 80, 0.01)
+        assert guard.command(0.01).delta_kp == 30.0 and guard.counts.not_finite == 3
+        assert not guard.command(0.0201).filter_fresh
+        assert next(iter(guard.take_events())) == "gains are not finite: dropped, the ones before hold"
 
 
 def test_out_of_range_is_clamped_counted_and_told_once():
@@ -171,9 +166,6 @@ def test_gains_that_never_come_back_disarm_and_stop_the_reference_once_and_say_s
     assert not guard.command(1010.3).arm, "gains alone arm nothing"
     guard.set_arm(True)
     assert guard.command(1100.0).arm and guard.given_up == "", "armed on purpose, and nobody has chosen gains since"
-
-
-def test_gains_that_come_back_in_time_disarm_nothing():
     guard = CommandGuard(settings=GuardSettings(gains_timeout=2.0))
     guard.set_arm(True)
     for now in (0.0, 2.0, 4.0):
@@ -184,11 +176,14 @@ def test_gains_that_come_back_in_time_disarm_nothing():
     assert guard.given_up == "", "a plant that is disarmed has nothing to give up"
 
 
-@pytest.mark.parametrize("frequency", [0.0, -1.0, 1e6, 1e-60])
-def test_a_hold_is_let_through_whatever_its_frequency_and_goes_down_with_one_that_every_box_takes(frequency):
-    guard = CommandGuard()
-    assert guard.set_reference(ReferenceSignal(waveform=Waveform.HOLD, offset=100.0, frequency=frequency))
-    assert guard.command(0.0).reference == ReferenceSignal(offset=100.0)
+def test_a_reference_is_refused_as_a_box_would_and_a_hold_goes_down_with_a_frequency_that_every_box_takes():
+    guard, changes = CommandGuard(), ({"frequency": 1e-60}, {"phase": 1e60}, {"phase": -1e39})
+    for change in changes:  # unfit as float32
+        assert not guard.set_reference(replace(ReferenceSignal(waveform=Waveform.SINE, amplitude=10.0), **change))
+    assert guard.counts.references_refused == len(changes)
+    for frequency in (0.0, -1.0, 1e6, 1e-60):
+        assert guard.set_reference(ReferenceSignal(waveform=Waveform.HOLD, offset=100.0, frequency=frequency))
+        assert guard.command(0.0).reference == ReferenceSignal(offset=100.0)
 
 
 def opened() -> CommandGuard:
@@ -376,22 +371,11 @@ def test_a_box_without_the_compensated_law_refuses_it_and_names_the_protocol_ver
     assert list(guard.take_events()) == [NOT_OFFERED] and "version 3" in NOT_OFFERED
 
 
-def test_every_box_and_every_holder_begins_with_the_papers_law():
+def test_every_box_and_every_holder_begins_with_the_papers_law_and_the_safe_command():
+    guard = CommandGuard()
+    assert guard.command(0.0) == Command() and list(guard.take_events()) == []
     for forget in (lambda guard: guard.offer(None), lambda guard: guard.offer(OFFERED), CommandGuard.release_law):
         guard = compensated()
         guard.set_arm(False)
         forget(guard)
         assert guard.command(0.01) == Command()
-
-
-def test_before_anything_came_the_command_is_the_safe_one_and_nothing_is_complained_of():
-    guard = CommandGuard()
-    assert guard.command(0.0) == Command()
-    assert list(guard.take_events()) == []
-
-
-@pytest.mark.parametrize("change", [{"frequency": 1e-60}, {"phase": 1e60}, {"phase": -1e39}])
-def test_a_reference_that_is_unfit_as_float32_is_refused_as_the_box_would(change):
-    guard = CommandGuard()
-    assert not guard.set_reference(replace(ReferenceSignal(waveform=Waveform.SINE, amplitude=10.0), **change))
-    assert guard.counts.references_refused == 1

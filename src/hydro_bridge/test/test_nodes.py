@@ -8,7 +8,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -60,29 +59,25 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
     probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
     assert told[-1].level == DiagnosticStatus.ERROR
-    refused = probe.ask(True)
+    refused = [probe.ask(True) for _ in range(3)][-1]
     assert not refused.success and "end all but one" in refused.message
-    assert [probe.ask(True).message for _ in range(5)] == [refused.message] * 5
     probe.wait(lambda: refused.message in output.getvalue())
     assert output.getvalue().count(refused.message) == 1, "told once, however often it is asked for"
-    assert probe.ask(False).success
     probe.node.destroy_publisher(rival)
-    told.clear()
-    probe.wait(lambda: told and "nodes publish" not in told[-1].message)
-    assert probe.ask(True).success
+    probe.wait(lambda: probe.ask(True).success)
 
 
 @pytest.fixture
 def steered(cable, small_box, probe, start):
-    """A bridge that is armed, its box, the diagnostics, and what it says."""
+    """A bridge that is armed, its box, and the diagnostics."""
 
     class Steered:
-        box, output, told = small_box(), io.StringIO(), told_by(probe)
+        box, told = small_box(), told_by(probe)
 
         def armed(self) -> bool:
             return bool(self.box.flags & Flag.ARMED)
 
-    bridged(cable.path, probe, start, "--ros-args", "-p", "guard.gains_timeout:=2.0", output=Steered.output)
+    bridged(cable.path, probe, start, "--ros-args", "-p", "guard.gains_timeout:=2.0")
     probe.take()
     assert probe.ask(True).success
     return Steered()
@@ -97,10 +92,7 @@ def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_s
     assert steered.box.commands[-1].command.reference == ReferenceSignal()
     steered.told.clear()
     probe.wait(lambda: steered.told and "no gains for 2 s, whoever chose them is gone" in steered.told[-1].message)
-    assert steered.told[-1].level == DiagnosticStatus.WARN
-    assert "disarmed until it is armed again" in steered.output.getvalue()
-    probe.spin(0.5)
-    assert not steered.armed()
+    assert steered.told[-1].level == DiagnosticStatus.WARN and not steered.armed()
     assert probe.ask(True).success
     steered.told.clear()
     probe.wait(lambda: steered.told and steered.told[-1].message == "armed")
@@ -112,8 +104,8 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
     probe.wait(lambda: probe.commander.epoch != before)
     assert probe.ask(True).success
     probe.spin(0.6)  # until then they are late ones of the session before
-    probe.commands, sent, began = False, 10, time.monotonic()
-    for _ in range(sent):
+    probe.commands = False
+    for _ in range(10):
         probe.commander.epoch = before  # each time: the plant keeps telling it
         probe.commander.gains(32.0, 0.0)
         probe.commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
@@ -125,11 +117,7 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
         return [int(said.get(f"refused {topic}", 0)) for topic in (GAINS, REFERENCE)]
 
     probe.wait(lambda: min(counted()) >= 5)  # these topics keep the last message alone: one may replace another
-    assert max(counted()) <= sent
-    sentence = "of /hydro/gains from nodes without authority (probe)"
-    probe.wait(lambda: sentence in steered.output.getvalue())
-    said = steered.output.getvalue().count("refused: ")
-    assert said <= 2.0 * (time.monotonic() - began + 1.0), "each topic once a second at most"
+    assert max(counted()) <= 10
 
 
 def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):
@@ -180,12 +168,8 @@ def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start)
     box = small_box()
     bridge = bridged(cable.path, probe, start)
     assert probe.ask(True).success
-    begin = time.monotonic()
     bridge.process.send_signal(signal.SIGHUP)
-    probe.wait(lambda: not box.commands[-1].command.arm)
-    took = time.monotonic() - begin
-    print(f"disarmed after {1e3 * took:.0f} ms")
-    assert took < 2.0, "it looks for signals five times a second; the machine may be busy"
+    probe.wait(lambda: not box.commands[-1].command.arm, 2.0)  # it looks for signals five times a second
     assert bridge.process.wait(10.0) == 0
 
 

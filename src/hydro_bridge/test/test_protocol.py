@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hydro_bridge.serial.protocol import (
-    FEEDBACKS,
     HANDSHAKE,
     MAX_ENCODED,
     VERSION,
@@ -19,9 +16,7 @@ from hydro_bridge.serial.protocol import (
     BoxLaw,
     CheckSumError,
     CommandFrame,
-    Details,
     Hello,
-    LawFrame,
     LawState,
     MalformedError,
     State,
@@ -39,31 +34,10 @@ from hydro_bridge.serial.stream import Decoder, SequenceTracker
 from hydro_bridge.signals import Command, Law
 from tests.fuzz_link import altered, sealed
 
-u32 = st.integers(0, 2**32 - 1)
-single = st.floats(width=32, allow_nan=False)
-quadruples = st.tuples(*[single] * 4)
-
 
 def inside(wire: bytes) -> bytes:
     assert wire[0] == 0 and wire[-1] == 0 and 0 not in wire[1:-1]
     return wire[1:-1]
-
-
-@given(u32, u32, st.sampled_from(FEEDBACKS), st.lists(single, min_size=10, max_size=10), st.integers(0, 255))
-def test_details_round_trip(sequence, epoch, feedback, numbers, laws):
-    names = [entry.name for entry in fields(BoxDetails)][4:]
-    details = BoxDetails(
-        epoch=epoch, bench_digest="0123456789ab", feedback=feedback, laws=laws, **dict(zip(names, numbers, strict=True))
-    )
-    assert decode(inside(encode_details(sequence, 5, details))) == Details(sequence, 5, details)
-    older = decode(inside(encode_details(sequence, 5, details, version=2)))
-    assert older == Details(sequence, 5, replace(details, laws=0))
-
-
-@given(u32, st.lists(single, min_size=14, max_size=14), st.lists(quadruples, min_size=3, max_size=3))
-def test_law_round_trip(sequence, numbers, limits):
-    record = BoxLaw(**dict(zip((entry.name for entry in fields(BoxLaw)), (*numbers, *limits), strict=True)))
-    assert decode(inside(encode_law(sequence, 5, record))) == LawFrame(sequence, 5, Law.COMPENSATED, record)
 
 
 @pytest.mark.parametrize(("number", "form"), [(0, ""), (1, "paper"), (2, "bumpless"), (3, ""), (255, "")])

@@ -32,75 +32,55 @@ class Example:
     limit: Annotated[float, quantity("A", 0.0, 1.0)] | None = None
     tones: tuple[Annotated[float, quantity("Hz", 0.05, 10.0)], ...] = (1.0,)
     form: Literal["hard", "soft"] = "hard"
-    name: str = ""
     on: bool = False
     parts: tuple[Part, ...] = ()
 
 
-@pytest.mark.parametrize(
-    ("data", "sentence"),
-    [
-        ({"rate": 2}, "file.rate must be within [-1, 1] 1/s, not 2: How fast"),
-        ({"rate": "fast"}, "file.rate must be a number in 1/s, not 'fast'"),
-        ({"count": 1.5}, "file.count must be a whole number, not 1.5"),
-        ({"limit": True}, "file.limit must be a number in A, not True"),
-        ({"rate": 10**400}, f"file.rate must be a number in 1/s, not {10**400}"),
-        ({"tones": [1, 20]}, "file.tones must be numbers within [0.05, 10] Hz, not [1, 20]"),
-        ({"form": "round"}, "file.form must be one of hard, soft, not 'round'"),
-        ({"name": 5}, "file.name must be text, not 5"),
-        ({"on": "often"}, "file.on must be true or false, not 'often'"),
-        ({"rat": 1}, "file.rat is not a known setting; did you mean rate?"),
-        ({"parts": [{"size": 0.1}, {}]}, "file.parts lacks size [m]"),
-        ([], "file must be a mapping of settings, not []"),
-    ],
+REFUSED = (
+    ({"rate": 2}, "file.rate must be within [-1, 1] 1/s, not 2: How fast"),
+    ({"rate": "fast"}, "file.rate must be a number in 1/s, not 'fast'"),
+    ({"count": 1.5}, "file.count must be a whole number, not 1.5"),
+    ({"limit": True}, "file.limit must be a number in A, not True"),
+    ({"rate": 10**400}, f"file.rate must be a number in 1/s, not {10**400}"),
+    ({"tones": [1, 20]}, "file.tones must be numbers within [0.05, 10] Hz, not [1, 20]"),
+    ({"form": "round"}, "file.form must be one of hard, soft, not 'round'"),
+    ({"on": "often"}, "file.on must be true or false, not 'often'"),
+    ({"rat": 1}, "file.rat is not a known setting; did you mean rate?"),
+    ({"parts": [{"size": 0.1}, {}]}, "file.parts lacks size [m]"),
 )
-def test_a_file_that_cannot_be_used_is_told_in_one_sentence(data, sentence):
-    with pytest.raises(SettingsError) as error:
-        from_mapping(Example, data, "file")
-    assert str(error.value) == sentence
 
 
-def test_numbers_may_be_written_as_yaml_reads_them():
+def test_a_file_that_cannot_be_used_is_told_in_one_sentence():
+    for data, sentence in REFUSED:
+        with pytest.raises(SettingsError) as error:
+            from_mapping(Example, data, "file")
+        assert str(error.value) == sentence
+
+
+def test_what_is_written_is_read_back_and_numbers_may_be_written_as_yaml_reads_them():
     found = from_mapping(Example, {"rate": "1e-1", "count": "1e3", "limit": None, "parts": {"size": 1}}, "file")
     assert (found.rate, found.count, found.limit, found.parts) == (0.1, 1000, None, (Part(size=1.0),))
     assert isinstance(found.count, int)
-
-
-def test_what_is_written_is_read_back():
     settings = Example(rate=0.25, limit=0.5, tones=(0.5, 2.0), form="soft", parts=(Part(size=0.1), Part(size=0.2)))
     assert from_mapping(Example, to_mapping(settings), "file") == settings
     assert from_mapping(Example, to_mapping(Example(tones=())), "file") == Example(tones=())
 
 
-def parser() -> argparse.ArgumentParser:
-    options = argparse.ArgumentParser()
-    options.add_argument("--seed", type=int, default=0)
-    options.add_argument("--from", dest="start")
-    options.add_argument("--bench")
-    options.add_argument("--randomise", action="store_true")
-    options.add_argument("--hidden", type=int, nargs="+", default=[32, 32])
-    options.add_argument("--episodes", type=int, default=160)
-    return options
-
-
-BEGUN = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidden": [32, 32]}
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["--seed", "0"], "--seed 0 (it has 5)"),
-        (["--from", "runs/b"], "--from runs/b"),
-        (["--bench", "b.yaml"], "--bench b.yaml (it has none)"),
-        (["--randomise", "--hidden", "8"], "--randomise and --hidden 8 (it has 32 32)"),
-    ],
-)
-def test_words_that_say_otherwise_are_refused_in_one_sentence(words, told):
+def test_words_that_say_otherwise_than_a_run_that_goes_on_are_refused():
+    parser = argparse.ArgumentParser()
+    for name, how in {
+        "--seed": {"type": int, "default": 0}, "--from": {"dest": "start"}, "--bench": {},
+        "--randomise": {"action": "store_true"}, "--hidden": {"type": int, "nargs": "+", "default": [32, 32]},
+        "--episodes": {"type": int, "default": 160},
+    }.items():  # fmt: skip
+        parser.add_argument(name, **how)
+    begun = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidden": [32, 32]}
+    refuse_changes(parser, ["--seed", "5", "--hidden", "32", "32", "--episodes", "7"], "runs/a", begun)
+    words = ["--seed", "0", "--from", "runs/b", "--bench", "b.yaml", "--randomise", "--hidden", "8"]
     with pytest.raises(UserError) as refused:
-        refuse_changes(parser(), words, "runs/a", BEGUN)
-    assert (
-        str(refused.value) == f"runs/a resumes with the options of its start, without {told}: drop that, or start again"
-    )
+        refuse_changes(parser, words, "runs/a", begun)
+    told = "--seed 0 (it has 5) and --from runs/b and --bench b.yaml (it has none) and --randomise and --hidden 8 (it"
+    assert told in str(refused.value)
 
 
 def test_a_file_that_the_system_refuses_is_one_sentence_without_a_number(tmp_path, capsys):
@@ -141,15 +121,10 @@ def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    for content in (b"a" * 10_000, b"b"):
+def test_a_file_is_replaced_whole_or_stays_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
+    for content in (b"a" * 10_000, b"whole"):
         write_whole(tmp_path / "file", content)
         assert (tmp_path / "file").read_bytes() == content
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_where_there_is_no_room_the_old_file_stays_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
-    write_whole(tmp_path / "file", b"whole")
     with files_of_at_most(1000), pytest.raises(OSError, match="too large") as refused:
         write_whole(tmp_path / "file", bytes(2000))
     assert refused.value.filename == str(tmp_path / "file"), "the system does not say which"
@@ -157,7 +132,7 @@ def test_where_there_is_no_room_the_old_file_stays_and_nothing_is_left_beside_it
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 1e31])
-def test_numbers_that_are_none_are_found_and_counted(number: float) -> None:
-    with pytest.raises(UnsoundError, match=r"weights holds 2 of 12 values"):
-        check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})
+def test_numbers_that_are_none_are_found_and_counted() -> None:
+    for number in (math.nan, math.inf, -math.inf, 1e31):
+        with pytest.raises(UnsoundError, match=r"weights holds 2 of 12 values"):
+            check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})
