@@ -16,9 +16,10 @@ from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Controller
-from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.pretraining.configurations import WIDE
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
+from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.emulator.truth.config import load_truth
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
@@ -123,7 +124,8 @@ def _trial(controller: Controller, made: Callable[[], Plant], believed: Bench, s
     trace = np.empty(0, dtype=STATE_DTYPE)
     for frequency in SETTINGS.frequencies:
         graph = _Watched(made(), believed, seed)
-        session = EvaluationSession(replace(SETTINGS, frequencies=(frequency,)), [controller], PlantSupervisor(graph))
+        settings = replace(SETTINGS, frequencies=(frequency,))
+        session = EvaluationSession(settings, [controller], PlantSupervisor(graph, rearm=True))
         graph.run(session, 4.0 * session.seconds)
         errors |= {score.case: score.rmse for score in session.scores}
         if graph.seen:
