@@ -160,7 +160,7 @@ def _rmse(controller: Controller, seed: int) -> Result:
     for frequency in PRINTED["rmse"]["frequencies"]:
         graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed)
         session = EvaluationSession(
-            replace(EVALUATION, frequencies=(float(frequency),)), [controller], PlantSupervisor(graph)
+            replace(EVALUATION, frequencies=(float(frequency),)), [controller], PlantSupervisor(graph, True)
         )
         graph.run(session, 10.0 * session.seconds)
         found += [score.rmse for score in session.scores]
