@@ -8,7 +8,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from struct import pack
-from threading import Thread
+from threading import Event, Thread
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -34,7 +34,7 @@ from hydro_bridge.bags.recording import (
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
 from hydro_bridge.bags.writer import sequence_of
-from hydro_bridge.nodes.replayer import Replay
+from hydro_bridge.nodes.replayer import replay
 from hydro_bridge.serial.stream import LinkCounts
 
 GAINS = "/hydro/gains"
@@ -284,19 +284,13 @@ def test_an_interrupted_sequence_is_reported(make_states):
     assert continuity(states[[0, 2, 1, 3]]).reordered == 1
 
 
-@pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_messages_come_at_their_times_freshly_stamped(tmp_path, make_states, speed):
+def test_messages_come_at_their_times_freshly_stamped(tmp_path, make_states):
     with BagWriter(tmp_path / "run") as writer:
         writer.write_states(make_states(300, first=1000))
-    late = []
-    while len(late) < 5 and min(late, default=1.0) >= 0.02:  # again where the machine was busy with something else
-        came: list[tuple[float, bytes]] = []
-        take = lambda _, data, came=came: came.append((time.time(), data))  # noqa: E731
-        Replay(tmp_path / "run", [STATE_TOPIC], take, speed=speed).run()
-        assert [sequence_of(data) for _, data in came] == list(range(1000, 1300))
-        stamps = np.array([np.frombuffer(data[4:12], "<u4") for _, data in came]) @ (1.0, 1e-9)
-        np.testing.assert_allclose(np.diff(stamps), 1e-3 / speed, atol=2e-6)
-        arrivals = np.array([at for at, _ in came])
-        assert np.all(arrivals - stamps > -1e-3)
-        late.append(np.median(arrivals - stamps))
-    assert min(late) < 0.02
+    came: list[tuple[float, bytes]] = []
+    replay(tmp_path / "run", lambda _, data: came.append((time.time(), data)), Event(), speed=4.0)
+    assert [sequence_of(data) for _, data in came] == list(range(1000, 1300))
+    stamps = np.array([np.frombuffer(data[4:12], "<u4") for _, data in came]) @ (1.0, 1e-9)
+    np.testing.assert_allclose(np.diff(stamps), 1e-3 / 4.0, atol=2e-6)
+    late = np.array([at for at, _ in came]) - stamps
+    assert np.all(late > -1e-3) and np.median(late) < 0.5, "75 ms in all; the machine may be busy"

@@ -7,7 +7,6 @@ import json
 import os
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, Thinner
 from hydro_bridge.ros.topics import GRAPH
 from hydro_bridge.signals import STATE_DTYPE, Flag
-from hydro_bridge.viewer.runs import ORDERS, list_runs, refresh_index, write_index
+from hydro_bridge.viewer.runs import list_runs, refresh_index, write_index
 from hydro_bridge.viewer.view import main, read_recorded, rendered
 from tests import browser
 from tests.checks import status_of
@@ -59,37 +58,24 @@ def test_a_pulse_of_one_sample_stays_at_every_length_and_memory_does_not_grow() 
     assert (slots[:, 0, 0] == 0.0).all()
 
 
-def test_what_the_flags_tell_is_marked_at_its_sample(bag: Path, states) -> None:
-    found = read_recorded(bag)
-    assert [(mark.kind, mark.text) for mark in found.marks] == [("armed", "armed"), ("trip", "tripped: force limit")]
-    assert [mark.time for mark in found.marks] == pytest.approx([1.0, 3.0], abs=1e-3)
-    force = [column.name for column in STATE_COLUMNS].index("force")
-    table = found.values[0][:, force]
-    assert table[:, 1].max() == pytest.approx(states["load_force"].max(), rel=1e-6)
-    assert table[:, 0].min() == pytest.approx(states["load_force"].min(), rel=1e-6)
-    assert any("episodes" in note for note in found.notes), "it says what it lacks"
-
-
-def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:
-    """What matters here of a report.json: `hydro_diagnosis.report_json.Location`."""
+def test_flags_and_windows_of_a_diagnosis_beside_it_are_marked_on_a_page_that_loads_nothing(bag, states) -> None:
+    windows = {"run": [[2.5, 3.0]], "another": [[1.0, 2.0]]}
     location = [{"equation": "motion", "sentence": "friction", "windows": windows}]
-    (folder / "report.json").write_text(json.dumps({"location": location}))
-    return folder / "report.json"
-
-
-def test_windows_of_a_diagnosis_are_marked_where_its_report_lies_beside(bag: Path) -> None:
-    found = report(bag.parent, {"run": [[2.5, 3.0]], "another": [[1.0, 2.0]]})
-    marks = [mark for mark in read_recorded(bag, report=found).marks if mark.kind == "window"]
-    assert [(mark.time, mark.text) for mark in marks] == [(pytest.approx(2.5), "motion, for 0.50 s: friction")]
+    report = bag.parent / "report.json"
+    report.write_text(json.dumps({"location": location, "recordings": [{"name": "run", "begin": states["time"][0]}]}))
+    found = read_recorded(bag, report=report)
+    told = ["armed", "motion, for 0.50 s: friction", "tripped: force limit"]
+    assert [mark.text for mark in found.marks] == told
+    assert [mark.time for mark in found.marks] == pytest.approx([1.0, 2.5, 3.0], abs=1e-3)
+    force = found.values[0][:, [column.name for column in STATE_COLUMNS].index("force")]
+    assert force[:, 1].max() == pytest.approx(states["load_force"].max(), rel=1e-6)
+    assert force[:, 0].min() == pytest.approx(states["load_force"].min(), rel=1e-6)
+    assert any("episodes" in note for note in found.notes), "it says what it lacks"
     assert status_of(main, bag, "--no-open") == 0
-    assert "motion, for 0.50 s: friction" in (bag.parent / "run.html").read_text()
-
-
-def test_the_page_loads_nothing_and_escapes_what_the_recording_says(bag: Path) -> None:
-    page = rendered(read_recorded(bag))
+    page = (bag.parent / "run.html").read_text()
+    assert all(text in page for text in told)
     assert "sha256:&lt;1&gt;" in page and "<1>" not in page
-    assert 'src="http' not in page and 'href="http' not in page
-    assert "default-src &#39;none&#39;" in page
+    assert 'src="http' not in page and 'href="http' not in page and "default-src &#39;none&#39;" in page
 
 
 def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_path: Path) -> None:
@@ -138,92 +124,48 @@ def test_a_clock_that_was_set_begins_the_series_anew_and_old_samples_are_left_ou
     assert thinner.take().first == round(START / SLOT) - 360_000
 
 
-@pytest.fixture
-def runs(tmp_path: Path) -> Path:
+def test_runs_are_told_newest_first_with_names_escaped_and_a_foreign_page_is_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / "runs"
-    for name in ("old & <bold>", "found", "broken", "nothing", "tuesday"):
-        (folder / name).mkdir(parents=True)
-    events = [{"kind": "episode", "force_rmse": 20.0}, {"kind": "episode", "force_rmse": 12.34},
-              {"kind": "exam", "score": 0.4, "best": True}, {"kind": "exam", "score": 0.3, "best": False},
-              {"kind": "end", "sentence": "Ended by Ctrl-C."}]  # fmt: skip
-    (folder / "old & <bold>" / "run.json").write_text(json.dumps({"events": events}))
-    (folder / "old & <bold>" / "tracking.png").write_bytes(b"")
-    (folder / "old & <bold>" / "bag").mkdir()
-    (folder / "old & <bold>" / "bag" / "metadata.yaml").write_text("")
+    events = [{"kind": "episode", "force_rmse": 12.34}, {"kind": "end", "sentence": "Ended by Ctrl-C."}]
+    events += [{"kind": "exam", "score": 0.4, "best": True}, {"kind": "exam", "score": 0.3, "best": False}]
     report = {"verdict": "partly_explained", "effects": [{"id": "spring_stiffness"}]}
-    (folder / "found" / "report.json").write_text(json.dumps(report))
-    (folder / "found" / "report.html").write_text("")
-    (folder / "broken" / "run.json").write_text("{")
-    (folder / "tuesday" / "metadata.yaml").write_text("")
-    (folder / "tuesday.html").write_text("")
+    files = {
+        "found/report.json": json.dumps(report), "found/report.html": "", "broken/run.json": "{",
+        "tuesday/metadata.yaml": "", "tuesday.html": "", "old & <bold>/run.json": json.dumps({"events": events}),
+        "old & <bold>/tracking.png": "", "old & <bold>/bag/metadata.yaml": "", "nothing/else": "",
+    }  # fmt: skip
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(content)
     for age, name in enumerate(("found", "broken", "tuesday", "old & <bold>")):
         for path in (*(folder / name).iterdir(), folder / name):
             os.utime(path, (1e9 - age, 1e9 - age))
-    return folder
-
-
-def test_each_run_is_told_with_its_summary_the_newest_first(runs: Path) -> None:
-    found = {entry.name: entry for entry in list_runs(runs)}
+    found = {entry.name: entry for entry in list_runs(folder)}
     assert list(found) == ["found", "broken", "tuesday", "old & <bold>"]
-    assert found["found"].summary == "partly explained: spring stiffness"
-    assert found["found"].pages == ("found/report.html",)
-    assert found["old & <bold>"].summary == "2 episodes, the last one with an RMSE of 12.3 N. Ended by Ctrl-C."
-    assert found["old & <bold>"].recordings == ("old & <bold>/bag",)
-    assert found["tuesday"].kind == "recording"
+    assert [entry.kind for entry in found.values()] == ["diagnosis", "training", "recording", "training"]
+    assert found["found"].summary == "partly explained: spring stiffness" and not found["broken"].summary
+    assert found["old & <bold>"].summary == "1 episode, the last one with an RMSE of 12.3 N. Ended by Ctrl-C."
+    assert found["old & <bold>"].recordings == ("old & <bold>/bag",) and found["old & <bold>"].score == 0.4
     assert found["tuesday"].pages == ("tuesday.html",) and not found["tuesday"].recordings
-    assert min(found.values(), key=ORDERS["score"]).name == "old & <bold>"
-    assert found["old & <bold>"].score == 0.4 and found["broken"].score is None
-    assert found["broken"].kind == "training" and not found["broken"].summary
-
-
-def test_names_are_escaped_and_addresses_lead_to_files(runs: Path) -> None:
-    page = write_index(runs).read_text()
+    page = write_index(folder).read_text()
     assert "old &amp; &lt;bold&gt;" in page and "<bold>" not in page
     assert 'src="old%20%26%20%3Cbold%3E/tracking.png"' in page
-
-
-def test_a_page_of_somebody_else_is_left_alone(runs: Path) -> None:
-    (runs / "index.html").write_text("the site")
-    refresh_index(runs / "found")
+    (folder / "index.html").write_text("the site")
+    refresh_index(folder / "found")
     with pytest.raises(FileExistsError, match="another page than one of runs"):
-        write_index(runs)
-    assert (runs / "index.html").read_text() == "the site"
+        write_index(folder)
+    assert (folder / "index.html").read_text() == "the site"
 
 
-LAYOUTS = Path(__file__).parents[1] / "layouts"
-
-
-def fields(topic: str) -> set[str]:
-    """Of the topic's message."""
-    return set(GRAPH[topic][0].get_fields_and_field_types())
-
-
-def placed(layout: str | dict[str, Any]) -> list[str]:
-    """Panels in a tree of panels."""
-    return [layout] if isinstance(layout, str) else placed(layout["first"]) + placed(layout["second"])
-
-
-def test_what_foxglove_plots_is_in_the_messages_and_each_panel_has_one_place() -> None:
-    content = json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))
-    assert sorted(placed(content["layout"])) == sorted(content["configById"])
-    paths = [path["value"] for panel in content["configById"].values() for path in panel.get("paths", ())]
-    assert len(paths) > 10
-    for path in paths:
-        topic, field = path.rsplit(".", 1)
-        assert field in fields(topic), path
-    whole = [panel.get("topicPath") or panel.get("topicToRender") for panel in content["configById"].values()]
-    assert all(topic in GRAPH for topic in whole if topic)
-
-
-def test_what_plotjuggler_plots_is_in_the_messages() -> None:
-    root = ElementTree.fromstring((LAYOUTS / "plotjuggler.xml").read_bytes())
-    curves = [str(curve.get("name")) for curve in root.iter("curve")]
-    assert len(curves) > 10
-    for curve in curves:
-        topic, field = curve.rsplit("/", 1)
-        assert field in fields(topic), curve
-    for splitter in root.iter("DockSplitter"):
-        assert len(splitter) == int(splitter.get("count", 0)) == len(str(splitter.get("sizes")).split(";"))
+def test_what_the_layouts_of_foxglove_and_plotjuggler_plot_is_in_the_messages() -> None:
+    layouts = Path(__file__).parents[1] / "layouts"
+    panels = json.loads((layouts / "foxglove.json").read_text(encoding="utf-8"))["configById"].values()
+    plotted = [path["value"].rsplit(".", 1) for panel in panels for path in panel.get("paths", ())]
+    curves = ElementTree.fromstring((layouts / "plotjuggler.xml").read_bytes()).iter("curve")
+    plotted += [str(curve.get("name")).rsplit("/", 1) for curve in curves]
+    assert len(plotted) > 20
+    for topic, field in plotted:
+        assert field in GRAPH[topic][0].get_fields_and_field_types(), f"{topic}: {field}"
 
 
 @pytest.mark.skipif(bool(browser.MISSING), reason=browser.MISSING)

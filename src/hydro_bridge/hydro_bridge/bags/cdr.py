@@ -51,18 +51,18 @@ class FixedLayout:
         """Record type of the table: `time` in s (header stamp, or log time without a header), then the fields."""
         return np.dtype([("time", "f8"), *self.fields], align=True)
 
-    def wire(self, frame_id_size: int, order: str) -> np.dtype[np.void]:
-        """Record type of the serialized message; `frame_id_size` includes the NUL; `order` is '<' or '>'."""
+    def wire(self, frame_id_size: int) -> np.dtype[np.void]:
+        """Record type of the serialized message; `frame_id_size` includes the NUL."""
         names, formats, offsets = [], [], []
         place = 0
         if self.has_header:
-            names, formats, offsets = (["sec", "nanosec"], [order + "i4", order + "u4"], [4, 8])
+            names, formats, offsets = (["sec", "nanosec"], ["<i4", "<u4"], [4, 8])
             place = _FRAME_ID - _ENCAPSULATION + frame_id_size
         for name, code in self.fields:
             size = np.dtype(code).itemsize
             place = -(-place // size) * size
             names.append(name)
-            formats.append(order + code)
+            formats.append("<" + code)
             offsets.append(place + _ENCAPSULATION)
             place += size
         spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + _ENCAPSULATION}
@@ -72,11 +72,17 @@ class FixedLayout:
         """Decode serialized messages into a table.
 
         `rows`: shape (n, bytes). `log_times`: ns, shape (n,); used if the type has no header. Raises ValueError: the
-        bytes are not valid CDR of this type.
+        bytes are not plain CDR, little endian, of this type.
         """
-        out = np.empty(len(rows), self.table)
-        for part, size, order in self._kinds(rows):
-            wire = self.wire(size, order)
+        if rows.shape[1] < (_FRAME_ID if self.has_header else _ENCAPSULATION):
+            raise ValueError("message too short")
+        if (rows[:, :2] != (0, 1)).any():
+            raise ValueError("not plain CDR, little endian")
+        out, sizes = np.empty(len(rows), self.table), np.zeros(len(rows), np.uint32)
+        if self.has_header:
+            sizes[:] = np.ascontiguousarray(rows[:, 12:_FRAME_ID]).view("<u4")[:, 0]
+        for size in np.unique(sizes):  # nearly always one
+            wire, part = self.wire(int(size)), sizes == size
             if rows.shape[1] < wire.itemsize:
                 raise ValueError(f"{rows.shape[1]} bytes in a message, expected {wire.itemsize}")
             values = np.ascontiguousarray(rows[part, : wire.itemsize]).view(wire)[:, 0]
@@ -88,7 +94,7 @@ class FixedLayout:
     def encode(self, table: npt.NDArray[np.void], frame_id: str = "bench") -> ByteRows:
         """Encode a table with a header as serialized messages, little endian, shape (n, bytes)."""
         text = frame_id.encode() + b"\0"
-        wire = self.wire(len(text), "<")
+        wire = self.wire(len(text))
         values = np.zeros(len(table), wire)
         seconds = np.floor(table["time"])
         values["sec"] = seconds
@@ -100,23 +106,6 @@ class FixedLayout:
         rows[:, 12:_FRAME_ID] = np.frombuffer(np.uint32(len(text)).tobytes(), np.uint8)
         rows[:, _FRAME_ID : _FRAME_ID + len(text)] = np.frombuffer(text, np.uint8)
         return rows
-
-    def _kinds(self, rows: ByteRows) -> list[tuple[npt.NDArray[np.bool_], int, str]]:
-        """Group the rows by byte order and length of frame_id: nearly always one group."""
-        if rows.shape[1] < (_FRAME_ID if self.has_header else _ENCAPSULATION):
-            raise ValueError("message too short")
-        kinds = []
-        for code, order in ((1, "<"), (0, ">")):
-            of_order = (rows[:, 0] == 0) & (rows[:, 1] == code)
-            if not of_order.any():
-                continue
-            sizes = np.zeros(len(rows), np.int64)
-            if self.has_header:
-                sizes[:] = np.ascontiguousarray(rows[:, 12:_FRAME_ID]).view(order + "u4")[:, 0]
-            kinds += [(of_order & (sizes == size), int(size), order) for size in np.unique(sizes[of_order])]
-        if sum(int(part.sum()) for part, _, _ in kinds) != len(rows):
-            raise ValueError("not plain CDR")
-        return kinds
 
 
 def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:

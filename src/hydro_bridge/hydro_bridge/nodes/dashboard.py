@@ -32,7 +32,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.bags.cdr import fixed_layout
-from hydro_bridge.cli.console import command, number
+from hydro_bridge.cli.console import command, command_line, number
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.dashboard.series import SLOT, Thinner
 from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, check, read
@@ -382,9 +382,7 @@ def _best_effort(topic: str) -> QoSProfile:
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = argparse.ArgumentParser(
-        prog="dashboard", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    result = command_line("dashboard", __doc__)
     result.add_argument("--host", default=HOST, metavar="ADDRESS", help=f"to listen at (default {HOST}: here only)")
     result.add_argument(
         "--port", type=number(0, 65535), metavar="N", help=f"default {PORT}, if taken a free one; 0: any"

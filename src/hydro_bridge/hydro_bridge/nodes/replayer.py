@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from pathlib import Path
 from struct import Struct
 from threading import Event
@@ -20,11 +20,10 @@ from std_srvs.srv import SetBool
 
 from hydro_bridge.bags.recording import messages, read_bag
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import command
+from hydro_bridge.cli.console import command, number
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
-from hydro_bridge.settings import SettingsError
 from hydro_msgs.srv import Claim
 
 _STAMP = Struct("<iI")
@@ -39,83 +38,27 @@ def restamp(data: bytes, time_ns: int) -> bytes:
     return data[:4] + _STAMP.pack(*divmod(time_ns, 1_000_000_000)) + data[12:]
 
 
-class Replay:
-    """Passes on recorded messages at their original intervals, each stamped with its due time.
-
-    A consumer treats an old stamp as a stale sample.
-
-    Parameters
-    ----------
-    path
-        The recording.
-    topics
-        Topics to replay.
-    publish
-        Called with topic and bytes when a message is due.
-    speed
-        Recorded seconds per second, above 0.
-    loop
-        Start again at the end.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        topics: Collection[str],
-        publish: Callable[[str, bytes], None],
-        *,
-        speed: float = 1.0,
-        loop: bool = False,
-    ) -> None:
-        if not speed > 0.0:
-            raise SettingsError(f"speed is {speed:g}, it must be above 0")
-        self._path, self._topics, self._publish = path, topics, publish
-        self._speed, self._loop = speed, loop
-        self.published = 0
-        self.latest = 0.0
-        """s, delay of the last message."""
-        self._stopping = Event()
-
-    def stop(self) -> None:
-        """End `run`."""
-        self._stopping.set()
-
-    def run(self) -> None:
-        """Replay until the end or `stop`; raises RecordingError."""
-        while not self._stopping.is_set():
-            self._once()
-            if not self._loop:
-                return
-
-    def _once(self) -> None:
-        first: int | None = None
-        began, began_ns = time.monotonic(), time.time_ns()
-        for topic, type_name, log_time, data in messages(self._path):
-            if topic not in self._topics:
-                continue
-            first = log_time if first is None else first
-            ahead = (log_time - first) / self._speed
-            if self._wait(began + 1e-9 * ahead):
-                return
-            stamped = type_name.rpartition("/")[2] in _STAMPED
-            self._publish(topic, restamp(data, began_ns + int(ahead)) if stamped else data)
-            self.published += 1
-
-    def _wait(self, due: float) -> bool:
-        """Wait until `due` on the monotonic clock; True if `stop` was called meanwhile."""
-        while (ahead := due - time.monotonic()) > 0.0:
-            if ahead > 0.1:
-                self._stopping.wait(0.1)
-            else:
-                time.sleep(ahead)
-            if self._stopping.is_set():
-                return True
-        self.latest = -ahead
-        return self._stopping.is_set()
-
-
 TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded."""
+
+
+def replay(path: Path, publish: Callable[[str, bytes], None], stopping: Event, speed: float = 1.0) -> None:
+    """Pass the messages of `TOPICS` to `publish` at their original intervals, each stamped with its due time.
+
+    A consumer treats an old stamp as a stale sample. It ends with the recording, or once `stopping` is set. `speed`:
+    recorded seconds per second, above 0. Raises RecordingError.
+    """
+    first: int | None = None
+    began, began_ns = time.monotonic(), time.time_ns()
+    for topic, type_name, log_time, data in messages(path):
+        if topic not in TOPICS:
+            continue
+        first = log_time if first is None else first
+        ahead = (log_time - first) / speed
+        if stopping.wait(max(0.0, began + 1e-9 * ahead - time.monotonic())):
+            return
+        stamped = type_name.rpartition("/")[2] in _STAMPED
+        publish(topic, restamp(data, began_ns + int(ahead)) if stamped else data)
 
 
 class ReplayerNode(Node):
@@ -123,17 +66,11 @@ class ReplayerNode(Node):
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
-        self._bag = options.bag
+        self._bag, self._speed, self._loop = options.bag, options.speed, options.loop
         self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in TOPICS}
         self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
-        self.replay = Replay(
-            options.bag,
-            TOPICS,
-            lambda topic, data: self._publishers_by_topic[topic].publish(data),
-            speed=options.speed,
-            loop=options.loop,
-        )
+        self._published, self._stopping = 0, Event()
         self.failure: Exception | None = None
         self.done: Future = Future()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
@@ -147,17 +84,23 @@ class ReplayerNode(Node):
 
     def close(self) -> None:
         """Stop replaying."""
-        self.replay.stop()
+        self._stopping.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
 
     def _run(self) -> None:
         try:
-            self.replay.run()
+            replay(self._bag, self._publish, self._stopping, self._speed)
+            while self._loop and not self._stopping.is_set():
+                replay(self._bag, self._publish, self._stopping, self._speed)
         except RecordingError as error:
             self.failure = error
-        self.get_logger().info(f"{self.replay.published} messages replayed")
+        self.get_logger().info(f"{self._published} messages replayed")
         self.done.set_result(None)
+
+    def _publish(self, topic: str, data: bytes) -> None:
+        self._publishers_by_topic[topic].publish(data)
+        self._published += 1
 
     def _refuse_to_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = not request.data
@@ -170,8 +113,7 @@ class ReplayerNode(Node):
         return response
 
     def _status(self) -> Status:
-        values = {"published": self.replay.published, "late [s]": self.replay.latest}
-        return Status(message="replaying", values=values)
+        return Status(message="replaying", values={"published": self._published})
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -181,7 +123,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="`ros2 bag play BAG` works too; this one stamps each sample again, so that none is taken for stale.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
-    parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")
+    parser.add_argument("--speed", type=number(1e-3), default=1.0, help="recorded s per second (default: %(default)s)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     return parser
 

@@ -7,7 +7,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
@@ -28,27 +28,14 @@ def environment(package: str, folder: str = "templates") -> Environment:
     )
 
 
-class Tabular(Protocol):
-    """Rows of results: `hydro_bridge.cli.console.Table` is one."""
-
-    title: str
-
-    @property
-    def columns(self) -> Mapping[str, str]:
-        """Key and meaning, with unit, of each column."""
-
-    @property
-    def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Rows with a value for each key."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Section:
     """Section of a page: heading and content; entries that are not given are omitted."""
 
     heading: str
     text: str = ""
-    table: Tabular | None = None
+    table: Any = None
+    """A `hydro_bridge.cli.console.Table`."""
     picture: Path | None = None
     """PNG file; omitted if it does not exist."""
 

@@ -15,7 +15,7 @@ rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by a person, to within 0.5 s
 call         /rosout, names that end in `calls`: requests to arm, disarm or override, and the answers
 log          /rosout: warnings and errors of all nodes
-window       report.json of a diagnosis: where the recording and the model differ (`read_report_marks`)
+window       report.json of a diagnosis: where the recording and the model differ (`read_windows`)
 ===========  ==========================================================================================
 """
 
@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,31 +191,18 @@ def report_beside(bag: Path) -> Path | None:
     return report if report.is_file() else None
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReportMarks:
-    """Windows of a report for each of its recordings."""
-
-    report: Path
-    marks: dict[str, list[Mark]]
-    """Start of each window by the recording's name, in s from its first sample."""
-    begins: list[tuple[str, float | None]]
-    """Name and stamp [s] of the first sample of each bag; empty in reports without stamps."""
-
-    def of(self, bag: Path, begin: float) -> list[Mark]:
-        """Return those of the recording whose first sample is stamped `begin`; by its name if the report has no stamps.
-
-        Among several with the same start the name decides. A name shared by two recordings is ambiguous and has none.
-        """
-        named = [name for name in self.marks if Path(name).name in (bag.name, bag.stem)]
-        if self.begins:
-            every = [name for name, _ in self.begins]
-            alike = [name for name, stamp in self.begins if stamp is not None and abs(stamp - begin) < _SAME]
-            named = [name for name in alike if len(alike) == 1 or name in named]
-            named = [name for name in named if every.count(name) == 1]
-        return [mark for name in named for mark in self.marks.get(name, [])]
+Windows = list[tuple[str, float | None, list[Mark]]]
+"""Name of each recording of a report, stamp [s] of the first sample of a bag, and its windows, in s from that."""
 
 
-def read_report_marks(report: Path) -> ReportMarks:
+def windows_of(windows: Windows, bag: Path, begin: float) -> list[Mark]:
+    """Return those of the recording whose first sample is stamped `begin`; of several the one named as the bag."""
+    alike = [entry for entry in windows if entry[1] is not None and abs(entry[1] - begin) < _SAME]
+    named = [entry for entry in alike if len(alike) == 1 or Path(entry[0]).name in (bag.name, bag.stem)]
+    return named[0][2] if len(named) == 1 else []
+
+
+def read_windows(report: Path) -> Windows:
     """Read report.json of a diagnosis.
 
     Raises RecordingError: the file cannot be read, or is not the report of a diagnosis.
@@ -224,13 +212,13 @@ def read_report_marks(report: Path) -> ReportMarks:
         marks: dict[str, list[Mark]] = {}
         for place in content["location"]:
             for name, stretches in place["windows"].items():
-                told = [
-                    f"{place['equation']}, for {end - begin:.2f} s: {place['sentence']}" for begin, end in stretches
-                ]
-                begins = [float(begin) for begin, _ in stretches]
-                marks.setdefault(name, []).extend(map(Mark, begins, ["window"] * len(told), told))
-        stamps = [(entry["name"], entry["begin"]) for entry in content.get("recordings", ())]
-        return ReportMarks(report=report, marks=marks, begins=stamps)
+                marks.setdefault(name, []).extend(
+                    Mark(float(begin), "window", f"{place['equation']}, for {end - begin:.2f} s: {place['sentence']}")
+                    for begin, end in stretches
+                )
+        begins = [(entry["name"], entry["begin"]) for entry in content["recordings"]]
+        told = Counter(name for name, _ in begins)  # windows under a name that two share are of either
+        return [(name, begin, marks.get(name, [])) for name, begin in begins if told[name] == 1]
     except OSError as error:
         raise RecordingError(f"{report}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError):

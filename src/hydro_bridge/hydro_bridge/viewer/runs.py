@@ -2,7 +2,7 @@
 """Writes the front page of a folder of runs: what each was, its pictures and pages. Opens it, too.
 
 ros2 run hydro_bridge runs                 # runs/index.html
-ros2 run hydro_bridge runs archive --sort score --json archive.json
+ros2 run hydro_bridge runs archive --json archive.json
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, plural
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, command_line, plural
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
 
@@ -164,20 +164,13 @@ COLUMNS = {
     "score": "of a training's best policy: RMSE over that of fixed gains, mean over the sines examined",
     "summary": "",
 }
-ORDERS: dict[str, Callable[[RunEntry], Any]] = {
-    "changed": lambda entry: -entry.changed,
-    "name": lambda entry: entry.name,
-    "score": lambda entry: (entry.score is None, entry.score or 0.0),
-}
-"""Keys of `--sort`; score: the best training first, other runs last."""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    result = argparse.ArgumentParser(prog="runs", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    result = command_line("runs", __doc__)
     result.add_argument("folder", nargs="?", type=Path, default=Path(FOLDER), help=f"of runs (default {FOLDER})")
     result.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
-    result.add_argument("--sort", choices=ORDERS, default="changed", help="order of the table (default: newest first)")
     add_json_argument(result)
     return result
 
@@ -190,7 +183,7 @@ def main() -> None:
         raise UserError(f"{options.folder} is not a folder: name one that holds runs")
     index = write_index(options.folder)
     table = Table(COLUMNS, title=str(index))
-    for run in sorted(list_runs(options.folder), key=ORDERS[options.sort]):
+    for run in list_runs(options.folder):
         table.add(run=run.name, kind=run.kind, changed=run.when, score=run.score, summary=run.summary)
     table.show(options.json)
     if options.open:

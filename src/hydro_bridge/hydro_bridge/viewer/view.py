@@ -27,12 +27,12 @@ import numpy.typing as npt
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
 from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import UserError, command, number, writable
+from hydro_bridge.cli.console import UserError, command, command_line, number, writable
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
 from hydro_bridge.signals import FloatArray
-from hydro_bridge.viewer.marks import Mark, Marks, read_report_marks, report_beside
+from hydro_bridge.viewer.marks import Mark, Marks, read_windows, report_beside, windows_of
 
 APART = 2.0
 """s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""
@@ -180,7 +180,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     finer detail. `report`: report.json of a diagnosis whose windows are marked. Raises RecordingError: the recording is
     missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
     """
-    found = None if report is None else read_report_marks(report)
+    windows = [] if report is None else read_windows(report)
     source = BagSource(Path(path))
     reading = _Reading(span=span)
     decoder = MessageDecoder(source)
@@ -217,7 +217,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
                     reading.take_object(topic, time, message)
             except AttributeError:  # fields of another version
                 reading.foreign.add(topic)
-    for mark in found.of(Path(path), reading.begin) if found else ():
+    for mark in windows_of(windows, Path(path), reading.begin):
         reading.marks.add(reading.begin + mark.time, mark.kind, mark.text)
     return _finished(source, reading, messages)
 
@@ -330,7 +330,7 @@ def _text(name: str) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    result = argparse.ArgumentParser(prog="view", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    result = command_line("view", __doc__)
     result.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
     result.add_argument("--html", type=writable, metavar="FILE", help="the page (default: beside BAG, as BAG.html)")
     result.add_argument("--from", dest="begin", type=number(0.0), default=0.0, metavar="S", help="s from first sample")
