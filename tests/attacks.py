@@ -22,13 +22,22 @@ from std_srvs.srv import SetBool
 
 from hydro_bridge.ros.messages import reference_to_message, seconds
 from hydro_bridge.ros.node import PROFILES, RANGE
-from hydro_bridge.ros.topics import ARM_SERVICE, AUTHORITY, CLAIM_SERVICE, CORRECTION, GAINS, GRAPH, REFERENCE, STATE
+from hydro_bridge.ros.topics import (
+    ARM_SERVICE,
+    AUTHORITY,
+    CLAIM_SERVICE,
+    CORRECTION,
+    GAINS,
+    REFERENCE,
+    STATE,
+    create_publisher,
+)
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.startup.companions import PlantOptions, start_companions
 from hydro_policy.task.mdp import GainRange
-from tests.graph_probe import Probe, own_domain
+from tests.graph_probe import Probe
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 SHAKE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=8.0)
@@ -49,30 +58,20 @@ class Outcome:
     """N, largest |f_r - f_l| in the second before."""
     current: float
     """A, largest change of the valve's current by corrections meanwhile."""
-    tripped: bool
-    """Whether the box's own watchdog disarmed, not the plant node."""
     foreign: int
     """Armed samples with gains that are neither the holder's nor the box's base gains."""
 
 
-Strike = Callable[[Any, "Defended"], Callable[[], bool]]
-"""What a stranger's node does: once more, each time; whether it arrives."""
-EMULATOR = PlantOptions(plant="emulator")
+Strike = Callable[[Any, Any], Callable[[], bool]]
+"""What a stranger's node does to a graph (`Defended`, or as much of it as is known): once more; whether it arrives."""
 
 
 class Defended:
     """The graph under attack."""
 
-    def __init__(
-        self,
-        folder: Path,
-        stack: ExitStack,
-        say: Callable[[str], None] = lambda line: None,
-        options: PlantOptions = EMULATOR,
-    ) -> None:
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
         self.text: list[str] = []
-        keep = lambda line: (self.text.append(line), say(line))[0]  # noqa: E731
-        self.companions = start_companions(stack, options, GainRange(), folder, keep)
+        self.companions = start_companions(stack, PlantOptions(plant="emulator"), GainRange(), folder, self.text.append)
         self.probe = Probe()
         stack.callback(self.probe.close)
         self.probe.take(60.0)
@@ -85,13 +84,22 @@ class Defended:
         """Of the session, as anybody can read it from the graph."""
         return self.probe.commander.epoch
 
+    @property
+    def sequence(self) -> int:
+        """Of the plant's latest sample."""
+        return self.probe.last(STATE).sequence if self.probe.heard[STATE] else 0
+
+    def subscribers(self, topic: str) -> int:
+        """How many listen to a topic."""
+        return int(self.probe.node.count_subscribers(topic))
+
     def arm(self) -> None:
         """Arm, and track until the force has come to its reference."""
         self.probe.arm(False)
         self.probe.wait(lambda: not self.probe.flags() & Flag.ARMED, 5.0)
         self.probe.commander.reference(SINE)
         deadline = time.monotonic() + 60.0
-        while not self._armed():  # a stranger that has just left is forgotten soon
+        while not self.probe.ask(True).success:  # a stranger that has just left is forgotten soon
             assert time.monotonic() < deadline, "it cannot be armed"
             self.drive(0.3)
         self.drive(2.0)
@@ -108,9 +116,6 @@ class Defended:
         """Flags of the plant's latest sample."""
         own = [state for _, state in self.probe.heard[STATE][-50:] if state.header.frame_id == "bench"]
         return int(own[-1].flags) if own else int(Flag.ARMED)
-
-    def _armed(self) -> bool:
-        return bool(self.probe.ask(True).success)  # as a person, who alone may after a person's disarm
 
     def drive(
         self, seconds: float, besides: Callable[[], None] = lambda: None, until: Callable[[], bool] = lambda: False
@@ -156,7 +161,6 @@ class Defended:
             error=_error(meant),
             before=before,
             current=moved,
-            tripped=any(state.flags & Flag.TRIPPED for state in meant),
             foreign=sum(pair not in ((90.0, 15.0), (15.0, 5.0)) for pair in gains),
         )
 
@@ -206,16 +210,15 @@ def listener(reach: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-def _publishing(topic: str, message: Callable[[Defended], Any]) -> Strike:
+def _publishing(topic: str, message: Callable[[Any], Any]) -> Strike:
     """A stranger that publishes on a topic."""
 
-    def strike(node: Any, graph: Defended) -> Callable[[], bool]:
-        kind, qos = GRAPH[topic]
-        publisher = node.create_publisher(kind, topic, qos)
+    def strike(node: Any, graph: Any) -> Callable[[], bool]:
+        publisher = create_publisher(node, topic)
 
         def once() -> bool:
             publisher.publish(message(graph))
-            return bool(publisher.get_subscription_count() >= graph.probe.node.count_subscribers(topic))
+            return bool(publisher.get_subscription_count() >= graph.subscribers(topic))
 
         return once
 
@@ -225,7 +228,7 @@ def _publishing(topic: str, message: Callable[[Defended], Any]) -> Strike:
 def _calling(kind: Any, service: str, request: Any) -> Strike:
     """A stranger that calls a service, once."""
 
-    def strike(node: Any, graph: Defended) -> Callable[[], bool]:
+    def strike(node: Any, graph: Any) -> Callable[[], bool]:
         client = node.create_client(kind, service)
         called: list[Any] = []
 
@@ -239,12 +242,12 @@ def _calling(kind: Any, service: str, request: Any) -> Strike:
     return strike
 
 
-def _pushing(graph: Defended, epoch: int) -> Correction:
-    sequence = graph.probe.last(STATE).sequence if graph.probe.heard[STATE] else 0
-    return Correction(sequence=sequence, delta_u=0.05, status=int(CorrectionStatus.MODIFIED), epoch=epoch)
+def _pushing(graph: Any) -> Correction:
+    status = int(CorrectionStatus.MODIFIED)
+    return Correction(sequence=graph.sequence, delta_u=0.05, status=status, epoch=graph.epoch)
 
 
-def _false_state(graph: Defended) -> BenchState:
+def _false_state(graph: Any) -> BenchState:
     state = BenchState(sequence=7, load_force=600.0, reference_force=-600.0, flags=int(Flag.TRIPPED))
     state.header.frame_id = "false"
     return state
@@ -254,7 +257,7 @@ ATTACKS: dict[str, Strike] = {
     "gains, no epoch": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0)),
     "gains, epoch copied": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0, epoch=graph.epoch)),
     "reference, epoch copied": _publishing(REFERENCE, lambda graph: reference_to_message(SHAKE, graph.epoch)),
-    "correction 50 mA, epoch copied": _publishing(CORRECTION, lambda graph: _pushing(graph, graph.epoch)),
+    "correction 50 mA, epoch copied": _publishing(CORRECTION, _pushing),
     "correction, cut off": _publishing(CORRECTION, lambda graph: bytes(20)),
     "states": _publishing(STATE, _false_state),
     "authority": _publishing(AUTHORITY, lambda graph: Authority(holder="stranger", claim=1, epoch=1)),
@@ -266,11 +269,3 @@ ATTACKS: dict[str, Strike] = {
 
 STAYS_ARMED = frozenset({"/hydro/arm true", "/hydro/claim take"})
 """What is refused, and changes nothing."""
-
-
-@contextmanager
-def defended(folder: Path, say: Callable[[str], None] = lambda line: None) -> Iterator[Defended]:
-    """A graph that can be attacked, in a domain of its own."""
-    with ExitStack() as stack:
-        stack.enter_context(own_domain())
-        yield Defended(folder, stack, say)

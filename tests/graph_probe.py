@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,17 @@ class Probe:
             if self.commands:
                 self.commander.seek(time.monotonic())
 
+    def drive(self, delta_kp: float, delta_ki: float, seconds: float) -> float:
+        """Publish gains at 100 Hz for so many seconds; the longest time [s] from one message to the next."""
+        longest, last = 0.0, time.monotonic()
+        end = last + seconds
+        while last < end:
+            self.commander.gains(delta_kp, delta_ki)
+            self.spin(0.01)
+            last, before = time.monotonic(), last
+            longest = max(longest, last - before)
+        return longest
+
     def take(self, timeout: float = 30.0) -> None:
         """Take the authority over the plant, and keep it."""
         self.commands = True
@@ -101,13 +112,6 @@ class Probe:
     def flags(self) -> int:
         """Flags of the latest sample; 0 before the first."""
         return int(self.last(STATE).flags) if self.heard[STATE] else 0
-
-    def drive(self, delta_kp: float, delta_ki: float, seconds: float) -> None:
-        """Publish these changes of the gains for so long."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.commander.gains(delta_kp, delta_ki)
-            self.spin(0.01)
 
     def forget(self) -> None:
         """Drop what was heard."""
@@ -156,11 +160,9 @@ class Trainer:
     def close(self) -> None:
         """After its end: take what it still had to say."""
         self._reader.join(5.0)
-        assert self.process.stdout is not None
         self.process.stdout.close()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
         for line in self.process.stdout:
             print(line, end="")
             self.text += line
@@ -173,12 +175,10 @@ def trainer(*words: str, stdin: int = subprocess.DEVNULL) -> Iterator[Trainer]:
     try:
         yield run
     finally:
-        if run.process.poll() is None:
-            run.process.terminate()
-            try:
-                run.process.wait(30.0)
-            except subprocess.TimeoutExpired:
-                run.process.kill()
+        run.process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            run.process.wait(30.0)
+        run.process.kill()
         run.close()
 
 

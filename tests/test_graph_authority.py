@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ pytest.importorskip("rclpy")
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import CORRECTION, STATE
 from hydro_bridge.signals import Flag
-from tests.attacks import ATTACKS, STAYS_ARMED, Defended, defended, listener
+from tests.attacks import ATTACKS, STAYS_ARMED, Defended, listener
 from tests.graph_probe import trainer
 
 pytestmark = pytest.mark.graph
@@ -24,12 +23,6 @@ PATIENCE = 90.0
 """s, for imports on a busy machine."""
 SOON = 3.5
 """s; 0.1 s and less were measured, the rest is for a busy machine and its discovery."""
-
-
-@pytest.fixture(scope="module")
-def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Defended]:
-    with defended(Path(tmp_path_factory.mktemp("graph"))) as made:
-        yield made
 
 
 @pytest.mark.parametrize("name", list(ATTACKS))
@@ -59,23 +52,19 @@ def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) 
     assert all(state.flags & Flag.ARMED for state in states)
 
 
-def said_by(stack: ExitStack, package: str, executable: str, *words: str) -> io.StringIO:
-    """Start an executable; what it says."""
-    output = io.StringIO()
-    stack.enter_context(Companion(package, executable, list(words), output=output.write))
-    return output
-
-
-def test_a_second_filter_and_trainer_are_told_and_leave_the_first_alone(graph: Defended, tmp_path: Path) -> None:
+def test_a_second_filter_and_trainer_are_told_and_leave_the_first_alone(
+    graph: Defended, start: Callable[..., Companion], tmp_path: Path
+) -> None:
     words = ("--plant", "external", "--from", "scratch", "--rearm", "auto", "--runs", str(tmp_path), "--name", "run")
     told = "probe commands this plant: end it"
     graph.arm()
     graph.probe.forget()
-    with ExitStack() as stack:
-        said = said_by(stack, "hydro_filter", "filter")
-        graph.drive(PATIENCE, until=lambda: "answers already" in said.getvalue())
-        graph.drive(1.0)
-        assert "answers already" in said.getvalue() and graph.probe.node.count_publishers(CORRECTION) == 1
+    said = io.StringIO()
+    other = start("hydro_filter filter", output=said)
+    graph.drive(PATIENCE, until=lambda: "answers already" in said.getvalue())
+    graph.drive(1.0)
+    assert "answers already" in said.getvalue() and graph.probe.node.count_publishers(CORRECTION) == 1
+    other.stop()
     with trainer(*words) as process:  # last: while it ends nobody drives
         graph.drive(PATIENCE, until=lambda: told in process.text)
         graph.drive(3.0)
@@ -83,7 +72,7 @@ def test_a_second_filter_and_trainer_are_told_and_leave_the_first_alone(graph: D
     assert all(state.flags & Flag.ARMED for _, state in graph.probe.heard[STATE]), graph.text[-40:]
 
 
-def test_a_second_plant_disarms_the_first_which_says_why(graph: Defended) -> None:
+def test_a_second_plant_disarms_the_first_which_says_why(graph: Defended, start: Callable[..., Companion]) -> None:
     graph.arm()
     begun = len(graph.text)
 
@@ -91,8 +80,7 @@ def test_a_second_plant_disarms_the_first_which_says_why(graph: Defended) -> Non
         lines = graph.text[begun:]  # one before has brought the same words
         return any("2 nodes publish /hydro/state" in line and "disarmed until" in line for line in lines)
 
-    with ExitStack() as stack:
-        said_by(stack, "hydro_sim", "sim", "--model", "analytic")
-        graph.drive(PATIENCE, until=told)
-        graph.drive(0.5)
-        assert told() and not graph.own_flags() & Flag.ARMED
+    start("hydro_sim sim", "--model", "analytic")
+    graph.drive(PATIENCE, until=told)
+    graph.drive(0.5)
+    assert told() and not graph.own_flags() & Flag.ARMED

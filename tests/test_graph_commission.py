@@ -55,7 +55,6 @@ def interrupted(command: list[str], line: str) -> list[str]:
     """Run until it prints a line, then press Ctrl-C; all that it printed."""
     said = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as running:
-        assert running.stdout is not None
         for each in running.stdout:
             said.append(each.strip())
             if each.startswith(line):

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import time
@@ -11,20 +10,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
-from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("selenium")
 
-from websockets.sync.client import ClientConnection, connect
-
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.topics import STATE
 from hydro_bridge.signals import Flag
 from hydro_msgs.srv import Claim
-from tests.attacks import Defended, defended
+from tests.attacks import Defended
 from tests.browser import MISSING, Page, browser
 
 pytestmark = [pytest.mark.graph, pytest.mark.skipif(bool(MISSING), reason=MISSING)]
@@ -44,7 +40,6 @@ def dashboard() -> Iterator[tuple[subprocess.Popen[str], str]]:
     late = Timer(60.0, process.kill)
     late.start()
     try:
-        assert process.stdout is not None
         found = re.search(r"http://127\.0\.0\.1:\d+/#token=\S+", process.stdout.readline())
         late.cancel()
         assert found
@@ -55,32 +50,10 @@ def dashboard() -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @pytest.fixture(scope="module")
-def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Defended]:
-    with defended(Path(tmp_path_factory.mktemp("graph"))) as made:
+def page(graph: Defended, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with dashboard() as (_, address), browser(Path(tmp_path_factory.mktemp("profile"))) as made:
+        made.open(address)
         yield made
-
-
-@pytest.fixture(scope="module")
-def served(graph: Defended) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    with dashboard() as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def page(served: tuple[subprocess.Popen[str], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with browser(Path(tmp_path_factory.mktemp("profile"))) as made:
-        made.open(served[1])
-        yield made
-
-
-def answered(connection: ClientConnection) -> dict[str, Any]:
-    """What a page is told of its command."""
-    end = time.monotonic() + 30.0
-    while time.monotonic() < end:
-        told = connection.recv(30.0)
-        if isinstance(told, str) and (content := json.loads(told))["kind"] == "answer":
-            return dict(content)
-    raise AssertionError("no answer")
 
 
 def armed(graph: Defended, page: Page) -> None:
@@ -148,18 +121,14 @@ def test_armed_in_two_presses_with_the_token_and_by_nobody_without(graph: Defend
     page.wait(ARMED, meanwhile=lambda: graph.drive(0.05))
 
 
-def test_a_press_from_before_the_last_disarm_does_nothing_and_says_so(graph: Defended, page: Page) -> None:
+def test_a_request_to_arm_from_before_the_last_disarm_does_nothing_and_says_so(graph: Defended, page: Page) -> None:
     armed(graph, page)
-    old, token = graph.epoch, page.run("return document.getElementById('token').value")
+    asked = Claim.Request(act=Claim.Request.ARM, name="late", epoch=graph.epoch)
     graph.probe.arm(False)
     page.wait(DISARMED)
-    with connect(page.driver.current_url.replace("http", "ws") + "live") as held:  # a page that was held up meanwhile
-        held.send(json.dumps({"command": "arm", "epoch": str(old), "token": token}))
-        answer = answered(held)
-    assert not answer["success"] and "nothing was done" in answer["text"]
-    asked = graph.probe.arming.call_async(Claim.Request(act=Claim.Request.ARM, name="late", epoch=old))
-    graph.probe.wait(asked.done)
-    assert not asked.result().success and "look, and ask again" in asked.result().message, "the plant says so, too"
+    answer = graph.probe.arming.call_async(asked)
+    graph.probe.wait(answer.done)
+    assert not answer.result().success and "look, and ask again" in answer.result().message
     graph.drive(0.5)
     assert not graph.probe.flags() & Flag.ARMED
 

@@ -31,6 +31,7 @@ from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.nodes.training.start import check_run
 from hydro_policy.runs.run import Checkpoint, RunDirectory, load_checkpoint
+from tests.checks import ran
 from tests.graph_probe import SHORT, Probe, Trainer, own_domain, trainer
 
 pytestmark = pytest.mark.graph
@@ -51,7 +52,6 @@ class Training:
     @property
     def text(self) -> str:
         """What the trainer has printed."""
-        assert self.process is not None
         return self.process.text
 
     def begin(self, stack: ExitStack, *words: str) -> Trainer:
@@ -98,8 +98,7 @@ def training(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Training]:
 
 
 def override(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("hydro_policy", "override")), *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=30.0, check=False)
+    return ran(executable_path("hydro_policy", "override"), *words, timeout=30.0)
 
 
 def modified(path: Path) -> float:
@@ -162,7 +161,6 @@ def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Tr
 
 def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Training) -> None:
     probe, process = training.probe, training.process
-    assert process is not None
     probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
     probe.arm(False)
     probe.wait(lambda: "a person disarmed the plant: arm it on the live page" in process.text, 5.0)
@@ -176,7 +174,6 @@ def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Tr
 
 def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
     probe, process = training.probe, training.process
-    assert process is not None
     begun = probe.last(TRAINING).updates
     probe.spin(1.5)
     before = probe.last(TRAINING).updates
@@ -201,7 +198,6 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
 
 def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:
     probe, process = training.probe, training.process
-    assert process is not None
     probe.spin(0.1)
     sequence = probe.last(STATE).sequence
     os.kill(process.child("/recorder "), signal.SIGKILL)
@@ -220,7 +216,6 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
 
 def test_a_closed_terminal_ends_a_training_as_ctrl_c_does(training: Training) -> None:
     probe, process = training.probe, training.process
-    assert process is not None
     probe.forget()
     probe.spin(0.2)
     moment = time.time()

@@ -7,25 +7,25 @@ No keys are needed for it: names of enclaves travel without, and endpoints are t
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("rclpy")
 
-from rclpy.node import Node  # noqa: E402
+import rclpy
+from rclpy.node import Node
 
-from hydro_bridge.bags.recording import BagWriter  # noqa: E402
-from hydro_bridge.ros.companion import Companion  # noqa: E402
-from hydro_bridge.ros.keys import enclave_of  # noqa: E402
-from hydro_bridge.ros.topics import CLOCK, FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS, Rights  # noqa: E402  # noqa: E402
-from hydro_bridge.signals import STATE_DTYPE  # noqa: E402
-from tests.graph_probe import own_domain  # noqa: E402
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.keys import enclave_of
+from hydro_bridge.ros.topics import CLOCK, FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
+from hydro_bridge.signals import STATE_DTYPE
+from tests.graph_probe import own_domain
 
 pytestmark = pytest.mark.graph
 
@@ -37,120 +37,85 @@ QUERIES = {
 }
 SETTLED = 2.0  # s that nothing may be added in, once all is there that is expected
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "exam.every:=0")
-
-
-class Looker:
-    """Keeps what each node of each enclave was ever seen to do."""
-
-    def __init__(self) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node("looker", context=self._context)
-        self.seen: dict[str, dict[str, dict[str, set[str]]]] = {}
-
-    def look(self) -> None:
-        for name, namespace, enclave in self._node.get_node_names_and_namespaces_with_enclaves():
-            if name == self._node.get_name():
-                continue
-            does = self.seen.setdefault(enclave, {}).setdefault(name, {kind: set() for kind in QUERIES})
-            for kind, ask in QUERIES.items():
-                try:
-                    does[kind] |= {entry for entry, _ in ask(self._node, name, namespace)}
-                except RuntimeError:  # it has ended meanwhile, or is not known yet
-                    continue
-
-    def wait(self, expected: Mapping[str, Mapping[str, Mapping[str, set[str]]]], timeout: float) -> None:
-        """Look until all that is expected was seen, and a little longer."""
-        end = time.monotonic() + timeout
-        while self.seen != expected and time.monotonic() < end:
-            time.sleep(0.2)
-            self.look()
-        end = time.monotonic() + SETTLED
-        while time.monotonic() < end:
-            time.sleep(0.2)
-            self.look()
-
-    def close(self) -> None:
-        self._node.destroy_node()
-        rclpy.shutdown(context=self._context)
-
-
-@pytest.fixture
-def looker() -> Iterator[Looker]:
-    with own_domain():
-        looker = Looker()
-        yield looker
-        looker.close()
-
-
-@pytest.fixture
-def running() -> Iterator[ExitStack]:
-    with ExitStack() as stack:
-        yield stack
-
-
 CLOSING = {LAW, LAW_STATE, FREEZE_SERVICE}  # what a trainer does in its closing comparison only
+NO_CLOCK = {"filter": {CLOCK}, "sim": {CLOCK}}  # in real time
+Does = dict[str, dict[str, dict[str, set[str]]]]
+"""By enclave, node and kind."""
 
 
-def table(
-    *executables: str, without: Mapping[str, set[str]] | None = None
-) -> dict[str, dict[str, dict[str, set[str]]]]:
-    """What the table says of some; `without` names what one of them does under other circumstances only."""
-    omitted = without or {}
-
-    def names(executable: str, rights: Rights) -> dict[str, set[str]]:
-        left_out = omitted.get(executable, set())
-        return {field.name: set(getattr(rights, field.name)) - left_out for field in fields(rights)}
-
-    return {
-        enclave_of(executable): {name: names(executable, rights) for name, rights in RIGHTS[executable].items()}
-        for executable in executables
-    }
+@pytest.fixture(autouse=True)
+def apart() -> Iterator[None]:
+    with own_domain():
+        yield
 
 
-def check(looker: Looker, expected: dict[str, dict[str, dict[str, set[str]]]], timeout: float = 60.0) -> None:
-    looker.wait(expected, timeout)
-    assert looker.seen == expected
+def seen_beside(expected: Does, timeout: float = 120.0) -> Does:
+    """What each node of each enclave was ever seen to do, until all that is expected was, and a little longer."""
+    context, seen = rclpy.Context(), {}
+    rclpy.init(context=context)
+    looker = rclpy.create_node("looker", context=context)
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        if seen == expected:
+            end = min(end, time.monotonic() + SETTLED)
+        time.sleep(0.2)
+        for name, namespace, enclave in looker.get_node_names_and_namespaces_with_enclaves():
+            if name == "looker":
+                continue
+            does = seen.setdefault(enclave, {}).setdefault(name, {kind: set() for kind in QUERIES})
+            for kind, ask in QUERIES.items():
+                with suppress(RuntimeError):  # it has ended meanwhile, or is not known yet
+                    does[kind] |= {entry for entry, _ in ask(looker, name, namespace)}
+    looker.destroy_node()
+    rclpy.shutdown(context=context)
+    return seen
 
 
-def test_a_training_on_the_emulator(looker: Looker, running: ExitStack, tmp_path: Path) -> None:
-    words = ["--plant", "emulator", "--runs", str(tmp_path), "--name", "run", "--episodes", "50", *SHORT]
-    running.enter_context(Companion("hydro_policy", "trainer", words))
-    check(
-        looker, table("trainer", "bridge", "filter", "recorder", without={"filter": {CLOCK}, "trainer": CLOSING}), 120.0
-    )
+def check(*executables: str, without: Mapping[str, set[str]] | None = None) -> None:
+    """They do what the table says; `without` names what one of them does under other circumstances only."""
+    expected: Does = {}
+    for executable in executables:
+        left_out = (without or {}).get(executable, set())
+        expected[enclave_of(executable)] = {
+            name: {kind: set(getattr(rights, kind)) - left_out for kind in QUERIES}
+            for name, rights in RIGHTS[executable].items()
+        }
+    assert seen_beside(expected) == expected
 
 
-def test_a_recorded_evaluation_on_the_simulation(looker: Looker, running: ExitStack, tmp_path: Path) -> None:
-    words = ["--plant", "sim", "--fixed", "90", "15", "--law", "compensated", "--runs", str(tmp_path)]
-    running.enter_context(Companion("hydro_policy", "evaluate", words))
-    clock = {"filter": {CLOCK}, "sim": {CLOCK}}
-    check(looker, table("evaluate", "sim", "filter", "recorder", without=clock), 120.0)
+def test_a_training_on_the_emulator(start: Callable[..., Companion], tmp_path: Path) -> None:
+    words = ("--plant", "emulator", "--runs", tmp_path, "--name", "run", "--episodes", "50")
+    start("hydro_policy trainer", *words, *SHORT)
+    check("trainer", "bridge", "filter", "recorder", without=NO_CLOCK | {"trainer": CLOSING})
 
 
-def test_collecting_from_a_simulation_off_real_time(looker: Looker, running: ExitStack, tmp_path: Path) -> None:
-    schedule = tmp_path / "schedule.yaml"
+def test_a_recorded_evaluation_on_the_simulation(start: Callable[..., Companion], tmp_path: Path) -> None:
+    words = ("--plant", "sim", "--fixed", "90", "15", "--law", "compensated", "--runs", tmp_path)
+    start("hydro_policy evaluate", *words)
+    check("evaluate", "sim", "filter", "recorder", without=NO_CLOCK)
+
+
+def test_collecting_from_a_simulation_off_real_time(start: Callable[..., Companion], tmp_path: Path) -> None:
     hold = {"seconds": 60.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}
-    schedule.write_text(yaml.safe_dump({"segments": [hold]}))
-    running.enter_context(Companion("hydro_filter", "filter"))
-    running.enter_context(Companion("hydro_sim", "sim", ["--speed", "2"]))
-    words = ["--out", str(tmp_path / "run"), "--schedule", str(schedule)]
-    running.enter_context(Companion("hydro_sim", "collect", words))
-    check(looker, table("sim", "filter", "collect", "recorder"))
+    (tmp_path / "schedule.yaml").write_text(yaml.safe_dump({"segments": [hold]}))
+    start("hydro_filter filter")
+    start("hydro_sim sim", "--speed", "2")
+    start("hydro_sim collect", "--out", tmp_path / "run", "--schedule", tmp_path / "schedule.yaml")
+    check("sim", "filter", "collect", "recorder")
 
 
-def test_a_replayer(looker: Looker, running: ExitStack, tmp_path: Path) -> None:
+def test_a_replayer(start: Callable[..., Companion], tmp_path: Path) -> None:
     states = np.zeros(2000, STATE_DTYPE)
     states["time"], states["sequence"] = 1e-3 * np.arange(2000), np.arange(2000)
     with BagWriter(tmp_path / "run") as writer:
         writer.write_states(states)
-    running.enter_context(Companion("hydro_bridge", "replayer", [str(tmp_path / "run"), "--loop"]))
-    check(looker, table("replayer"))
+    start("hydro_bridge replayer", tmp_path / "run", "--loop")
+    check("replayer")
 
 
-def test_the_live_page_and_commands_of_a_person(looker: Looker, running: ExitStack) -> None:
+def test_the_live_page_and_commands_of_a_person(start: Callable[..., Companion]) -> None:
     """The commands look for somebody who answers, override for 10 s, and nobody is there."""
-    running.enter_context(Companion("hydro_bridge", "dashboard", ["--port", "0"]))
-    running.enter_context(Companion("hydro_bridge", "arm", ["--timeout", "60"]))
-    running.enter_context(Companion("hydro_policy", "override", ["--off"]))
-    check(looker, table("dashboard", "arm", "override"))
+    start("hydro_bridge dashboard", "--port", "0")
+    start("hydro_bridge arm", "--timeout", "60")
+    start("hydro_policy override", "--off")
+    check("dashboard", "arm", "override")

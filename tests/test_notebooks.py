@@ -8,11 +8,14 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from tests import checks
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDINGS_ONLY = ("hydro_bridge", "hydro_sim", "hydro_diagnosis")
@@ -49,18 +52,15 @@ def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path) -> None:
     clean = {name: value for name, value in os.environ.items() if not name.startswith(own)}
     clean |= {"PYTHONPATH": str(tmp_path / "site"), "TMPDIR": str(tmp_path)}
 
-    def run(code: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", WITHOUT_ROS + code]
-        return subprocess.run(command, env=clean, cwd=tmp_path, capture_output=True, text=True, timeout=280)
-
+    run = partial(checks.ran, sys.executable, "-c", env=clean, cwd=tmp_path)
     shown = "print(found.table.value.to_json()); print(again.report.verdict, found._repr_html_().startswith('<iframe'))"
-    notebook = run(f"{code_of('diagnose')}\n{shown}")
+    notebook = run(f"{WITHOUT_ROS}{code_of('diagnose')}\n{shown}")
     assert not notebook.returncode, notebook.stderr
     values, last = notebook.stdout.splitlines()[-2:]
     assert last == "no_mismatch True"
     leak, friction = json.loads(values).values()
     assert leak == pytest.approx(2e-13, rel=0.01) and friction == pytest.approx(8.0, rel=0.01)
-    refused = run(START_A_NODE)
+    refused = run(WITHOUT_ROS + START_A_NODE)
     assert refused.returncode == 2
     assert "ROS 2" in refused.stderr and "Traceback" not in refused.stderr
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A training under faults drawn at random, by the hour: `make soak`.
+"""A training under faults drawn at random, by the hour: `make soak`; its hostile bytes alone: `make fuzz-line`.
 
-python -m tests.soak [--seed S] [--hours H] [--causes CAUSE ...] [--json FILE]
+python -m tests.soak [--seed S] [--hours H] [--causes CAUSE ...] [--lasts S] [--json FILE]
 
 Emulator, bridge, filter, trainer (external, from scratch) and recorder run at 1 kHz; a process on the serial line keeps
 what the box says. Whatever ends is started again as its user would. Ctrl-C ends it with the table so far. Exit status 1
-if something unsafe happened: not safe in time, a valve current without commands or beyond the valve's, a process left
-behind, a traceback, memory that grows, no way on.
+if something unsafe happened: not safe in time, a valve current without commands or beyond the valve's, a gain that none
+asks for, an answer to a command that nobody sent, a process left behind, a traceback, memory that grows, no way on.
 """
 
 from __future__ import annotations
@@ -15,19 +15,21 @@ import argparse
 import signal
 import sys
 import tempfile
+from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
+from random import Random
 
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.process.endings import Ended
 from hydro_bridge.ros.node import stay_on_this_machine
 from tests.soak.faults import FAULTS
 from tests.soak.judge import Outcome
-from tests.soak.soak import Soak, soaking
+from tests.soak.soak import soaking
 
 COLUMNS = {
     "cause": "",
     "times": "",
-    "lost": "samples of the box until the next fault that no recording has, in all",
     "safe_ms": "until disarmed with no current, or at base gains, the longest; none: it went on",
     "force_N": "the largest until then",
     "current_mA": "the largest until then",
@@ -47,7 +49,6 @@ def rows(outcomes: list[Outcome]) -> Table:
             table.add(
                 cause=cause,
                 times=len(own),
-                lost=sum(outcome.lost for outcome in own),
                 safe_ms=f"{max(safe):.0f}" if safe else "",
                 force_N=f"{max(outcome.force for outcome in own):.0f}",
                 current_mA=f"{1e3 * max(outcome.current for outcome in own):.1f}",
@@ -57,32 +58,24 @@ def rows(outcomes: list[Outcome]) -> Table:
     return table
 
 
-def memory(soak: Soak) -> Table:
-    """Memory of each process that lived for a while."""
-    table = Table({"process": "", "first": "MiB", "last": "MiB", "seconds": "between"}, title="Memory")
-    for each in soak.crew.memory:
-        if each.seconds:
-            table.add(
-                process=each.process, first=f"{each.first:.1f}", last=f"{each.last:.1f}", seconds=round(each.seconds)
-            )
-    return table
-
-
 def run(asked: argparse.Namespace, folder: Path) -> int:
     """Soak, and print what came of it."""
     ended = None
     with soaking(folder, asked.seed) as soak:
         seconds = 3600.0 * asked.hours
+        chosen = [fault for fault in FAULTS if not asked.causes or fault.cause in asked.causes]
+        chosen = [replace(fault, lasts=asked.lasts or fault.lasts) for fault in chosen]
+        random = Random(asked.seed)
+        turns = (random.sample(chosen, len(chosen)) for _ in count())
         with progress(total=round(seconds), label="soak", unit="s") as bar:
             try:
-                soak.run(seconds, tuple(asked.causes), lambda now: bar.update(int(now) - bar.n))
+                faults = chosen if asked.causes else chain.from_iterable(turns)
+                soak.run(faults, seconds, lambda now: bar.update(int(now) - bar.n))
             except Ended as ending:
                 ended = ending
     rows(soak.outcomes).show(asked.json)
-    print()
-    memory(soak).show(asked.json and Path(asked.json).with_suffix(".memory.json"))
     found = soak.violations()
-    print(f"\n{len(soak.records)} samples, {soak.lost} of them not recorded", *(found or ["all held"]), sep="\n")
+    print(f"\n{len(soak.records)} samples; {soak.carried}", *(found or ["all held"]), sep="\n")
     if found:
         print(*soak.crew.text.splitlines()[-60:], sep="\n", file=sys.stderr)
     if ended is not None and not found:
@@ -97,6 +90,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
     parser.add_argument("--hours", type=float, default=1.0, help="default: %(default)s")
     parser.add_argument("--causes", nargs="+", default=[], metavar="CAUSE", help="only these faults, each once")
+    parser.add_argument("--lasts", type=float, help="s that each lasts, in place of its own time")
     parser.add_argument("--keep", type=writable_folder, metavar="DIR", help="keep all files, the log among them, here")
     add_json_argument(parser)
     asked = parser.parse_args()

@@ -3,37 +3,24 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_bridge.bags.recording import RecordingError, read_bag
 from hydro_bridge.signals import Flag
 from tests.soak.crew import Memory
-from tests.soak.wire import RECORD
+from tests.soak.wire import TYPE
 
-TYPE = np.dtype(
-    [
-        ("time", "<f8"),
-        ("sequence", "<u4"),
-        ("flags", "<u4"),
-        ("command", "<u4"),
-        ("force", "<f4"),
-        ("current", "<f4"),
-        ("kp", "<f4"),
-    ]
-)
 _LASTING = 300  # samples at base gains that a policy does not choose: thirty steps
 BASE_KP = 15.0  # 1/s, of the emulated box
 
 
 def read(path: Path) -> NDArray[np.void]:
     """All records that the wire has written so far, in place: an hour of them is no copy."""
-    whole = path.stat().st_size // RECORD.size
+    whole = path.stat().st_size // TYPE.itemsize
     return np.memmap(path, TYPE, "r", shape=(whole,)) if whole else np.zeros(0, TYPE)
 
 
@@ -63,27 +50,23 @@ def safe(records: NDArray[np.void]) -> NDArray[np.bool_]:
     return still | (base & ((records["flags"] & (Flag.WATCHDOG | Flag.FILTER_STALE)) != 0)) | lasting
 
 
-def boots(records: NDArray[np.void]) -> NDArray[np.int64]:
-    """In which life of the box each of them was: its numbers start again with each."""
-    return np.concatenate([[0], np.cumsum(np.diff(records["sequence"].astype(np.int64)) < 0)])[: len(records)]
-
-
 def longest_unheard(records: NDArray[np.void]) -> int:
     """Samples [ms of the box's clock] after the last command taken at which the valve still had a current.
 
-    It is the box's own time, so that a machine that stands still for a moment makes it no longer.
+    It is the box's own time, so that a machine that stands still for a moment makes it no longer. Its numbers start
+    again with each life of the box.
     """
     longest = 0
-    for boot in np.split(records, np.flatnonzero(np.diff(boots(records))) + 1):
-        if len(boot):
-            taken = np.maximum.accumulate(
-                np.where(np.diff(boot["command"], prepend=boot["command"][0]), boot["sequence"], 0)
-            )
-            since = boot["sequence"].astype(np.int64) - np.where(taken > 0, taken, boot["sequence"])
-            longest = max(longest, int(since[boot["current"] != 0.0].max(initial=0)))
+    for life in np.split(records, np.flatnonzero(np.diff(records["sequence"].astype(np.int64)) < 0) + 1):
+        new = np.diff(life["command"], prepend=life["command"][:1]) != 0
+        taken = np.maximum.accumulate(np.where(new, life["sequence"], 0))
+        since = np.where(taken > 0, life["sequence"].astype(np.int64) - taken, 0)
+        longest = max(longest, int(since[life["current"] != 0.0].max(initial=0)))
     return longest
 
 
+K_P = (BASE_KP, 90.0)
+"""1/s, of the policy."""
 CURRENT_MAX = 0.05
 """A, the rated current of the shipped bench's valve."""
 UNHEARD_MAX = 203
@@ -107,14 +90,10 @@ class Outcome:
     """N, largest until then, of either sign."""
     current: float = 0.0
     """A, largest until then, of either sign."""
-    ended: dict[str, int] = field(default_factory=dict)
-    """How processes ended."""
     restarted: list[str] = field(default_factory=list)
     """Those that the soak started again."""
     back_after: float | None = None
     """s from its beginning until a policy acted again; None: it did not."""
-    lost: int = 0
-    """Samples of the box until the next fault that no recording has."""
 
     def look(self, records: NDArray[np.void]) -> None:
         """Judge the box's samples from the fault's beginning until it is over."""
@@ -149,41 +128,17 @@ def invariants(records: NDArray[np.void]) -> list[str]:
         found.append(f"a valve current of {largest:.4f} A")
     if count := int(((records["current"] != 0.0) & ~armed(records)).sum()):
         found.append(f"{count} disarmed samples with a valve current")
+    if count := int((np.abs(records["kp"] - np.clip(records["kp"], *K_P)) > 1e-3).sum()):
+        found.append(f"{count} samples with a K_p that nobody asks for")
     if (late := longest_unheard(records)) > UNHEARD_MAX:
         found.append(f"valve current {late} samples after the last command")
     return found
 
 
-def growth(memory: Iterable[Memory], least: float = 60.0) -> list[str]:
+def growth(memory: Mapping[str, Memory], least: float = 60.0) -> list[str]:
     """Which processes that lived `least` s from their first figure on have grown."""
     return [
-        f"{each.process}: {each.last - each.first:.1f} MiB more memory"
-        for each in memory
-        if each.seconds > least and each.last - each.first > GROWTH.get(each.process.split()[0], _GROWTH)
+        f"{name}: {each.last - each.first:.1f} MiB more memory"
+        for name, each in memory.items()
+        if each.seconds > least and each.last - each.first > GROWTH.get(name.split()[0], _GROWTH)
     ]
-
-
-def count_lost(records: NDArray[np.void], bags: Iterable[Path], outcomes: list[Outcome]) -> int:
-    """Samples of the box that no recording has: those of each fault into its outcome; returns those of all."""
-    if not len(records):
-        return 0
-    life = boots(records)
-    begins = records["time"][np.searchsorted(life, np.arange(life[-1] + 1))] + (time.time() - time.monotonic())
-    kept = [_numbers(bag, begins) for bag in bags]
-    own = life << 32 | records["sequence"].astype(np.int64)
-    missing = records["time"][~np.isin(own, np.concatenate([*kept, np.zeros(0, np.int64)]))]
-    edges = np.array([outcome.began for outcome in outcomes] + [np.inf])
-    for outcome, count in zip(outcomes, np.histogram(missing, edges)[0] if outcomes else (), strict=True):
-        outcome.lost = int(count)
-    return len(missing)
-
-
-def _numbers(bag: Path, begins: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Life of the box and sequence of each sample of a recording."""
-    try:
-        states = read_bag(bag).state
-    except RecordingError:
-        return np.zeros(0, np.int64)
-    states = states[states["time"] > begins[0] - 1.0]
-    life = np.searchsorted(begins, states["time"] + 0.2, side="right") - 1
-    return np.maximum(life, 0).astype(np.int64) << 32 | states["sequence"].astype(np.int64)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults drawn at random on a graph that trains, one after another, and how each was survived."""
+"""Faults on a graph that trains, one after another, and how each was survived."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from random import Random
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 from hydro_bridge.process.endings import undisturbed
 from tests.graph_probe import own_domain
 from tests.soak.crew import Crew
-from tests.soak.faults import Fault, Scene, drawn
-from tests.soak.judge import Outcome, acting, count_lost, growth, invariants, read
+from tests.soak.faults import Fault
+from tests.soak.judge import Outcome, acting, growth, invariants, read
 from tests.soak.wire import Wire
 
 _PATIENCE = 240.0  # s until a policy acts again: imports, a lease of 20 s of who was killed, a compiler
@@ -27,77 +28,69 @@ _TRACEBACK = "Traceback (most recent call last)"
 class Soak:
     """A graph under faults; make it by `soaking`."""
 
-    def __init__(self, folder: Path, seed: int, stack: ExitStack) -> None:
+    def __init__(self, folder: Path, seed: int, stack: ExitStack, slack: float) -> None:
         self.outcomes: list[Outcome] = []
         self.broken: list[str] = []
         """What was unsafe, but for what is found in the trace and in memory at the end."""
-        self.lost = 0
-        self._random = Random(seed)
-        trace = folder / "trace"
-        trace.touch()
-        wire = Wire(stack, folder / "box", folder / "port", seed, "--trace", str(trace))
+        self._random, self._slack = Random(seed), slack
+        self.wire = Wire(stack, folder, seed)
         self.crew = Crew(folder, seed)  # after the wire, which stays until all has ended
-        self._trace, self._scene = trace, Scene(self.crew, wire, self._random)
         self._acting = False
 
     @property
     def records(self) -> NDArray[np.void]:
         """All samples of the box."""
-        return read(self._trace)
+        return read(self.wire.trace)
 
     def run(
-        self,
-        seconds: float,
-        causes: tuple[str, ...] = (),
-        tick: Callable[[float], None] = lambda _: None,
-        slack: float = 1.0,
+        self, faults: Iterable[Fault], seconds: float = math.inf, tick: Callable[[float], None] = lambda _: None
     ) -> None:
-        """Strike until `seconds` are over; `tick` is told how many have passed, `slack`: see `violations`."""
+        """Strike until there is no fault more or `seconds` are over; `tick` is told how many have passed."""
         self._tick, self._begun = tick, time.monotonic()
         self.crew.revive()
         if not self._wait_until_acting([]):
             self.broken.append(f"no policy acted within {_PATIENCE:.0f} s: nothing was tried")
             return
-        for fault in drawn(self._random, causes):
-            if time.monotonic() - self._begun > seconds or (causes and len(self.outcomes) == len(causes)):
+        for fault in faults:
+            if time.monotonic() - self._begun > seconds:
                 break
             self._rest(self._random.uniform(1.0, 3.0))
-            self.strike(fault, slack)
+            self._strike(fault)
 
-    def strike(self, fault: Fault, slack: float = 1.0) -> None:
+    def _strike(self, fault: Fault) -> None:
         """One fault, and what comes of it; it lasts until the plant is safe, at most as long as that may take."""
         outcome = Outcome(fault.cause, time.monotonic(), fault.safe_within)
         self.outcomes.append(outcome)
         end = outcome.began + fault.lasts
-        with fault.strike(self._scene) as again:
+        with fault.strike(self) as again:
             while time.monotonic() < end:
                 again()
                 self._look()
-            late = outcome.began + slack * (fault.safe_within or 0.0)
+            late = outcome.began + self._slack * (fault.safe_within or 0.0)
             while time.monotonic() < late and outcome.safe_after is None:
                 again()
                 self._rest(_CALM)
                 outcome.look(self._since(outcome.began))
         self._rest(_CALM)
         outcome.look(self._since(outcome.began))
-        self.crew.statuses.clear()
         back = self._wait_until_acting(outcome.restarted)
         outcome.back_after = time.monotonic() - outcome.began if back else None
-        outcome.ended = dict(self.crew.statuses)
         if not back:
             self.broken.append(f"{fault.cause}: no policy acted again within {_PATIENCE:.0f} s")
 
     def close(self) -> None:
         """End everything, then look at what is left."""
+        self.carried = self.wire.report()
+        if count := self.carried["forged"]:
+            self.broken.append(f"{count} states that answer a command which nobody sent")
         self.broken += [f"left behind: {process}" for process in self.crew.end()]
         text = self.crew.text
         if count := text.count(_TRACEBACK):
             self.broken.append(f"{count} tracebacks: {text[text.index(_TRACEBACK) :][:1500]}")
-        self.lost = count_lost(self.records, self.crew.bags, self.outcomes)
 
-    def violations(self, slack: float = 1.0) -> list[str]:
+    def violations(self) -> list[str]:
         """What was unsafe."""
-        late = [sentence for outcome in self.outcomes for sentence in outcome.violations(slack)]
+        late = [sentence for outcome in self.outcomes for sentence in outcome.violations(self._slack)]
         return [*late, *invariants(self.records), *growth(self.crew.memory), *self.broken]
 
     def _wait_until_acting(self, restarted: list[str]) -> bool:
@@ -127,11 +120,11 @@ class Soak:
 
 
 @contextmanager
-def soaking(folder: Path, seed: int) -> Iterator[Soak]:
-    """A soak in a domain of its own, whose processes end with it."""
+def soaking(folder: Path, seed: int, slack: float = 1.0) -> Iterator[Soak]:
+    """A soak in a domain of its own, whose processes end with it; `slack` times later than it should is in time."""
     with ExitStack() as stack:
         stack.enter_context(own_domain())
-        soak = Soak(folder, seed, stack)
+        soak = Soak(folder, seed, stack, slack)
         try:
             yield soak
         finally:

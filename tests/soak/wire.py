@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The serial line with a stranger on it: whole frames pass both ways, and hostile bytes come between them.
 
-python -m tests.soak.wire --box PORT --bridge PATH [--seed N] [--trace FILE]
+python -m tests.soak.wire BOX BRIDGE TRACE SEED
 
 Orders come on standard input, one a line::
 
@@ -9,12 +9,12 @@ Orders come on standard input, one a line::
     replay N     so many old frames each way, at once
     mute N       nothing of the host's reaches the box for so many seconds
     unplug N     the bridge's port is gone for so many seconds
-    report       answer with one line of JSON: `Line.report`
+    report       answer with one line of JSON: whole frames and hostile bytes that went up and down; `forged`, states
+                 that name a command which never passed
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
@@ -26,17 +26,23 @@ from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
 from random import Random
-from struct import Struct
 from typing import IO, Any
 
+import numpy as np
+
 from hydro_bridge.serial.protocol import CommandFrame, MalformedError, State, decode
-from hydro_bridge.signals import STATE_FIELDS, Flag
+from hydro_bridge.signals import STATE_FIELDS
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.realtime import raise_priority
 from tests.fuzz_link import DAMAGES
 
-RECORD = Struct("<dIIIfff")
-"""Monotonic time [s], sequence, flags, last command taken, load force [N], valve current [A], K_p [1/s]."""
+TYPE = np.dtype(
+    {
+        "names": ("time", "sequence", "flags", "command", "force", "current", "kp"),
+        "formats": ("f8", "u4", "u4", "u4", "f4", "f4", "f4"),
+    }
+)
+"""Of the trace: time [s, monotonic], sequence, flags, last command taken, load force [N], current [A], K_p [1/s]."""
 _DAMAGES = tuple(damage for damage, whole in DAMAGES.values() if not whole)
 _KEPT = 500  # frames that may be sent again: fewer than the host remembers as seen
 
@@ -96,13 +102,18 @@ class Direction:
 
 
 class Wire:
-    """The process that this module is, from the side of whoever gives it orders."""
+    """The process that this module is, from the side of whoever gives it orders.
 
-    def __init__(self, stack: ExitStack, box: Path, bridge: Path, seed: int, *more: str) -> None:
-        words = ["--box", str(box), "--bridge", str(bridge), "--seed", str(seed), *more]
+    In `folder` it carries between the box's port `box` and `port`, where the bridge finds its own, and writes `trace`.
+    """
+
+    def __init__(self, stack: ExitStack, folder: Path, seed: int) -> None:
+        self.trace = folder / "trace"
+        self.trace.touch()
+        places = (str(folder / "box"), str(folder / "port"), str(self.trace))
         self.process = stack.enter_context(
             subprocess.Popen(
-                [sys.executable, "-m", "tests.soak.wire", *words],
+                [sys.executable, "-m", "tests.soak.wire", *places, str(seed)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
@@ -111,7 +122,6 @@ class Wire:
             )
         )
         stack.callback(self.process.kill)
-        assert self.process.stdin is not None and self.process.stdout is not None
         self._orders: IO[str] = self.process.stdin
         self._answers: IO[str] = self.process.stdout
 
@@ -131,36 +141,32 @@ def resident(pid: int) -> float:
     return next(float(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024.0
 
 
-_FORCE, _CURRENT, _KP = map(STATE_FIELDS.index, ("load_force", "valve_current", "proportional_gain"))
+_SHOWN = [STATE_FIELDS.index(name) for name in ("load_force", "valve_current", "proportional_gain")]
 _TICK = 5e-4  # s
 
 
 class Line:
-    """Both ways, and what must hold on them.
+    """Both ways.
 
-    `box`, `bridge`: the box's port, and where the bridge finds its own. `seed`: of all that is random. `trace`: file
-    that gets a `trace.RECORD` of each state; None: none.
+    `box`, `bridge`: the box's port, and where the bridge finds its own. `trace`: file that gets a record (`TYPE`) of
+    each of the box's states. `seed`: of all that is random.
     """
 
-    def __init__(self, box: Path, bridge: Path, seed: int, trace: Path | None = None) -> None:
-        self._trace = trace.open("ab", buffering=0) if trace else None
+    def __init__(self, box: Path, bridge: Path, trace: Path, seed: int) -> None:
+        self._trace = trace.open("ab", buffering=0)
         self.up, self.down = Direction(Random(seed)), Direction(Random(seed + 1))
         self.rate, self.muted_until, self._gone_until = 0.0, 0.0, 0.0
         self._box, self._port = box, -1
         self._terminal = Terminal(bridge)
         self._terminal.unplug()
-        self._commands: deque[int] = deque([0], maxlen=4096)
-        self._commanded = self._disturbed = time.monotonic()
-        self._found = {"forged": 0, "armed": 0, "disarmed": 0, "longest": 0.0, "unheard": 0}
-        self._taken, self._taken_at = 0, 0  # the box's last command, and in which of its samples it came
+        self._commands: deque[int] = deque(maxlen=4096)
+        self._disturbed, self._forged = time.monotonic(), 0
 
     def report(self) -> dict[str, object]:
-        """What passed: `forged`, states that name a command that never passed; `armed` and `disarmed`, states;
-        `longest`, s after the last command at which a state still had a valve current; `unheard`, the same in samples
-        of the box after the last command that it took: a machine that stands still does not make it longer."""
+        """What has passed."""
         ways = {"up": self.up, "down": self.down}
         passed = {name: {"frames": way.frames, "hostile": way.hostile} for name, way in ways.items()}
-        return {**passed, **self._found}
+        return {**passed, "forged": self._forged}
 
     def step(self) -> None:
         """Wait a moment for bytes, and carry them."""
@@ -209,30 +215,17 @@ class Line:
                 self.down.let_pass(piece, frame)
                 if isinstance(frame, CommandFrame):
                     self._commands.append(frame.sequence)
-                    self._commanded = now
         for piece in self.up.whole(up):
             frame = _frame(piece)
             self.up.let_pass(piece, frame)
             if isinstance(frame, State):
-                self._look_at(frame, now)
+                self._forged += frame.last_command > 0 and frame.last_command not in self._commands
+                shown = (frame.values[place] for place in _SHOWN)
+                record = (now, frame.sequence, frame.flags, frame.last_command, *shown)
+                self._trace.write(np.array(record, TYPE).tobytes())
         size, self._disturbed = 1e3 * self.rate * (now - self._disturbed), now
         for way in (self.up, self.down):
             way.disturb(size)
-
-    def _look_at(self, state: State, now: float) -> None:
-        force, current = state.values[_FORCE], state.values[_CURRENT]
-        if self._trace is not None:
-            self._trace.write(
-                RECORD.pack(now, state.sequence, state.flags, state.last_command, force, current, state.values[_KP])
-            )
-        found = self._found
-        found["forged"] += state.last_command not in self._commands
-        found["armed" if state.flags & Flag.ARMED else "disarmed"] += 1
-        if state.last_command != self._taken or state.sequence < self._taken_at:
-            self._taken, self._taken_at = state.last_command, state.sequence
-        if current:
-            found["unheard"] = max(found["unheard"], state.sequence - self._taken_at)
-            found["longest"] = max(found["longest"], now - self._commanded)
 
 
 def _frame(piece: bytes) -> object:
@@ -262,13 +255,8 @@ def obey(line: Line, order: str) -> None:
 
 def main() -> None:
     """Carry until standard input ends."""
-    parser = argparse.ArgumentParser(prog="python -m tests.soak.wire", description=__doc__)
-    parser.add_argument("--box", type=Path, required=True, help="the box's port")
-    parser.add_argument("--bridge", type=Path, required=True, help="where the bridge finds its own")
-    parser.add_argument("--seed", type=int, default=0, help="of all that is random")
-    parser.add_argument("--trace", type=Path, help="file that gets a record of each of the box's states")
-    options = parser.parse_args()
-    line, text = Line(options.box, options.bridge, options.seed, options.trace), ""
+    *places, seed = sys.argv[1:]
+    line, text = Line(*map(Path, places), int(seed)), ""
     raise_priority()
     while True:
         line.step()
