@@ -15,17 +15,9 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.nodes import create_keystore
+from hydro_bridge.nodes.create_keystore import domain, make_keystore, policy_xml
 from hydro_bridge.ros.companion import Companion, executable_path
-from hydro_bridge.ros.keys import (
-    ENABLE,
-    KEYSTORE,
-    STRATEGY,
-    domain,
-    enclave_of,
-    make_keystore,
-    policy_xml,
-    security_enabled,
-)
+from hydro_bridge.ros.keys import ENABLE, KEYSTORE, STRATEGY, enclave_of, security_enabled
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
     AUTHORITY,

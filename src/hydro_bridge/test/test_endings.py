@@ -29,7 +29,7 @@ def run(program: str, **more: object) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_a_signal_unwinds_the_command_and_is_its_status(name: str) -> None:
+def test_a_signal_unwinds_the_command_and_is_its_status_and_putting_in_order_is_not_disturbed(name: str) -> None:
     ended = run(f"""
 @command()
 def main():
@@ -37,26 +37,13 @@ def main():
         me(signal.{name})
         time.sleep(10)
     finally:
-        print("put in order")
-main()
-""")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + getattr(signal, name), "put in order\n", "")
-
-
-def test_putting_in_order_is_not_disturbed() -> None:
-    ended = run("""
-@command()
-def main():
-    try:
-        me(signal.SIGINT)
-    finally:
         with endings.undisturbed():
             for number in endings.SIGNALS:
                 me(number)
             print("put in order")
 main()
 """)
-    assert (ended.returncode, ended.stdout) == (130, "put in order\n")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + getattr(signal, name), "put in order\n", "")
 
 
 def test_a_hangup_that_nohup_ignores_stays_ignored() -> None:

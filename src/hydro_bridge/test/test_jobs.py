@@ -135,10 +135,3 @@ def test_full_disk_is_told_and_the_same_jobs_are_completed_with_room(tmp_path: P
     assert kept.stat().st_size == 90 and not kept.read_bytes().endswith(b"\n")
     assert jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)["19"] == 2**19
     assert len(kept.read_text().splitlines()) == 20
-
-
-def test_address_without_a_scheduler_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs, "ANSWERS_WITHIN", 1.0)
-    for address in ("tcp://127.0.0.1:9", "nowhere"):
-        with pytest.raises(UserError, match=f"no scheduler with workers answers at {address}"):
-            jobs.complete(drawn, arguments(2), scheduler=address)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 
@@ -75,18 +74,14 @@ class HostClock:
     """Maps the host's monotonic time to ROS time, and detects when the host's clock is set.
 
     NTP slews both clocks alike, so that their difference changes only by steps.
-
-    `wall`, `monotonic`: the two clocks, ns.
     """
 
     STEP = 1_000_000
     """ns, change of the difference that counts as a step; the error of reading two clocks in turn is smaller."""
     _READING = 100_000  # ns that reading both may take; a longer reading was interrupted
 
-    def __init__(
-        self, wall: Callable[[], int] = time.time_ns, monotonic: Callable[[], int] = time.monotonic_ns
-    ) -> None:
-        self._wall, self._monotonic = wall, monotonic
+    def __init__(self) -> None:
+        self._wall = time.time_ns
         offset = None
         while offset is None:
             offset = self._read()
@@ -107,9 +102,9 @@ class HostClock:
 
     def _read(self) -> int | None:
         """Return wall time minus monotonic time, ns; None if this thread was interrupted between the two readings."""
-        before = self._monotonic()
+        before = time.monotonic_ns()
         wall = self._wall()
-        return wall - before if self._monotonic() - before <= self._READING else None
+        return wall - before if time.monotonic_ns() - before <= self._READING else None
 
 
 def clock_step_message(step_ns: int) -> str:

@@ -161,7 +161,7 @@ def ros_arguments() -> tuple[list[str], list[str]]:
 def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
     """Context in which ROS runs, without its signal handlers: ours leave time to disarm.
 
-    See `network` for the discovery range, `keys.enclave` for the keys used if security is enabled.
+    See `stay_on_this_machine` for the discovery range, `keys.enclave_arguments` for the keys if security is enabled.
 
     Raises SettingsError: the arguments, `--ros-args` and what follows, cannot be used, or the keys cannot.
     """
