@@ -20,7 +20,7 @@ from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, interval
-from hydro_diagnosis.report.plots import STATIC, location_plot, svg, valve_plot
+from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.report_json import EffectReport, Report
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
@@ -184,10 +184,9 @@ def rendered(found: Diagnosis) -> str:
         comparison=comparison,
         held_out=_held_out(report),
         equations=_equations(report),
-        location_plot=location_plot(found) if report.location else "",
+        location_plot=plots.location_plot(found) if report.location else "",
         curves=plots.curves_plot(found) if any(report.checks.get("curves", {}).values()) else "",
         residual_plot=plots.residual_plot(found),
-        evidence_plot=plots.evidence_plot(found) if found.outcome.steps else "",
     )  # fmt: skip
 
 
@@ -229,7 +228,7 @@ def _picture(found: Diagnosis, effect: EffectReport) -> str:
         for one in found.assessment.fit.claims
         if one.effect.id == effect.id and dict(one.effect.options) == effect.options
     )
-    return valve_plot(found, claim) if claim.effect.id in STATIC else plots.effect_plot(found, claim)
+    return plots.effect_plot(found, claim)
 
 
 def _held_out(report: Report) -> list[dict[str, Any]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of the report as SVG text: residuals before and after, each effect's own curve over data, evidence."""
+"""Plots of the report as SVG text: residuals before and after, each effect's own curve over data."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS
-from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.localisation import Place
 from hydro_sim.model.effects import grown
@@ -100,22 +98,6 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
         legend(axes[0])
 
     return svg(1, (8.0, 3.2), draw)
-
-
-def evidence_plot(found: Diagnosis) -> str:
-    """Plot the evidence by step of the search."""
-    steps = found.outcome.steps
-
-    def draw(axes: Any) -> None:
-        gains = [max(-step.score, 1.0) for step in steps]
-        axes[0].barh(range(len(steps)), gains, color=BLUE, height=0.6)
-        axes[0].set_yticks(range(len(steps)), [f"{step.action} {step.label.replace(':', ' ')}" for step in steps])
-        axes[0].invert_yaxis()
-        axes[0].set_xscale("log")
-        axes[0].axvline(20.0, color=RED, linewidth=0.8)
-        axes[0].set_xlabel("gain of the step [BIC] (red: a claim needs 20)")
-
-    return svg(1, (7.0, 0.8 + 0.32 * len(steps)), draw)
 
 
 _CURVES = {
@@ -231,57 +213,3 @@ def _level(found: Diagnosis, place: Place, segment: int) -> tuple[FloatArray, Fl
     width = max(int(_SMOOTHED / max(float(np.median(np.diff(time))), 1e-3)), 1)
     squares = uniform_filter1d(np.square(found.outcome.nothing.residual[at]), width, mode="nearest")
     return time, np.sqrt(np.maximum(squares, 1e-2))
-
-
-STATIC = ("valve_deadband", "valve_offset", "valve_gain", "valve_gain_asymmetry", "valve_null_leakage")
-"""Effects that change the characteristic itself."""
-_WIDTH = 4.0
-"""Samples, of the Gaussian behind the rate of pressure."""
-_ZOOM = {"valve_deadband": 4.0, "valve_offset": 8.0, "valve_null_leakage": 4.0}
-"""Plotted range around null by effect, in multiples of its width; others are shown over the whole range."""
-
-
-def valve_plot(found: Diagnosis, claim: Claim) -> str:
-    """Flow into chamber A over valve current: recorded, fitted and of the bench file, as an ideal valve's current."""
-    claims = (*found.problem.baseline, *found.assessment.fit.claims)
-    looks = [_looked(model, claims) for model in found.problem.models]
-    current, recorded, fitted = (np.concatenate(parts) for parts in zip(*looks, strict=True))
-    reach = float(np.percentile(np.abs(current), 99.5))
-    if claim.effect.id in _ZOOM:
-        size = max(abs(claim.values[key]) for key in claim.values if key in _WIDTHS)
-        reach = min(reach, _ZOOM[claim.effect.id] * size)
-    near = np.abs(current) <= reach
-    current, recorded, fitted = current[near], recorded[near], fitted[near]
-
-    def draw(axes: Any) -> None:
-        some = np.random.default_rng(0).permutation(len(current))[:4000]
-        shown = {"markersize": 1.5, "alpha": 0.5, "label": "recorded"}
-        axes[0].plot(1e3 * current[some], 1e3 * recorded[some], ".", color=GRAY, **shown)
-        axes[0].plot(*(1e3 * part for part in binned(current, recorded)), "o", color=ORANGE, markersize=3, label="mean")
-        axes[0].plot(*(1e3 * part for part in binned(current, fitted)), color=BLUE, label="with the effects found")
-        axes[0].plot([-1e3 * reach, 1e3 * reach], [-1e3 * reach, 1e3 * reach], ":", color="black", label="ideal valve")
-        low, high = np.percentile(recorded, [2.0, 98.0])
-        axes[0].set_ylim(2e3 * min(low, -reach / 2), 2e3 * max(high, reach / 2))
-        axes[0].set_xlabel("valve current [mA]")
-        axes[0].set_ylabel("flow into A, as an\nideal valve's current [mA]")
-        legend(axes[0])
-
-    return svg(1, (8.0, 3.4), draw)
-
-
-_WIDTHS = ("half_width", "half_width_negative", "current", "width")
-
-
-def _looked(model: SegmentModel, claims: tuple[Claim, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Valve current, and what an ideal valve would have needed for the recorded and for the fitted flow into A [A]."""
-    bench, oil = model.bench(claims), model.oil(claims)
-    stiff, _ = chambers.compliances(bench, oil, claims)
-    pressure = gaussian_filter1d(oil.pressures[0], _WIDTH, order=1, mode="nearest") / model.step
-    flow = pressure / stiff + bench.piston_area * gaussian_filter1d(model.v, _WIDTH)
-    into_a, _ = chambers.net_flows(bench, oil, claims, model.memory)
-    kept = slice(model.settle, len(flow) - 20)
-    currents = []
-    for signal in (flow, gaussian_filter1d(into_a, _WIDTH)):
-        drop = np.where(signal >= 0.0, bench.supply_pressure - oil.pressures[0], oil.pressures[0] - bench.tank_pressure)
-        currents.append(signal / (model.bench(()).valve_gain * np.sqrt(np.maximum(drop, 1e5))))
-    return gaussian_filter1d(model.channels["valve_current"], _WIDTH)[kept], currents[0][kept], currents[1][kept]
