@@ -15,7 +15,6 @@ from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.stage_bar import StageBar, silent
 
-PAGE, GROW = "--page", "--grow"
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
 FOREIGN = (
     "note: no --bench was given, so these recordings are compared with the nominal bench (piston area 2 cm2, supply\n"
@@ -30,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
         prog="diagnose",
         description="Find, name and size the physics that a simulation leaves out.",
     )
-    options.add_argument("recordings", nargs="+", metavar="RECORDING", help=RECORDINGS)
+    options.add_argument("recordings", nargs="*", metavar="RECORDING", help=RECORDINGS)
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
     options.add_argument(
         "--bench", metavar="FILE", help="bench.yaml or corrected.yaml, with what is known (default: nominal)"
@@ -70,56 +69,44 @@ def parser() -> argparse.ArgumentParser:
         help="budget of work, in s of CPU as counted, not timed; then the best answer so far is given (default: 60, "
         "in proportion beyond 60 s at 1 kHz)",
     )
-    options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument(
-        PAGE,
-        action="store_true",
-        help="in place of recordings: a page in the browser to drop them on; --bench, --port N, --no-open go with it",
-    )
+        "--out", type=writable_folder, metavar="DIR", help="where the report goes; with --grow the effect's file "
+        "(default: the source tree in a checkout, else ~/.local/share/hydro/effects)"
+    )  # fmt: skip
     options.add_argument("--quiet", action="store_true", help="no progress")
-    group = options.add_argument_group("in place of recordings: diagnose --grow REPORT... --id NAME [--out FOLDER]")
-    _add_growing(group, required=False)
-    return options
-
-
-def growing_parser() -> argparse.ArgumentParser:
-    """The command line of `diagnose --grow`."""
-    options = argparse.ArgumentParser(
-        prog="diagnose",
-        usage="diagnose --grow REPORT... --id NAME [--law FORM] [--out FOLDER] [--json FILE]",
-        description="A law that was found on several benches becomes a named effect.",
+    options.add_argument(
+        "--page", action="store_true", help="in place of recordings: a page in the browser to drop them on"
     )
-    _add_growing(options, required=True)
-    options.add_argument("--out", type=writable_folder, metavar="FOLDER", help="where its file goes (default: the "
-                         "source tree in a checkout, else ~/.local/share/hydro/effects)")  # fmt: skip
-    return options
-
-
-def _add_growing(options: argparse.ArgumentParser | argparse._ArgumentGroup, *, required: bool) -> None:
-    """Add the options of `--grow`; the help of `diagnose` lists them too, where none is required."""
-    options.add_argument(GROW, nargs="+", required=required, metavar="REPORT", dest="reports",
-                         help="report.json of two benches or more, or the folders that hold them: the law that they "
-                         "share becomes a named effect")  # fmt: skip
-    options.add_argument("--id", required=required, metavar="NAME", help="of the effect, for instance port_drag")
+    options.add_argument("--port", type=int, default=0, metavar="N", help="of the page (default: a free one)")
+    options.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
+    options.add_argument(
+        "--grow", nargs="+", metavar="REPORT", dest="reports", help="in place of recordings: report.json of two "
+        "benches or more, or the folders that hold them; the law that they share becomes a named effect"
+    )  # fmt: skip
+    options.add_argument("--id", metavar="NAME", help="of the effect, for instance port_drag")
     options.add_argument("--law", metavar="FORM", help="which one, where the reports have several laws in common")
     options.add_argument("--json", type=writable, metavar="FILE", help="also write the table of the law's numbers")
+    return options
 
 
 def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
-    if GROW in arguments:
-        asked = growing_parser().parse_args(arguments)
-        from hydro_diagnosis.growing import grow
-
-        return grow(asked)
-    if PAGE in arguments:
-        from hydro_diagnosis import import_page
-
-        return import_page.run(arguments)
     options = parser()
     chosen = options.parse_args(arguments)
-    if chosen.id or chosen.law or chosen.json:
-        options.error("--id, --law and --json go with --grow")
+    if [bool(chosen.recordings), chosen.page, bool(chosen.reports)].count(True) != 1:
+        options.error("give recordings, --page or --grow")
+    if bool(chosen.reports) != bool(chosen.id) or (not chosen.reports and (chosen.law or chosen.json)):
+        options.error("--grow needs --id; --id, --law and --json go with --grow")
+    if chosen.page:
+        from hydro_diagnosis import import_page
+
+        return import_page.run(chosen.bench, chosen.port, opened=chosen.open)
+    if chosen.reports:
+        from hydro_diagnosis.growing import grow
+
+        return grow(chosen)
+    if not chosen.out:
+        options.error("--out DIR says where the report goes")
     if chosen.seconds is not None and not chosen.seconds > 0.0:
         options.error("--seconds must be more than 0")
     if chosen.columns and not (chosen.bench or chosen.model):

@@ -14,7 +14,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -208,8 +208,8 @@ REACH = 10.0
 def written(found: Sequence[Sighting], agreed: Sequence[Agreement], path: Path) -> None:
     """Write the effect as `hydro_sim.model.effects.grown` reads it."""
     law = found[0].law
-    about = [f'Grown by `diagnose --grow` from the law "{law.form}" ({law.equation}), found on {len(found)} benches:',
-             "", *(f"    {row}" for row in table(found)), "", *(one.sentence for one in agreed)]  # fmt: skip
+    about = [f'Grown by `diagnose --grow` from the law "{law.form}" ({law.equation}), found on {len(found)} benches.',
+             *(one.sentence for one in agreed)]  # fmt: skip
     numbers = {}
     for one in agreed:
         low, high = _bounds(one.name, found)
@@ -218,16 +218,6 @@ def written(found: Sequence[Sighting], agreed: Sequence[Agreement], path: Path) 
     text = "".join(f"# {line}".rstrip() + "\n" for line in about)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, (text + yaml.safe_dump(content, sort_keys=False, width=110)).encode())
-
-
-def table(found: Sequence[Sighting]) -> list[str]:
-    """Rows of the numbers side by side with their 95 % intervals; reports by the last two folders of their paths."""
-    rows = []
-    for row in side_by_side(found).rows:
-        interval = "95 % {low:.4g} to {high:.4g}" if isfinite(row["low"]) else "not identified"
-        rows.append((_place(row["report"]), "{parameter} = {value:.4g} {unit}".format(**row), interval.format(**row)))
-    widths = [max(len(row[k]) for row in rows) for k in range(3)]
-    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
 def side_by_side(found: Sequence[Sighting]) -> Table:
@@ -244,11 +234,6 @@ def side_by_side(found: Sequence[Sighting]) -> Table:
             low, high = estimate.ci95 or (nan, nan)
             made.add(report=one.report, parameter=name, value=estimate.value, low=low, high=high, unit=unit)
     return made
-
-
-def _place(report: str) -> str:
-    path = Path(report)
-    return "/".join((path.parent if path.suffix == ".json" else path).parts[-2:]) or report
 
 
 def _bounds(name: str, found: Sequence[Sighting]) -> tuple[float, float]:
@@ -268,7 +253,7 @@ def _short(value: float) -> float:
 
 
 def grow(chosen: argparse.Namespace) -> int:
-    """Compare the reports, write the effect, say what was found; `chosen`: by `cli.growing_parser`."""
+    """Compare the reports, write the effect, say what was found; `chosen`: by `cli.parser`."""
     folder = chosen.out or grown.folder()
     path = folder / f"{chosen.id}.yaml"
     _refuse_id(chosen.id, path)

@@ -14,11 +14,10 @@ diagnosis at its next stage.
 
 from __future__ import annotations
 
-import argparse
 import http
 import tempfile
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
@@ -220,20 +219,13 @@ def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Ser
         raise UserError(f"the page cannot be served at port {port}: {error.strerror or error}") from None
 
 
-def run(arguments: Sequence[str]) -> int:
-    """Serve the page until Ctrl-C."""
-    options = argparse.ArgumentParser(prog="diagnose", description="Diagnose recordings on a page in the browser.")
-    options.add_argument("--page", action="store_true", required=True, help="serve the page")
-    options.add_argument("--bench", type=Path, metavar="FILE", help="as for diagnose; may be dropped on the page, too")
-    options.add_argument("--port", type=int, default=0, metavar="N", help="of the page (default: a free one)")
-    options.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
-    chosen = options.parse_args(arguments)
-    bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
-    name = [chosen.bench.name] if chosen.bench else []
-    with serve_imports(chosen.port, bench, *name) as server:
+def run(bench: str | None, port: int, *, opened: bool) -> int:
+    """Serve the page until Ctrl-C, `opened` in a browser; `bench`: path of its file, None for the nominal one."""
+    baseline, name = (read_bench(bench), [Path(bench).name]) if bench else (Bench.nominal(), [])
+    with serve_imports(port, baseline, *name) as server:
         address = f"http://{HOST}:{server.socket.getsockname()[1]}/"
         print(f"drop recordings on the page: {address} (Ctrl-C ends it)", flush=True)
-        if chosen.open:
+        if opened:
             webbrowser.open(address)
         with suppress(KeyboardInterrupt):
             server.serve_forever()
