@@ -5,21 +5,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from math import inf
 from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.bags.location import is_bag, parted
-from hydro_bridge.bags.recording import Extent, RecordingError, read_bag
+from hydro_bridge.bags.recording import Extent
 from hydro_bridge.cli.console import Table, add_json_argument, command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.column_proposal import as_yaml, proposed
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, named_like_time, runs_forward
-from hydro_diagnosis.io.table import columns_of, read_table, table_of
+from hydro_diagnosis.io.columns import UNITS, Columns, named_like_time, runs_forward
+from hydro_diagnosis.io.table import columns_of, table_of
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.wiring import inspect_table
 from hydro_sim.model.bench import Bench
@@ -33,8 +31,6 @@ COSTS = {
 """What each equation is for."""
 ROWS = 100_000
 """Rows of a longer bag that are listed, evenly taken; counts and ranges are those of all."""
-GLANCED = 300.0
-"""Seconds of a bag, from its begin, in which numbers are judged by the bench."""
 LEVELS = "▁▂▃▄▅▆▇█"
 WIDTH = 24
 """Width in characters."""
@@ -131,7 +127,7 @@ def main() -> int:
         maps.append(listed(path.name, found, columns, table, bench))
         said = improbable(path, found, maps[-1], bench)
         if columns is None:
-            said += [_advice(maps[-1], chosen.bench), *missing(maps[-1]), *_spare_pressures(found, maps[-1])]
+            said += [_advice(maps[-1], chosen.bench), *missing(maps[-1])]
         said += found.notes
         remarks += [f"{path.name}: {sentence}" for sentence in said]
     table.show(chosen.json)
@@ -160,60 +156,17 @@ def _advice(proposal: ColumnMap, bench: Path | None) -> str:
     return f'proposed, to be checked: --columns "{proposal}"'
 
 
-def _spare_pressures(found: Columns, proposal: ColumnMap) -> list[str]:
-    """A clause for each pressure that no field takes: it may be the supply's."""
-    used = {source.column for source in proposal.sources.values()}
-    units = {name: found.unit(name) for name in found.series if name not in used}
-    return [
-        f"{name} is a pressure that no field takes; if it is the supply's, the bench file's supply_pressure is "
-        f"{UNITS[unit] * float(np.nanmedian(found.series[name])):.4g} Pa"
-        for name, unit in units.items()
-        if QUANTITY.get(unit) == "pressure" and np.isfinite(found.series[name]).any()
-    ]
-
-
 def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> list[str]:
-    """Return which fields of a map the bench cannot have, else which it models far better if they are repaired.
-
-    `found`: the columns of a file that is no bag, whole.
-    """
-    from hydro_diagnosis.stages.hypotheses import suspicions
-
+    """Return which fields of a map have numbers that the bench cannot have, a sentence each; `found`: the columns."""
     try:
-        table = read_table(_beginning(path), columns) if is_bag(path) else table_of(path, found, columns)
+        doubts = inspect_table(table_of(path, found, columns), bench).doubts
     except InputError:
         return []
-    doubts = inspect_table(table, bench).doubts
-    impossible = [
+    return [
         f"{doubt[0].field} has numbers that this bench cannot have: perhaps "
         + ", or ".join(one.sentence for one in doubt)
         for doubt in doubts
     ]
-    repairs = () if impossible else suspicions(table, bench)
-    if not repairs:
-        return impossible
-    repaired = columns
-    for repair in repairs:
-        repaired = repair.edit(repaired)
-    changed = {name: one for name, one in repaired.sources.items() if columns.sources.get(name) != one}
-    return [
-        f"perhaps {', and '.join(one.sentence for one in repairs)}: repaired, the recording fits the bench far better "
-        f"before any cause is sought (diagnose tries both): {ColumnMap(changed)}"
-    ]
-
-
-def _beginning(path: Path) -> Path:
-    """A bag's first `GLANCED` seconds; a bag without an index as a whole."""
-    whole, part = parted(path)
-    begin, end = part or (0.0, inf)
-    if end - begin <= GLANCED:
-        return path
-    first = Path(f"{whole}#t={begin},{begin + GLANCED}")
-    try:
-        read_bag(first, topics=())
-    except RecordingError:
-        return path
-    return first
 
 
 def missing(proposal: ColumnMap) -> list[str]:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -23,7 +22,6 @@ from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
-from tests.checks import ran
 
 MAP = "time=clock[ms],piston_position=pos[mm]-40,pressure_a='p a [bar]'[bar],hydraulic_force=vir*gtau,load_force=0"
 YAML = """
@@ -98,19 +96,6 @@ def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Pat
     columns = ColumnMap.load("load_force=load_force*-1,pressure_a=none")
     assert columns is not None and str(columns) == "load_force=load_force*-1,pressure_a=none"
     same(read_table(path, columns), {"time": [0, 1, 2], "load_force": [-1, -2, -3], "pressure_b": [7, 8, 9]})
-
-
-def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    columns = {"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}
-    pressures = {"pressure_a": [1e6, 2e6], "pressure_b": [2e6, 1e6], "p_S [bar]": [138, 142]}
-    pd.DataFrame({**columns, **pressures}).to_csv(path)
-    ended = ran(sys.executable, "-m", "hydro_diagnosis.inspect_command", path, check=True)
-    rows = {line.split()[1]: line.split() for line in ended.stdout.splitlines() if line.startswith("run.csv")}
-    assert rows["Time"][-1] == "time?" and rows["load_force"][-1] == "load_force"
-    assert rows["Piston_Position"][-1] == "piston_position?"
-    assert "foo" in rows
-    assert "the bench file's supply_pressure is 1.4e+07 Pa" in ended.stdout
 
 
 def test_inspect_says_which_numbers_the_bench_cannot_have(tmp_path: Path) -> None:

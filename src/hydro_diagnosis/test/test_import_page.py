@@ -74,8 +74,8 @@ def test_files_become_a_map_and_a_report(address: str, recordings: list[Path]) -
         assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["missing"])
         page.send("check", columns={"time": proposed["time"]})
         assert len(page.answer()["missing"]) > len(found["missing"])
-        page.send("check", columns={**proposed, "valve_current": {**proposed["valve_current"], "scale": "-1"}})
-        assert "valve_current has the wrong sign" in page.answer()["doubts"][0]
+        page.send("check", columns={**proposed, "pressure_a": {"column": "pa", "unit": "kPa"}})
+        assert "pressure_a is in bar, not kPa" in page.answer()["doubts"][0]
         proposed["piston_position"] |= {"scale": "1", "offset": "0.0"}
         page.send("diagnose", columns=proposed, fit=["monday.csv"], check=["tuesday.csv"])
         told = []

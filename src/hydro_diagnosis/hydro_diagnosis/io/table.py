@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +44,8 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     notes = list(found.notes)
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
     base = base_of(sources, found)
-    times = _Times(found, sources.get("time"))
-    time = times.of(base)
+    times = partial(_times_of, found=found, mapped=sources.get("time"))
+    time = times(base)
     fields, clocks = {}, []
     for field, source in sources.items():
         if field == "time":
@@ -54,15 +55,15 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
         values = source.of(found.series, found.constants, length)
         if own == base and not source.delay and len(values) != len(time):
             raise InputError(f"{source.column!r} has {len(values)} rows, its times {len(time)}")
-        if not source.delay and (own == base or _coincide(times.of(own), time)):
+        if not source.delay and (own == base or _coincide(times(own), time)):
             fields[field] = values
             continue
-        moved = _moved(field, times.of(own) - source.delay, values, time)
+        moved = _moved(field, times(own) - source.delay, values, time)
         if moved is None:
-            notes.append(_too_slow(field, own, times.of(own), time))
+            notes.append(_too_slow(field, own, times(own), time))
             continue
         fields[field] = moved
-        clocks.append(times.of(own) - source.delay)
+        clocks.append(times(own) - source.delay)
         notes.append(_said(field, source, own, base))
     inside = _inside(time, clocks)
     if not inside.any() or not fields:
@@ -91,21 +92,13 @@ def base_of(sources: Mapping[str, Source], found: Columns) -> str:
     return max(sorted(set(owners)), key=lambda clock: (owners.count(clock), len(found.series[clock])))
 
 
-class _Times:
-    """Columns of times in s; what the map says of one holds for all of which the file states no unit."""
-
-    def __init__(self, found: Columns, mapped: Source | None) -> None:
-        self._found, self._mapped = found, mapped
-
-    def of(self, clock: str) -> FloatArray:
-        """Times of a clock."""
-        found, mapped = self._found, self._mapped
-        if mapped is not None and (clock == mapped.column or clock not in found.units):
-            source = replace(mapped, column=clock)
-        else:
-            source = Source(clock, unit=found.units.get(clock, "s"))
-        length = len(found.series.get(clock, ()))
-        return source.of(found.series, found.constants, length)
+def _times_of(clock: str, found: Columns, mapped: Source | None) -> FloatArray:
+    """Times of a clock in s; what the map says of one holds for all of which the file states no unit."""
+    if mapped is not None and (clock == mapped.column or clock not in found.units):
+        source = replace(mapped, column=clock)
+    else:
+        source = Source(clock, unit=found.units.get(clock, "s"))
+    return source.of(found.series, found.constants, len(found.series.get(clock, ())))
 
 
 def _moved(field: str, own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray | None:

@@ -17,14 +17,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from threadpoolctl import threadpool_limits
 
-from hydro_diagnosis.bench_numbers import knows, refuse_missing
+from hydro_diagnosis.bench_numbers import knows
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
-from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
-from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.selection.search import NAMES, Search
 from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case, Progress, Question, read
@@ -39,7 +36,6 @@ from hydro_diagnosis.wiring import (
     in_other_units,
     reversed_sign,
 )
-from hydro_sim.model.bench import Bench
 
 CLEAR = float(np.log(10.0))
 """Log of the factor, over all channels, by which a repair must reduce what is left: more than any chance."""
@@ -49,8 +45,6 @@ UNJUDGED = 100.0
 """Price of a sample that a hypothesis does not judge, in noise variances: it is left if it is not known better."""
 MOST_REPAIRS = 4
 """Largest number of simultaneous mistakes."""
-GLANCE = 20_000
-"""Samples of a recording that are looked at before it is diagnosed."""
 STEP = 0.02
 """s by which a channel is moved to see which way it is late."""
 REACH = 0.15
@@ -120,22 +114,6 @@ def suspected(
         found.append(trial.timed(better) if isinstance(better, Advance) else better)
         segments = trial.segments(found[-1])
     return tuple(found)
-
-
-def suspicions(table: RawTable, bench: Bench) -> tuple[Repair, ...]:
-    """The repairs that `suspected` finds in the middle of a recording without any cause; empty if it is too short."""
-    begin = max(0, (len(table.time) - GLANCE) // 2)
-    rows = slice(begin, begin + GLANCE)
-    sample = None if table.sample is None else table.sample[rows]
-    part = {name: values[rows] for name, values in table.columns.items()}
-    glance = replace(table, time=table.time[rows], sample=sample, columns=part)
-    try:
-        segments = checked(glance, bench).segments
-        refuse_missing(set.intersection(*(set(one.channels) for one in segments)), bench, ())
-        with threadpool_limits(1, "blas"):
-            return suspected(Problem(segments, bench, claims_of(bench)), (), (), table.units)
-    except InputError:
-        return ()
 
 
 class _Trial:

@@ -235,12 +235,6 @@ def interrupted_report(case: Case, search: Search, begun: float) -> Report:
     )
 
 
-ORIGIN = (
-    "dead_volume and spring_rest together look like a position that is not counted from the retracted end: if its zero "
-    "is elsewhere, give the offset in --columns, for instance piston_position=x+0.04"
-)
-
-
 def _notes(
     found: StageResult, effects: Sequence[EffectReport], hidden: str | None, library: Sequence[Effect]
 ) -> tuple[str, ...]:
@@ -257,8 +251,7 @@ def _notes(
     early = current_is_early(found.problem, effects)
     beyond = "" if assessment.remainder else not_predicted(found.holdout, assessment.fit.claims)
     distrust = distrusted(made_worse(found.proof))
-    zero = ORIGIN if {"dead_volume", "spring_rest"} <= {effect.id for effect in effects} else ""
-    return tuple(note for note in (early, hidden, cut_short, beyond, found.withdrawn, distrust, zero, sure) if note)
+    return tuple(note for note in (early, hidden, cut_short, beyond, found.withdrawn, distrust, sure) if note)
 
 
 def _steps(search: Search) -> list[dict[str, Any]]:
