@@ -13,39 +13,13 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment
-from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
-from tests import textbook
-
-
-def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Bench) -> None:
-    """`hydraulics` is written for the box's force law: another writing, another compiler, the same numbers."""
-    constants, settings = bench.constants(), Sensors().constants()
-    y, noise, x = hydraulics.rest_state(constants[0]), Noise(4), np.zeros(8)
-    last = np.zeros(1, CONDITIONING_DTYPE)
-
-    def read() -> FloatArray:
-        raw = np.array([equations.hydraulic_force(bench, y[0], y[1]), y[4], y[0], y[1], y[2]])
-        sensors.sense(settings[0], noise.row(), raw)
-        return raw
-
-    plant = AnalyticPlant(bench, settings=replace(Sensors(), position_step=0.0))
-    settings["position_step"] = 0.0  # rounding apart may fall on either side of a step
-    first = plant.reset(4)
-    sensors.restart(last[0], read(), x)
-    np.testing.assert_allclose(first, x, rtol=1e-13)
-    time = SAMPLE_PERIOD * np.arange(200)
-    for current in 4e-4 * np.sin(2 * np.pi * 3 * time) + 2e-4 * np.sin(2 * np.pi * 17 * time):
-        textbook.advance(constants[0], y, current, SAMPLE_PERIOD, textbook.SUBSTEPS)
-        sensors.condition(settings[0], last[0], read(), x)
-        np.testing.assert_allclose(plant.step(float(current)), x, rtol=1e-9, atol=1e-7)
 
 
 def test_wrong_numbers_are_put_right_within_their_ranges(bench: Bench) -> None:

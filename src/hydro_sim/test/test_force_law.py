@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equations, the force law and its reference, against closed forms, conservation laws and second derivations."""
+"""The bench model and the force law against closed forms, conservation laws and second derivations."""
 
 from __future__ import annotations
 
@@ -7,23 +7,18 @@ from dataclasses import replace
 from math import copysign, exp, log, pi, sqrt
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.serial.protocol import INTEGRAL_FORMS
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_sim.box import force_law
 from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
-from tests import textbook
-
-PAPER = INTEGRAL_FORMS.index("paper")
-FORMS = (PAPER, force_law.BUMPLESS)
 
 
 @given(
@@ -50,25 +45,6 @@ def test_put_into_the_model_the_law_gives_the_wanted_force_rate(
     g = hydraulics.input_gain(record, 0.03, *pressures, u)
     wanted = rate + gain * error + action
     assert h + g * u == pytest.approx(wanted, rel=1e-9, abs=1e-6)
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_error_dies_out_as_equation_q25_says(bench: Bench, form: int) -> None:
-    """Fed with the true state at 100 kHz, on the hydraulic force: e' = -K_p e - K_i int e, from e = 50 N."""
-    record, step, k_p, k_i = bench.constants()[0], 1e-5, 30.0, 200.0
-    y, integral, errors = hydraulics.rest_state(record), 0.0, []
-    for _ in range(20000):
-        x = np.array([0.0, 0.0, 0.0, 0.0, y[0], y[1], y[2], y[3]])
-        error = 50.0 - equations.hydraulic_force(bench, y[0], y[1])
-        errors.append(error)
-        action = force_law.integral_action(form, integral, k_i)
-        u = force_law.nominal_current(record, x, error, action, 0.0, k_p, 1.0)
-        integral = force_law.integrate(form, integral, error, k_i, u, u, step)
-        textbook.advance(record, y, u, step, 1)
-    times = step * np.arange(20000)
-    slow, fast = np.roots([1.0, k_p, k_i])[::-1]
-    expected = 50.0 * (fast * np.exp(fast * times) - slow * np.exp(slow * times)) / (fast - slow)
-    np.testing.assert_allclose(errors, expected, atol=0.2)
 
 
 @pytest.mark.parametrize("frequency", [0.5, 1.0, 1.5, 2.0])
@@ -120,15 +96,14 @@ def test_readings_have_the_stated_noise_and_steps(bench: Bench) -> None:
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
-STEP = 5e-5
-
-
-def run(bench: Bench, y: FloatArray, current: float, seconds: float, step: float = STEP) -> npt.NDArray[np.float64]:
-    """Physical states every `step`, the first included."""
-    constants = bench.constants()[0]
+def run(bench: Bench, current: float, samples: int, **moved: float) -> FloatArray:
+    """Physical states of a bench, shape (samples + 1, 6), from rest but for states that are moved by so much."""
+    model = BenchModel(bench)
+    k, y, _ = model.begin(model.values)
+    y += [moved.get(state.name, 0.0) for state in model.states]
     states = [y.copy()]
-    for _ in range(round(seconds / step)):
-        textbook.advance(constants, y, current, step, 1)
+    for _ in range(samples):
+        model.sample(k, y, current)
         states.append(y.copy())
     return np.array(states)
 
@@ -165,9 +140,8 @@ def test_force_rate_from_the_two_pressure_equations_is_the_papers_h_plus_g_u(
 def test_energy_is_conserved_with_a_closed_valve_and_no_friction(bench: Bench) -> None:
     """p' = -beta V'/V gives p = p_0 - beta ln(V/V_0): what the oil stores is in closed form."""
     free = replace(bench, viscous_friction=0.0)
-    record = free.constants()[0]
-    start = hydraulics.rest_state(record)
-    start[3] = 0.2
+    states = run(free, 0.0, 200, piston_velocity=0.2)
+    start = states[0]
     initial = equations.volumes(bench, start[2])
 
     def energy(y: FloatArray) -> float:
@@ -177,19 +151,14 @@ def test_energy_is_conserved_with_a_closed_valve_and_no_friction(bench: Bench) -
             stored -= pressure * (volume - first) - free.bulk_modulus * (volume * log(volume / first) - volume + first)
         return float(stored)
 
-    states = run(free, start.copy(), 0.0, 0.2)
     assert np.ptp(states[:, 2]) > 1e-4
     np.testing.assert_allclose([energy(y) for y in states], energy(start), rtol=1e-5)
 
 
 def test_load_cell_amplifier_answers_a_step_as_a_butterworth_filter(bench: Bench) -> None:
-    record = bench.constants()[0]
-    y = hydraulics.rest_state(record)
-    y[2] += 0.005
-    y[0] += 100.0 / bench.piston_area
-    shown = run(bench, y, 0.0, 0.08)[:, 4]
+    shown = run(bench, 0.0, 80, piston_position=0.005, pressure_a=100.0 / bench.piston_area)[:, 4]
     decay = 2.0 * pi * bench.load_cell_bandwidth * sqrt(0.5)
-    times = STEP * np.arange(len(shown))
+    times = 1e-3 * np.arange(len(shown))
     expected = 100.0 * (1.0 - np.exp(-decay * times) * (np.cos(decay * times) + np.sin(decay * times)))
     np.testing.assert_allclose(shown, expected, atol=1e-4)
     assert exp(-decay * 0.08) < 1e-3
@@ -197,8 +166,7 @@ def test_load_cell_amplifier_answers_a_step_as_a_butterworth_filter(bench: Bench
 
 @pytest.mark.parametrize(("current", "end"), [(0.05, 0.08), (-0.05, 0.0)])
 def test_end_stop_catches_the_piston_without_a_bounce(bench: Bench, current: float, end: float) -> None:
-    free = replace(bench, spring_stiffness=1.0)
-    position = run(free, hydraulics.rest_state(free.constants()[0]), current, 1.0)[:, 2]
+    position = run(replace(bench, spring_stiffness=1.0), current, 1000)[:, 2]
     arrival = int(np.argmax((position - 0.04) / (end - 0.04) >= 1.0))
     assert arrival > 0
     assert np.all(np.abs(position[arrival:] - end) < 1e-3)

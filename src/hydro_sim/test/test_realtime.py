@@ -133,21 +133,6 @@ def test_a_peer_that_falls_silent_is_named_and_left_behind(graph: Callable[..., 
     assert [fields[1] for fields in running.samples].count(50) >= 1 + int(0.6 / RESEND) - 1
 
 
-def test_a_sample_that_got_lost_is_sent_again(graph: Callable[..., Graph]) -> None:
-    lost: list[int] = []
-
-    def answer(running: Graph, fields: tuple[Any, ...]) -> None:
-        if fields[1] == 40 and not lost:
-            lost.append(40)
-        else:
-            running.correct(fields)
-
-    running = graph(answer, speed=0.0)
-    wait(lambda: len(running.samples) > 100, 20.0)
-    assert [fields[1] for fields in running.samples].count(40) >= 2  # more than twice where a thread was kept waiting
-    assert running.said == ["in lock-step with the filter"]
-
-
 def test_the_trainer_is_awaited_only_while_armed(graph: Callable[..., Graph]) -> None:
     sent: list[int] = []
 
