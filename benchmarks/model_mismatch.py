@@ -43,8 +43,7 @@ from hydro_filter.model import observer
 from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import CASES, Corrector
-from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.envs.vector_filter import fleet_filter
+from hydro_policy.envs.vector_env import VectorBench, fleet_filter
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_policy.supervision.plant_supervisor import FALLBACK
 from hydro_sim.emulator.truth.config import profile

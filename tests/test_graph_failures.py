@@ -29,7 +29,7 @@ from hydro_bridge.ros.messages import seconds
 from hydro_bridge.ros.topics import DIAGNOSTICS, GAINS, STATE, TRAINING, create_subscription
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
-from hydro_policy.nodes.training.start import check_run
+from hydro_policy.nodes.training import check_run
 from hydro_policy.runs.run import Checkpoint, RunDirectory, load_checkpoint
 from tests.checks import ran
 from tests.graph_probe import SHORT, Probe, Trainer, own_domain, trainer

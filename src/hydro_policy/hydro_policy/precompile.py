@@ -12,9 +12,8 @@ import torch
 
 from hydro_bridge.signals import SAMPLES_PER_STEP, ReferenceSignal
 from hydro_policy.compensation.estimator import Compensator
-from hydro_policy.envs import FILTERS
-from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.envs.vector_filter import fleet_filter
+from hydro_policy.envs import FILTERS, FilterName
+from hydro_policy.envs.vector_env import VectorBench, fleet_filter
 from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
 from hydro_policy.task.mdp import ACTIONS
@@ -29,7 +28,7 @@ def _learner() -> None:
         compile_updates(configuration(name).sac)
 
 
-def _fleet(plant: Callable[[], Plant], filter_kind: str) -> None:
+def _fleet(plant: Callable[[], Plant], filter_kind: FilterName) -> None:
     bench = Bench.nominal()
     fleet = VectorBench([bench], [plant()], filters=fleet_filter(filter_kind, bench, 1))
     fleet.begin(0, ReferenceSignal(), 0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import time
 from collections.abc import Iterator
@@ -25,7 +24,6 @@ from hydro_bridge.ros.companion import CompanionError, executable_path
 from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
-from hydro_bridge.viewer.view import read_recorded
 from hydro_filter.controller.factory import LEARNED
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
@@ -62,9 +60,6 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     for path in (folder.policy, folder.bag, folder.latest, folder.log):
         assert path.exists() and str(path) in done.stdout
     assert "--resume" in done.stdout and "episode 2/2" in done.stderr
-    assert re.search(
-        rf"policy {re.escape(str(folder.policy))}: weights [0-9a-f]{{12}}, SHA-256 [0-9a-f]{{64}}", done.stderr
-    )
     checkpoint = load_checkpoint(folder.latest)
     assert checkpoint.trainer["episode"] == 2 and checkpoint.trainer["total_steps"] == 500
     episodes = [e for e in json.loads(folder.record.read_text())["events"] if e["kind"] == "episode"]
@@ -90,14 +85,8 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     losses = np.array([told[f"{name}_loss"] for name in ("critic", "actor", "temperature")])
     learnt = np.concatenate(([False], told["updates"][:-1] > 0))
     assert learnt.any() and np.isfinite(losses[:, learnt]).all() and np.isnan(losses[:, told["updates"] == 0]).all()
-    marks = [mark.text for mark in read_recorded(folder.bag).marks if mark.kind == "weights"]
-    assert re.fullmatch("weights [0-9a-f]{12}, the first to act", marks[0]) and 1 <= len(marks) < 10
     assert {"config.yaml", "bench.yaml"} <= set(recording.attachments)
     assert recording.metadata["hydro"]["model_sha256"] == sha256(shipped().read_bytes()).hexdigest()
-
-    again = run("trainer", "--runs", str(tmp_path), "--name", "a")
-    assert again.returncode == 2
-    assert again.stderr.splitlines()[-1].startswith("error: ") and "--resume" in again.stderr
 
 
 def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
@@ -105,28 +94,23 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     made = MadeFor(box=Bench.nominal().digest, base_kp=15.0, base_ki=5.0)
     Policy(SacSettings()).save(policy, GainRange(), made=made)  # all zero: mid-range, K_p = 52.5, K_i = 10
     words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
-    figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
-    files = ("--json", str(figures), "--plot", str(plot), "--runs", str(tmp_path / "runs"), "--name", "a")
+    figures, folder = tmp_path / "evaluation.json", RunDirectory(tmp_path / "runs" / "a")
+    files = ("--json", str(figures), "--runs", str(folder.path.parent), "--name", "a")
     short = ("--ros-args", "-p", "settle:=1.0", "-p", "measure:=2.0")
     done = run("evaluate", *words, "--frequencies", "2", *files, *short)
     assert done.returncode == 0, done.stderr
-    told = (
-        f"policy {policy}: weights {load_policy(policy)[0].digest()}, SHA-256 {sha256(policy.read_bytes()).hexdigest()}"
-    )
-    assert told in done.stderr
+    digests = f"weights {load_policy(policy)[0].digest()}, SHA-256 {sha256(policy.read_bytes()).hexdigest()}"
+    assert f"policy {policy}: {digests}" in done.stderr
     scores = {score["controller"]: score for score in json.loads(figures.read_text())["runs"]}
     assert list(scores) == ["policy policy", "fixed (52.5, 10)", "fixed (100, 15)", "compensated"], "the default"
     assert "Best: compensated, with 0." in done.stdout, done.stdout
     assert scores["policy policy"]["rmse"] == pytest.approx(scores["fixed (52.5, 10)"]["rmse"], rel=0.15)
     assert scores["fixed (100, 15)"]["proportional_gain"] > 95, "the guard was opened for it"
-    assert "2 Hz" in done.stdout and plot.stat().st_size > 10_000
-    folder = RunDirectory(tmp_path / "runs" / "a")
+    assert "2 Hz" in done.stdout and folder.tracking_plot.stat().st_size > 10_000
     assert folder.evaluation.read_text() == figures.read_text() and str(folder.page) in done.stderr
-    assert (
-        "fixed (100, 15)" in folder.page.read_text() and "a/report.html" in (tmp_path / "runs/index.html").read_text()
-    )
+    assert "fixed (100, 15)" in folder.page.read_text()
     assert read_bag(folder.bag).state["flags"].any(), "it records unless told otherwise"
-    again = run("evaluate", "--plant", "sim", "--runs", str(tmp_path / "runs"), "--name", "a")
+    again = run("evaluate", "--plant", "sim", "--runs", str(folder.path.parent), "--name", "a")
     assert again.returncode == 2 and "choose another --name" in again.stderr.splitlines()[-1]
 
 

@@ -13,7 +13,7 @@ from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.compensation.residual import INPUTS, PAUSE, RESIDUAL_MAX, Network, Past, Period, Residual
+from hydro_policy.compensation.residual import INPUTS, PAUSE, RESIDUAL_MAX, Network, Period, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
@@ -69,13 +69,6 @@ def test_period_of_what_repeats_is_found_and_none_of_what_does_not() -> None:
             assert (period.trust[[0, 1, 4]] > 0.98).all()
         if step == 710:
             assert period.trust[4] == 0.0, "another sine has been there for 0.1 s"
-
-
-def test_past_values_are_read_between_steps() -> None:
-    past = Past(2, 1, 8)
-    for value in range(20):
-        past.push(np.array([[value], [10.0 * value]]))
-    np.testing.assert_allclose(past.at(np.array([0.0, 2.5])), [[19.0], [165.0]])
 
 
 def rmse(error: FloatArray) -> FloatArray:

@@ -121,22 +121,6 @@ def test_step_falls_on_every_tenth_sequence_number_and_a_gap_spoils_it() -> None
         assert [bool(step.held) for step in steps if step][-1] is not acts
 
 
-def test_disarmed_under_way_the_session_pauses_and_resumes_the_episode() -> None:
-    graph, learner, session = start(short())
-    graph.run(session, 1.0, learner)
-    assert session.phase is Phase.TRAINING
-    episode = session.current.episode
-    graph.arm(False)
-    graph.run(session, 0.005)
-    assert session.phase is Phase.PAUSED
-    produced = learner.replay.produced
-    graph.run(session, 3.0, learner)
-    assert session.progress.interruptions == 1 and session.current.episode >= episode
-    assert learner.replay.produced > produced
-    graph.run(session, 10.0, learner)
-    assert session.finished and session.progress.episode == 2
-
-
 def test_lost_plant_pauses_within_150_ms_and_asks_to_disarm() -> None:
     graph, learner, session = start(short())
     graph.run(session, 1.0, learner)

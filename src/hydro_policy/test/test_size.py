@@ -10,7 +10,7 @@ import pytest
 
 from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.settings import to_mapping
-from hydro_bridge.signals import STATE_FIELDS, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_bridge.size import resized
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import MetricDesign, ScheduledMetric, design_table
@@ -24,9 +24,8 @@ from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import Step, TaskSettings
+from hydro_policy.task.mdp import TaskSettings
 from hydro_sim.box.box import Box, BoxConfig, box_details
 from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
 from hydro_sim.excitation import Range, schedule_from
@@ -70,6 +69,8 @@ def test_the_size_of_the_similar_bench() -> None:
     assert (*ratios, other.current / one.current) == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
     for each in (TrainingSettings(), Randomisation(), CompensatorSettings(), Sensors()):
         assert resized(each, one, one) == each
+    limits = resized(TrainingSettings(), one, other).monitor
+    assert (limits.peak_error, limits.chatter) == pytest.approx((FORCE * one.force, CURRENT * 14.0 * one.current))
     assert BoxConfig().of_bench(Bench.nominal()) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
     assert Range.of_force(one.force) == Range()
 
@@ -101,26 +102,6 @@ def test_learning_curves_are_those_of_the_nominal_bench() -> None:
         assert np.array(other["rmse"]) / FORCE == pytest.approx(one["rmse"], rel=1e-9)
 
 
-@pytest.mark.parametrize("chatter", [True, False])
-def test_the_monitor_stops_at_the_same_step(chatter: bool) -> None:
-    """One that chatters, one whose error grows: the limits are met in the same step."""
-
-    def stopped(bench: Bench, share: float) -> int:
-        size = bench.size
-        monitor = SafetyMonitor(resized(TrainingSettings(), NOMINAL, size).monitor)
-        current = size.current * (0.01 * share * np.cos(np.pi * np.arange(10)) if chatter else np.zeros(10))
-        for number in range(1000):
-            error = np.full(10, 0.0 if chatter else 0.0101 * share * number * size.force)
-            step = Step(np.zeros(len(STATE_FIELDS)), error, np.zeros(10), number * current / 30.0, True, 0)
-            if monitor.add(step):
-                return number
-        return -1
-
-    here, there = similar(effects=False)
-    assert stopped(here, 1.0) == stopped(there, 1.0) > 0
-    assert stopped(here, 2.0) < stopped(here, 1.0)
-
-
 def corrected(bench: Bench, gains: tuple[float, float]) -> tuple[FloatArray, list[CorrectionStatus]]:
     """Corrections over the valve's limit, and their statuses, of the shipped metric's table on this bench."""
     size = bench.size
@@ -144,12 +125,6 @@ def test_the_filter_corrects_a_similar_bench_alike(effects: bool) -> None:
         np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-8)
         assert also_told == told and CorrectionStatus.MISMATCH not in told
     assert np.abs(here).max() > 1e-3 and CorrectionStatus.MODIFIED in told
-
-
-def test_what_the_filter_allows_is_a_share_of_the_size() -> None:
-    here, there = (loop_of(bench, bench).model for bench in similar(effects=True))
-    assert there.allowed / here.allowed == pytest.approx([FORCE, FORCE, FORCE, PRESSURE, PRESSURE], rel=1e-12)
-    assert (there.bend_max / here.bend_max, there.creep / here.creep) == pytest.approx((FORCE, LENGTH), rel=1e-12)
 
 
 def test_a_box_takes_references_as_far_as_its_line_tells() -> None:

@@ -13,8 +13,7 @@ from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
-from hydro_policy.envs.vector_env import Environment, VectorBench, records
-from hydro_policy.envs.vector_filter import fleet_filter
+from hydro_policy.envs.vector_env import Environment, VectorBench, fleet_filter, records
 from hydro_policy.task.mdp import GainRange, StepClock, TaskSettings, observe
 from hydro_sim.box.box import Box, BoxConfig, Integral
 from hydro_sim.files.learned_bench import make_plant

@@ -10,4 +10,4 @@ from typing import Literal, get_args
 
 FilterName = Literal["none", "learned"]
 FILTERS: tuple[FilterName, ...] = get_args(FilterName)
-"""Filters between policy and box of a simulated bench, by name; `vector_filter` creates them."""
+"""Filters between policy and box of a simulated bench, by name; `vector_env.fleet_filter` creates them."""

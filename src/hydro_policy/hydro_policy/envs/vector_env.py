@@ -12,7 +12,9 @@ compiled functions. Gains act `gain_delay` samples after the step that chose the
 graph), and the valve follows its current `dead_time` samples late (0: the box's own loop).
 
 Plants of one kind are rows of arrays: a NamedTuple with two compiled functions, `advance` and `measurement`, dispatched
-on its type (numba's overloading). They are created and reset as usual; here only their memories are stacked.
+on its type (numba's overloading). They are created and reset as usual; here only their memories are stacked. Filters
+likewise, with a compiled `correct`: none, or the contraction filter, from one sample to the next one's correction, as
+in the graph.
 
 `Environment` is the task on such a fleet, the counterpart of `TrainingSession` without the graph's interruptions:
 observation, reward, gains and penalty are computed by the same functions of `task`; each episode starts from rest.
@@ -41,8 +43,11 @@ from hydro_bridge.signals import (
     ReferenceSignal,
     StateArray,
 )
-from hydro_policy.envs import vector_filter
-from hydro_policy.envs.vector_filter import FleetFilter, NoFilter
+from hydro_filter.controller import loop_decision
+from hydro_filter.controller.loop_decision import LoopParts, Workspace
+from hydro_filter.controller.loop_filter import default_filter
+from hydro_filter.model.loop import memories
+from hydro_policy.envs import FilterName
 from hydro_policy.task.mdp import ACTIONS, TaskSettings, observe
 from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
@@ -109,13 +114,63 @@ KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] =
 may add its own."""
 
 
-def _kind_of(plants: Sequence[Plant]) -> tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]:
-    """Return the functions of `KINDS` for these plants. Raises ValueError: several kinds, or one without rows."""
-    if len({type(plant) for plant in plants}) != 1:
-        raise ValueError("a fleet needs plants of one kind")
-    if type(plants[0]) not in KINDS:
-        raise ValueError(f"many benches at once are those of bench files, no {type(plants[0]).__name__}")
-    return KINDS[type(plants[0])]
+_ARMED = np.uint32(Flag.ARMED)
+
+
+class NoFilter(NamedTuple):
+    """No filter: the box gets the gains unfiltered, flagged FILTER_STALE."""
+
+    fresh: bool = False
+
+
+class LearnedFilter(NamedTuple):
+    """The filter with the learned metric, with one memory per bench."""
+
+    fresh: bool
+    parts: LoopParts
+    memory: npt.NDArray[np.void]
+    workspace: Workspace
+
+
+FleetFilter = NoFilter | LearnedFilter
+
+
+def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
+    """Return the filter of a kind for `count` benches, designed for the bench `believed`."""
+    if kind == "none":
+        return NoFilter()
+    parts = default_filter(believed).parts
+    return LearnedFilter(True, parts, memories(count), loop_decision.workspace(parts))
+
+
+def reset_memory(filters: FleetFilter, index: int) -> None:
+    """Reset a bench's memory: its next sample does not follow the last one."""
+    if isinstance(filters, LearnedFilter):
+        filters.memory[index] = np.zeros(1, filters.memory.dtype)[0]
+
+
+def correct(filters: Any, i: int, x: Any, sample: Any, law: Any) -> float:
+    """Return delta_u [A] for the next sample of bench i under a law (f_c, f_c', C_1, C_2); for compiled code."""
+    raise NotImplementedError("compiled code only")
+
+
+@overload(correct)
+def _correct(filters, i, x, sample, law):
+    kind = getattr(filters, "instance_class", None)
+    if kind is NoFilter:
+        return lambda filters, i, x, sample, law: 0.0
+    if kind is LearnedFilter:
+
+        def learned(filters, i, x, sample, law):
+            signals = sample.nominal_valve_current, sample.valve_current, sample.reference_force
+            armed = (sample.flags & _ARMED) != 0
+            return loop_decision.decide(
+                filters.parts, filters.memory[i], x, signals[0], signals[1], signals[2], sample.reference_force_rate,
+                sample.proportional_gain, law, armed, filters.workspace,
+            )[0]  # fmt: skip
+
+        return learned
+    return None
 
 
 DEAD_TIME_MAX = 8
@@ -148,7 +203,7 @@ class VectorBench:
         filters: FleetFilter | None = None,
     ) -> None:
         self.config, self.filters = config or BoxConfig(), filters or NoFilter()
-        make, self._copy = _kind_of(plants)
+        make, self._copy = KINDS[type(plants[0])]
         self.plants, self.rows, count = list(plants), make(plants), len(plants)
         for index, plant in enumerate(plants):
             self._copy(self.rows, index, plant)
@@ -203,7 +258,7 @@ class VectorBench:
             ),
         )
         self.links[index]["held"] = 0.0
-        vector_filter.reset_memory(self.filters, index)
+        reset_memory(self.filters, index)
         box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
         _exchange(*box, self.filters, index, read, self.samples[index, -1:])
         self.compensated[index, -1] = self.boxes[index]["compensated_reference"]
@@ -237,7 +292,7 @@ def _exchange(bench, settings, box, command, filters, i, measurement, sample):
     kernel.tick(bench, settings, box, measurement, time, sample)
     followed, acting = (box[0].compensated_reference, box[0].compensated_reference_rate), box[0].acting
     law = followed[0], followed[1], acting.velocity_compensation, acting.valve_gain_scale
-    command[0].delta_u = vector_filter.correct(filters, i, measurement, sample[0], law)
+    command[0].delta_u = correct(filters, i, measurement, sample[0], law)
 
 
 @njit

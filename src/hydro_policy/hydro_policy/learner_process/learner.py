@@ -230,15 +230,6 @@ def write_run(
 
     Raises OSError: writing fails; the previous checkpoint is unchanged.
     """
-    try:
-        _write_run(request, learner, good, replay, settings)
-    except FileNotFoundError:  # the folder was deleted between two of its files
-        _write_run(request, learner, good, replay, settings)
-
-
-def _write_run(
-    request: SaveRequest, learner: bytes, good: bytes | None, replay: ReplayBuffer, settings: TrainingSettings
-) -> None:
     run = RunDirectory(request.run)
     save_checkpoint(run.latest, with_provenance(learner, settings.made), replay, request.trainer)
     if request.trainer and not run.config.exists():

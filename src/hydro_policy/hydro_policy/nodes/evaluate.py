@@ -60,8 +60,6 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--kp-max", type=float, default=300.0, metavar="KP", help="of the grid (default 300)")
     what.add_argument("--multisine", action="store_true", help="a multisine, too")
     what.add_argument("--steps", action="store_true", help="smooth steps, too")
-    what.add_argument("--settle", type=float, metavar="S", help="s left out at the start of each run (default 2)")
-    what.add_argument("--periods", type=int, metavar="N", help="periods measured at least, and 3 s (default 1)")
     what.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="default: 0.5 1 1.5 2")
     what.add_argument("--repeats", type=int, metavar="N", help="runs of each at each frequency (default 1)")
     what.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise of simulation or emulator")
@@ -71,7 +69,6 @@ def parser() -> argparse.ArgumentParser:
     )
     files.add_argument("--name", help="of this one's folder: figures, plot, page, recording (default: date and time)")
     files.add_argument("--json", type=writable, metavar="FILE", help="write every run's figures to FILE, too")
-    files.add_argument("--plot", type=writable, metavar="FILE", help="draw the fastest sine to FILE, too")
     files.add_argument("--record", type=writable_folder, metavar="DIR", help="record there instead (companions only)")
     files.add_argument("--no-record", dest="recorded", action="store_false", help="make no recording")
     return result

@@ -70,7 +70,7 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
 
 def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
     """Evaluation settings from defaults and command line."""
-    names = ("repeats", "settle", "periods", "multisine", "steps")
+    names = ("repeats", "multisine", "steps")
     given = {name: getattr(options, name) for name in names}
     given["frequencies"] = options.frequencies and tuple(options.frequencies)
     return EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
@@ -136,10 +136,9 @@ def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
 
 
 def show_results(
-    results: EvaluationSession, run: RunDirectory, notes: Mapping[str, Any], *,
-    json: Path | None = None, plot: Path | None = None,
-) -> None:  # fmt: skip
-    """Print the table; write figures and plot into the run's folder, and to `json` and `plot`."""
+    results: EvaluationSession, run: RunDirectory, notes: Mapping[str, Any], json: Path | None = None
+) -> None:
+    """Print the table; write figures and plot into the run's folder, the figures also to `json`."""
     if not results.scores:
         return
     under = ", ".join(f"{name} {value}" for name, value in notes.items())
@@ -147,9 +146,7 @@ def show_results(
     for file in filter(None, (run.evaluation, json)):
         report.write_json(results, file, notes)
     report.plot(results, run.tracking_plot)
-    if plot is not None:
-        report.plot(results, plot)
-    told = {"figures of every run": json or run.evaluation, "plot": plot or run.tracking_plot}
+    told = {"figures of every run": json or run.evaluation, "plot": run.tracking_plot}
     for name, file in told.items():
         if file.is_file():
             print(f"{name}: {file}", file=sys.stderr)
@@ -247,8 +244,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
     notes = conditions(options, box=box.description, integral=box.integral or "not told")
     if options.plant in ("sim", "emulator"):
         notes["seed"] = options.seed
-    json, plot = (Path(name) if name else None for name in (options.json, options.plot))
-    show_results(results, run, notes, json=json, plot=plot)
+    show_results(results, run, notes, Path(options.json) if options.json else None)
     if results.scores:
         write_page(run, f"Evaluation {run.path.name}", notes, report.sections(results, run.tracking_plot))
         print(f"page: {run.page}", file=sys.stderr)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trains a policy on whichever plant publishes /hydro/state; where none does, it offers the simulation.
+"""Trains a policy on whichever plant publishes /hydro/state.
 
 ros2 run hydro_policy trainer --plant emulator --episodes 8 --evaluate
 """
@@ -15,7 +15,7 @@ from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options, take_site
-from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration_of
+from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run import RunDirectory
 
 DEMO = {
@@ -93,14 +93,12 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
     options = result.parse_args(words)
     if options.resume is not None:
         run = RunDirectory(options.resume)
-        settings = run.load_settings()
-        begun = {"start": NEW_ONLY, "configuration": configuration_of(settings) or NEW_ONLY, "seed": settings.seed}
+        begun = {"start": NEW_ONLY, "configuration": NEW_ONLY, "seed": run.load_settings().seed}
         place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
         refuse_changes(parser(), words, str(run.path), {**begun, **place})
         restore_plant_options(result, run.load_plant(), explicit_options(parser(), words))
         options = result.parse_args(words)
     take_site(options)
-    options.plant_named = options.demo or options.resume is not None or "plant" in explicit_options(parser(), words)
     return options
 
 
@@ -110,7 +108,7 @@ def main() -> int:
     own, ros = ros_arguments()
     options = asked(own)
     options.configuration = options.configuration or "paper"
-    from hydro_policy.nodes.training.run import train  # with torch, which takes seconds: not for --help or a slip
+    from hydro_policy.nodes.training import train  # with torch, which takes seconds: not for --help or a slip
 
     with running_ros(ros):
         return train(options)

@@ -35,17 +35,3 @@ def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE, si
         raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")
     gains = task.gains.shifted(BASE[0] - base[0], BASE[1] - base[1])
     return resized(TrainingSettings(seed=seed, sac=sac, task=replace(task, gains=gains)), NOMINAL, size)
-
-
-def configuration_of(settings: TrainingSettings) -> str | None:
-    """Return the name of the configuration that a run was started with; None if it matches none."""
-    task, scale = settings.task, settings.sac.reward_scale
-    named = {name: configuration(name, base=settings.base_gains, size=task.size) for name in CONFIGURATIONS}
-    return next(
-        (
-            name
-            for name, other in named.items()
-            if replace(other.task, steps_per_episode=task.steps_per_episode) == task and other.sac.reward_scale == scale
-        ),
-        None,
-    )

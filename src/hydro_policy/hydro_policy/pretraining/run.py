@@ -32,7 +32,7 @@ from hydro_filter.controller.factory import FilterChoice
 from hydro_policy.envs import FilterName
 from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.envs.vector_env import Transitions
-from hydro_policy.pretraining.configurations import configuration, configuration_of
+from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
 from hydro_policy.runs.initial_agent import AGENT
@@ -245,7 +245,7 @@ def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, 
     source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.made_for())
     begun = {
-        **asdict(source), "configuration": configuration_of(settings) or NEW_ONLY, "hidden": settings.sac.hidden_size,
+        **asdict(source), "configuration": NEW_ONLY, "hidden": settings.sac.hidden_size,
         "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
     }  # fmt: skip
     refuse_changes(parser(), words, str(run.path), begun)

@@ -26,8 +26,7 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray, ReferenceSignal
 from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
-from hydro_policy.envs.vector_env import Environment, Transitions, VectorBench
-from hydro_policy.envs.vector_filter import fleet_filter
+from hydro_policy.envs.vector_env import Environment, Transitions, VectorBench, fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
 from hydro_policy.runs.run import Checkpoint, TrainingSettings
 from hydro_policy.sac.algorithm import Sac
@@ -49,26 +48,6 @@ BEARABLE = 0.02
 
 TRIPPED = 10.0
 """Score of a run in which the box trips, in RMSE of the reference gains."""
-
-
-@dataclass(frozen=True)
-class ExaminationResult:
-    """Result of an examination."""
-
-    rmse: FloatArray
-    """N, shape (benches, cases), the first bench is the known one; NaN: tripped."""
-    ratio: FloatArray
-    """`rmse` over that of the reference gains there; `TRIPPED` where it tripped."""
-
-    @property
-    def score(self) -> float:
-        """Mean ratio over all benches and cases; 1: as good as the reference gains."""
-        return float(self.ratio.mean())
-
-    @property
-    def changed(self) -> float | None:
-        """Mean ratio over the drawn benches; None without any."""
-        return float(self.ratio[1:].mean()) if len(self.ratio) > 1 else None
 
 
 class Examination:
@@ -115,10 +94,13 @@ class Examination:
                 self._benches.append(bench)
                 self.reference = np.concatenate((self.reference, rmse))
 
-    def __call__(self, choose: Chooser) -> ExaminationResult:
-        """Examine the policy."""
+    def __call__(self, choose: Chooser) -> tuple[FloatArray, FloatArray]:
+        """Return the policy's RMSE [N], NaN where the box tripped, and its ratio to that of the reference gains there.
+
+        Shape (benches, cases) each, the first bench is the known one; the ratio is `TRIPPED` where the box tripped.
+        """
         rmse = self._rmse(choose, [None, *self._benches])
-        return ExaminationResult(rmse, np.where(np.isnan(rmse), TRIPPED, rmse / self.reference))
+        return rmse, np.where(np.isnan(rmse), TRIPPED, rmse / self.reference)
 
     def _bearable(
         self, draw: Callable[[int], RandomisedBench], reference: Chooser, tries: int
@@ -251,13 +233,15 @@ class Pretraining:
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
         """Examine the mean action on the four sines: adds an entry to `history`, and updates the best agent."""
-        marks = self._exam(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
-        if marks.score < self.best_score:
-            self.best_score, self.best = marks.score, dump(self.sac)
+        rmse, ratio = self._exam(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
+        score = float(ratio.mean())
+        if score < self.best_score:
+            self.best_score, self.best = score, dump(self.sac)
         self.history.append(
             {
-                "episode": self.episode, "return": mean_return, "trips": trips, "score": marks.score,
-                "changed": marks.changed, "rmse": marks.rmse[0].tolist(), "updates": self.sac.updates,
+                "episode": self.episode, "return": mean_return, "trips": trips, "score": score,
+                "changed": float(ratio[1:].mean()) if len(ratio) > 1 else None,  # over the drawn benches
+                "rmse": rmse[0].tolist(), "updates": self.sac.updates,
                 "entropy_coefficient": self.sac.entropy_coefficient,
             }
         )  # fmt: skip

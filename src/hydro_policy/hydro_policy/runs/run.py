@@ -120,11 +120,7 @@ class RunDirectory:
 
     def load_plant(self) -> dict[str, Any]:
         """Return the run's original plant options; empty if they were not saved."""
-        try:
-            values = yaml.safe_load(self.config.read_text())
-        except (OSError, yaml.YAMLError):
-            return {}
-        plant = values.get("plant") if isinstance(values, dict) else None
+        plant = read_yaml(self.config).get("plant")
         return plant if isinstance(plant, dict) else {}
 
     def load_settings(self) -> TrainingSettings:

@@ -73,11 +73,6 @@ def settings_of(blob: bytes) -> SacSettings:
     return settings
 
 
-def check_agent(blob: bytes, settings: SacSettings) -> None:
-    """Raise ValueError unless `restore` accepts these bytes for networks of these settings."""
-    restore(Sac(OBSERVATIONS, ACTIONS, settings), blob)
-
-
 def _opened(blob: bytes) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Return tensors and header; raises ValueError if they are truncated or damaged."""
     try:

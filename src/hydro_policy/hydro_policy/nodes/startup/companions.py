@@ -18,10 +18,10 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from hashlib import sha256
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydro_bridge.files import bench_file
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_policy.nodes.graph.announcements import companion_output
@@ -32,11 +32,6 @@ from hydro_sim.files.learned_bench import shipped
 if TYPE_CHECKING:
     from hydro_filter.controller.factory import FilterChoice
     from hydro_filter.controller.loop_filter import LoopFilterSettings
-
-
-def bench_file(given: Path | None) -> Path:
-    """Return the path of the bench.yaml in use: the one given, or the nominal one of hydro_sim."""
-    return given or Path(str(resources.files("hydro_sim") / "data" / "bench.yaml"))
 
 
 def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Path | None = None) -> list[str]:
@@ -207,5 +202,5 @@ def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
         choice, _ = requested_filter(options.filter, options.bench)
         digests += [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
-    attachments = [bench_file(options.bench), *options.attachments]
+    attachments = filter(None, (options.bench or bench_file.shipped(), *options.attachments))
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

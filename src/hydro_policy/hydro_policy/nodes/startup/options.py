@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options shared by trainer and evaluate, and the plant if none is named."""
+"""Options shared by trainer and evaluate."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import shlex
-import sys
-import time
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -19,7 +17,6 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.files import site
 from hydro_bridge.ros.companion import add_page_option
 from hydro_bridge.ros.node import declare_parameters
-from hydro_bridge.ros.topics import STATE
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
@@ -181,43 +178,3 @@ def unless_said(node: Node, before: T, after: T, prefix: str = "") -> T:
         elif f"{prefix}{name}" in node._parameter_overrides:  # rclpy: no public way
             kept[name] = value
     return replace(after, **kept)  # type: ignore[type-var]
-
-
-LOOK = 5.0
-"""s of search for a running plant before a person is asked; discovery takes half a second."""
-
-TELL = 1.0
-"""s of search until it is said; a running plant is found before."""
-
-WAIT = 20.0
-"""s of search without a terminal: a plant started by the same script takes time."""
-
-NONE = "no plant runs: no node publishes /hydro/state"
-
-
-def choose_plant(node: Node) -> str:
-    """Return `external` if a plant runs, or `sim` if a person at a terminal wants the simulation.
-
-    `node`: looks for the publisher of /hydro/state. Raises UserError: no plant runs, and the simulation is not wanted.
-    """
-    terminal = sys.stdin is not None and sys.stdin.isatty()
-    begin, patience, told = time.monotonic(), LOOK if terminal else WAIT, False
-    while not node.count_publishers(STATE):
-        if time.monotonic() > begin + patience:
-            return _simulation(terminal)
-        if not told and time.monotonic() > begin + TELL:
-            print(f"looking for a plant on /hydro/state, for {patience:g} s", flush=True)
-            told = True
-        time.sleep(0.05)
-    return "external"
-
-
-def _simulation(terminal: bool) -> str:
-    if terminal:
-        try:
-            answer = input(f"{NONE}. Start the simulation, as --plant sim does? [Y/n] ")
-        except EOFError:
-            answer = "no"
-        if answer.strip().lower() in ("", "y", "yes"):
-            return "sim"
-    raise UserError(f"{NONE}; start one, or name what to start: --plant sim, emulator or bench")
