@@ -66,20 +66,12 @@ def test_every_form_of_a_map_gives_the_same_fields(form: str, tmp_path: Path) ->
         ("time=t,load_force=vir", "run.mat: there is no column named 't'; there are clock, pos, vir, out.p"),
         ("time=clok,load_force=vir", "did you mean 'clock'"),
         ("time=clock,load_force=vir*gtua", "no single number named 'gtua' .did you mean 'gtau'"),
-        (
-            "time=clock,piston_positon=pos",
-            "'piston_positon' is not a field of a recording, did you mean 'piston_position'",
-        ),
-        ("time=clock,foo=pos", "there are time, hydraulic_force"),
+        ("time=clock,piston_positon=pos", "not a field of a recording, did you mean 'piston_position'"),
         ("time=clock,load_force=vir[furlong]", "unit 'furlong' is unknown; there are s, ms"),
         ("time=clock,load_force", "'load_force' is not FIELD=COLUMN"),
         ("time=clock,load_force=vir**2", "cannot be read from '\\*\\*2' on"),
-        ("time=3,load_force=vir", "the time cannot be a constant"),
         ("load_force=vir", "no column is the time"),
-        (
-            {"time": {"column": "clock", "factor": 2}},
-            "'factor' is unknown; there are column, unit, scale, offset, delay",
-        ),
+        ({"time": {"column": "clock", "factor": 2}}, "'factor' is unknown; there are column, unit, scale"),
     ],
 )
 def test_wrong_map_is_one_sentence_that_helps(given: object, said: str, tmp_path: Path) -> None:
@@ -179,18 +171,6 @@ def control_desk(states: StateArray) -> bytes:
     return "\r\n".join([*head, *rows(columns(states, units), ",", first=["trace_values"])]).encode("cp949")
 
 
-def german(states: StateArray) -> bytes:
-    units = ["s", "mm", "bar", "bar", "kN", "mA", "N"]
-    names = ["Zeit", "Zylinderweg", "Druck A", "Druck B", "Kraftmessdose", "Ventilstrom", "Sollkraft"]
-    head = ";".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
-    return "\r\n".join(["Prüfstand 3", "", head, *rows(columns(states, units), ";", ",")]).encode("cp1252")
-
-
-def letters(states: StateArray) -> bytes:
-    units = ["s", "m", "Pa", "Pa", "N", "A", "N"]
-    return "\n".join(["t,y,pA,pB,F,u,Fset", *rows(columns(states, units), ",")]).encode()
-
-
 def numbered(states: StateArray) -> bytes:
     """Channels without names: units alone, and what the numbers are to each other."""
     fields = ("pressure_b", "piston_position", "load_force", "pressure_a", "valve_current", "hydraulic_force")
@@ -270,7 +250,7 @@ def times_of_day(states: StateArray) -> bytes:
     return "\n".join([";".join(["Datum/Uhrzeit", *names]), *stamped]).encode()
 
 
-EXPORTS = {control_desk: "csv", german: "csv", letters: "csv", numbered: "csv", twin_cat: "csv", lab_view: "lvm",
+EXPORTS = {control_desk: "csv", numbered: "csv", twin_cat: "csv", lab_view: "lvm",
            inca: "ascii", mts: "dat", times_of_day: "csv"}  # fmt: skip
 """Writers of texts, and the ending of their files."""
 

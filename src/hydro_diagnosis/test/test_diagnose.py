@@ -18,7 +18,6 @@ import pytest
 
 import hydro_diagnosis
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.signals import STATE_DTYPE
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY
@@ -27,8 +26,9 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
-from hydro_diagnosis.stages.reading import baseline, recording_entry
+from hydro_diagnosis.stages.reading import baseline
 from hydro_diagnosis.stages.unclaimed import confirmed
+from hydro_diagnosis.validation import equation_errors
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment
@@ -36,18 +36,13 @@ from hydro_sim.files.learned_bench import shipped
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 from tests.checks import ran
-from tests.segments import claim, frame, record
-
-CONTRACT = {
-    "verdict", "location", "effects", "fit", "next_recording", "checked", "not_checked", "data_quality", "baseline",
-    "versions", "seconds",
-}  # fmt: skip
+from tests.segments import claim, frame, problem_in, record
 
 
 def test_command_writes_what_the_contract_says(written: Path, valid: Callable[[Any], Any]) -> None:
     report = json.loads((written / "report.json").read_text())
     valid(report)
-    assert set(report) >= CONTRACT and report["steps"]
+    assert report["steps"]
     assert report["checked"] == ["pressure_a", "pressure_b", "actuation", "motion", "load", "sensor"]
     assert report["verdict"] == "explained"
     assert [effect["id"] for effect in report["effects"]] == ["spring_stiffness"]
@@ -124,15 +119,12 @@ def test_recordings_with_which_no_equation_can_be_checked_are_a_sentence(tmp_pat
         diagnose([path])
 
 
-def test_equation_errors_do_not_contradict_the_verdict(tmp_path: Path) -> None:
+def test_equation_errors_do_not_contradict_the_verdict() -> None:
     """Near reversals dry friction may have either sign: counted in full, they would leave ten times the noise."""
     dry = corrected_bench(Bench.nominal(), [claim("friction_coulomb", 15.0)])
-    paths = [tmp_path / f"dry{k}.csv" for k in range(2)]
-    for k, path in enumerate(paths):
-        frame(record(dry, 40 + k, seconds=8.0)).to_csv(path, index=False)
-    report = diagnose(paths[:1], holdout=paths[1:]).report
-    assert report.verdict == "explained"
-    motion = report.fit["equations"]["motion"]
+    fitted, held = (problem_in(record(dry, seed, seconds=8.0)) for seed in (40, 41))
+    claims = fit(fitted, [claim("friction_coulomb", 10.0)]).claims
+    motion = equation_errors(held.weighed(claims), claims)["motion"]
     assert motion["rmse_before"] > 30.0 * motion["noise_floor"]
     assert motion["rmse_after"] < 1.2 * motion["noise_floor"]
 
@@ -143,14 +135,15 @@ def test_cause_that_there_is_none_of_is_refused_before_anything_is_read(tmp_path
 
 
 def test_bad_input_ends_in_one_sentence_and_status_2(tmp_path: Path) -> None:
-    ended = ran(sys.executable, "-m", "hydro_diagnosis.cli", tmp_path / "none.mcap", "--out", tmp_path / "out")
+    words = ("-m", "hydro_diagnosis.cli", tmp_path / "none.mcap", "--out", tmp_path / "out", "--quiet")
+    ended = ran(sys.executable, *words)
     assert ended.returncode == 2
     assert len(ended.stderr.strip().splitlines()) == 1
     assert "there is no such recording" in ended.stderr
     assert not (tmp_path / "out").exists(), "nothing is left behind"
 
 
-def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> None:
+def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path, valid: Callable[[Any], Any]) -> None:
     """Ctrl-C when the search has begun; a terminal sends it to the whole process group, here to the one process."""
     ended = ran(sys.executable, "-c", INTERRUPTED_RUN, *worn[:2], "--out", tmp_path / "out", timeout=60)
     assert ended.returncode == 130, ended.stderr
@@ -158,7 +151,7 @@ def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> 
     said = ended.stderr.splitlines()[-1]  # below the progress that a slow machine shows
     assert said == f"interrupted: {file} holds what was finished, no verdict"
     report = json.loads(file.read_text())
-    assert set(report) >= CONTRACT
+    valid(report)
     assert report["verdict"] == "interrupted"
     assert [step["label"] for step in report["steps"]] == ["spring_stiffness"]
     assert "motion" in report["checked"] and report["effects"] == []
@@ -195,14 +188,6 @@ def test_no_mismatch(valid: Callable[[Any], Any], csv: Path) -> None:
     assert report["recordings"] == [{"name": csv.stem, "begin": None}]
 
 
-def test_a_bag_is_known_by_the_stamp_of_its_first_sample(tmp_path: Path) -> None:
-    states = np.zeros(50, STATE_DTYPE)
-    states["time"], states["sequence"] = 1.7e9 + 0.25 + 1e-3 * np.arange(50), np.arange(50)
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write_states(states)
-    assert recording_entry(tmp_path / "bag") == {"name": "bag", "begin": pytest.approx(1.7e9 + 0.25, abs=1e-6)}
-
-
 def test_something_left_that_nobody_knows(
     valid: Callable[[Any], Any],
     tmp_path: Path,
@@ -227,15 +212,6 @@ def test_page_needs_nothing_from_elsewhere(written: Path) -> None:
     page = (written / "report.html").read_text()
     assert not re.findall(r"""(?:src|href)=["'](?!#|data:)[^"']*""", page)
     assert not re.findall(r"@import|url\((?!#)", page)
-
-
-def test_page_shows_how_well_the_corrected_model_follows_what_was_measured(written: Path) -> None:
-    table = (written / "report.html").read_text().split("<h2>Measured and simulated</h2>")[1].split("</table>")[0]
-    rows = dict(re.findall(r"<tr><td>([\w ]+)</td>(.*?)</tr>", table, re.DOTALL))
-    assert {"piston position", "pressure A", "pressure B", "load force", "hydraulic force"} == set(rows)
-    for name, row in rows.items():
-        before, after = (float(cell) for cell in re.findall(r'<td class="n">([\d.-]+)</td>', row))
-        assert after > 98.0 and after > before, name
 
 
 DRIVES = (

@@ -46,12 +46,6 @@ def test_a_folder_becomes_tables_and_only_what_is_missing_is_done(
     assert (springs.low < 0.925).all() and (springs.high > 0.925).all() and set(springs.parameter) == {"ratio"}
 
 
-def test_where_nothing_is_a_sentence_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert status_of(diagnose_many.main, tmp_path / "*.csv", "--out", tmp_path / "study") == 2
-    assert "there is no recording" in capfd.readouterr().err
-    assert not (tmp_path / "study").exists()
-
-
 def test_each_part_of_a_long_bag_is_diagnosed_by_itself(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "day") as writer:
         for k, stiffness in enumerate((20000.0, 18500.0)):

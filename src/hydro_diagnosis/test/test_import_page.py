@@ -17,7 +17,6 @@ from websockets.sync.client import ClientConnection, connect
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.import_page import serve_imports
-from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
 from tests import browser
 
@@ -65,29 +64,6 @@ class Page:
         return dict(msgspec.json.decode(self.connection.recv(timeout=120.0)))
 
 
-def test_files_become_a_map_and_a_report(address: str, recordings: list[Path]) -> None:
-    with connect(f"ws://{address}/socket", max_size=None) as connection:
-        page = Page(connection)
-        found, _ = [page.upload(path.name, path.read_bytes()) for path in recordings]
-        proposed = found["proposed"]
-        assert proposed["time"] == {"column": "t", "unit": "ms"} and proposed["load_force"]["unit"] == "kN"
-        assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["missing"])
-        page.send("check", columns={"time": proposed["time"]})
-        assert len(page.answer()["missing"]) > len(found["missing"])
-        page.send("check", columns={**proposed, "pressure_a": {"column": "pa", "unit": "kPa"}})
-        assert "pressure_a is in bar, not kPa" in page.answer()["doubts"][0]
-        proposed["piston_position"] |= {"scale": "1", "offset": "0.0"}
-        page.send("diagnose", columns=proposed, fit=["monday.csv"], check=["tuesday.csv"])
-        told = []
-        while (answer := page.answer())["kind"] == "progress":
-            told.append(answer["done"])
-        assert answer["kind"] == "report", answer
-        assert set(range(len(STAGES) - 1)) <= set(told)
-        assert answer["verdict"] == "no_mismatch" and "<h1>Diagnosis</h1>" in answer["report"]
-        assert "piston_area" in answer["corrected"] and "kN" in answer["columns"]
-        assert "piston_position: x[mm]*1+0" in answer["columns"]
-
-
 REFUSED = (
     ("../../notes.docx", b"x" * 300_000, "nor a bench file"), ("a.xlsx", b"PK", "save its table as CSV"),
     ("a.csv", b"", "is empty"), ("page.csv", b"<html></html>", "web page"),
@@ -95,14 +71,21 @@ REFUSED = (
 )  # fmt: skip
 
 
-def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on(address: str, recordings: list[Path]) -> None:
+def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on_to_a_map(
+    address: str, recordings: list[Path]
+) -> None:
     with connect(f"ws://{address}/socket", max_size=None) as connection:
         page = Page(connection)
         for name, content, sentence in REFUSED:
             refused = page.upload(name, content)
             assert sentence in refused["sentence"] and refused["name"] == name
+        found = page.upload("monday.csv", recordings[0].read_bytes())
+        proposed = found["proposed"]
+        assert proposed["time"] == {"column": "t", "unit": "ms"} and proposed["load_force"]["unit"] == "kN"
+        assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["missing"])
+        page.send("check", columns={**proposed, "pressure_a": {"column": "pa", "unit": "kPa"}})
+        assert "pressure_a is in bar, not kPa" in page.answer()["doubts"][0]
         assert page.upload("known.yaml", b"piston_area: 4.9e-4")["kind"] == "bench"
-        assert page.upload("monday.csv", recordings[0].read_bytes())["kind"] == "columns"
         page.send("diagnose", columns={"time": {"column": "t"}}, fit=["../monday.csv"], check=[])
         assert page.answer()["kind"] in ("error", "progress")
 

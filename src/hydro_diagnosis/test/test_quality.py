@@ -14,9 +14,6 @@ import pandas as pd
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
-from hydro_diagnosis.effects import CANDIDATES
-from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.intervals import all_significant, without_insignificant
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError, RawTable, read_table
 from hydro_diagnosis.preprocessing.quality import checked, counted, frozen_encoder, repeats, uneven
@@ -24,7 +21,6 @@ from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.stages import naming, reading
 from hydro_diagnosis.stages.reading import Question
-from hydro_diagnosis.stages.unclaimed import undetectable_causes
 from hydro_sim.model.bench import Bench
 from tests.segments import claim, frame, record
 
@@ -141,13 +137,6 @@ def test_slow_clean_recordings_are_noise(nominal: StateArray, spacing: int) -> N
     assert max(problem.mean_squares(problem.residual(())).values()) < 1.35
 
 
-@pytest.mark.parametrize("spacing", [2, 4, 5])
-def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) -> None:
-    problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
-    found = fit(problem, [claim("moving_mass", 0.1)])
-    assert not all_significant(problem, found) or not without_insignificant(problem, found)[0].claims
-
-
 @pytest.mark.parametrize(("spacing", "shown"), [(1, True), (5, True), (10, False)])
 def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
     spacing: int, shown: bool, tmp_path: Path, nominal: StateArray, monkeypatch: pytest.MonkeyPatch
@@ -168,15 +157,6 @@ def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
                                    models=(), proof={}, simulated={})  # fmt: skip
     naming.model_remainder(remains, [], lambda text: None)
     assert bool(tried) == shown
-
-
-def test_rows_hide_no_cause_of_a_sensor_that_is_not_there(nominal: StateArray) -> None:
-    columns = {name: nominal[name][::5].copy() for name in STATE_FIELDS if name != "hydraulic_force"}
-    (part,) = checked(RawTable("run", nominal["time"][::5].copy(), None, columns), BENCH).segments
-    problem = Problem([part], BENCH)
-    sensors = [effect for effect in CANDIDATES if effect.id in ("sensor_lag", "load_cell_gain", "load_cell_bias")]
-    assert any("hydraulic_force" in effect.options.values() for effect in sensors)
-    assert undetectable_causes(problem, fit(problem, []), sensors, 20.0) is None
 
 
 def test_lost_rows_and_their_neighbours_are_not_judged(nominal: StateArray) -> None:

@@ -79,13 +79,6 @@ def test_sensor_that_is_slower_than_the_others_is_left_out_and_listed(tmp_path: 
     np.testing.assert_allclose(other.columns["piston_position"], np.sin(slow), atol=1e-12)
 
 
-def test_delay_of_a_column_is_undone(tmp_path: Path, nominal: StateArray) -> None:
-    path = loggers.hdf5(tmp_path, nominal[:2000])
-    columns = "time=fast.time,pressure_a=fast.pA@20ms,pressure_b=fast.pB,piston_position=fast.x"
-    table = read_table(path, ColumnMap.load(columns))
-    np.testing.assert_allclose(table.columns["pressure_a"][:1900], nominal["pressure_a"][20:1920], rtol=1e-9)
-
-
 def test_mdf_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
