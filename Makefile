@@ -76,8 +76,8 @@ colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build far
 demo: setup  ## a policy, a bench that its simulation did not know, the diagnosis, the policy retrained: minutes
 	@$(SOURCED) .venv/bin/python -m demo $(ARGS)
 
-bench: setup  ## the measured speeds (ARGS="NAME ..." for some of them)
-	@$(SOURCED) .venv/bin/python -m benchmarks $(ARGS)
+bench: setup  ## the measured speeds of the filter's call and of the whole graph
+	@$(SOURCED) .venv/bin/python -m benchmarks.filter_call && .venv/bin/python -m benchmarks.latency
 
 bench-peers: setup  ## peers of the learner in an environment of their own (.venv-bench), and the comparison
 	@[ -x .venv-bench/bin/python ] || $(PYTHON) -m venv .venv-bench

@@ -6,12 +6,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from hydro_bridge.cli.console import command_line
+
 
 def parser(name: str, description: str | None) -> argparse.ArgumentParser:
     """Every benchmark takes `--json FILE`."""
-    made = argparse.ArgumentParser(
-        prog=f"python -m benchmarks.{name}", description=description,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    made = command_line(f"python -m benchmarks.{name}", description)
     made.add_argument("--json", type=Path, metavar="FILE", help="write the result there as well")
     return made

@@ -3,12 +3,11 @@
 
     python -m benchmarks.residual --truths 40 --seed 4242 --json residual.json      scores the shipped one: 10 s a truth
     python -m benchmarks.residual --train residual.safetensors --seed 1              trains another: 15 minutes
-    python -m benchmarks.residual --truths 6 --seed 51000 --bound tuned              after ten minutes on each bench
     python -m benchmarks.residual --changes                                          the bench changes in mid-run
 
 Each truth tracks each of nine references, none of them among those of the training, once under the compensated law
-alone and once with the residual; with --fixed also under the paper's law at its best gains in hindsight (another 15 s).
-What was run by this version is kept in the .rows beside the file of --json, and not run again.
+alone and once with the residual. What was run by this version is kept in the .rows beside the file of --json, and not
+run again.
 
 Training runs new benches and references under the network of the round before, and fits the corrections that turn out
 to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
@@ -34,13 +33,13 @@ import torch
 
 from benchmarks._report import parser
 from benchmarks._truths import drawn_truths, truth_fleet
-from benchmarks.controllers import best_gains, interquartile_mean
+from benchmarks.controllers import interquartile_mean
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
-from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, REPEAT_GAIN, STRUCTURE, Network, Residual
+from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, STRUCTURE, Network, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
@@ -72,8 +71,6 @@ LATENCY = 5
 EVERY = 8
 """Every so many is the emulator's default truth."""
 HIDDEN, BATCH, RATE = 64, 2048, 3e-3
-BENCH_RUNS, BENCH_STEPS = 60, 600
-"""Of `tuned`: runs, some ten minutes on a bench, and steps of fitting to them."""
 CHANGE = 400
 """Policy steps, 4 s: when a bench changes."""
 CHANGES: Mapping[str, Mapping[str, Any]] = {
@@ -85,7 +82,7 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
 }
 SKIPPED = 100
 """Policy steps at the begin of a run on which nothing is trained."""
-CONTROLLERS = ("compensated", "learned", "fixed")
+CONTROLLERS = ("compensated", "learned")
 Scores = dict[str, list[float]]
 """Of a controller on each of `REFERENCES`: rmse [N], rate (RMS of u', A/s), tripped (0 or 1)."""
 
@@ -115,13 +112,12 @@ def run(
     seed: int,
     delays: Sequence[int] = (LATENCY,),
     settle: float = 2.0,
-    gains: tuple[float, float] | None = None,
     later: TruthConfig | None = None,
 ) -> Run:
     """Run bench i with reference i under the compensated law, with the residual or without one.
 
-    `delays`: samples from a decision to where it acts, by turns; `settle` [s] at the begin do not count. `gains`: the
-    paper's law at this (K_p, K_i) instead. `later`: what each bench is from `CHANGE` on.
+    `delays`: samples from a decision to where it acts, by turns; `settle` [s] at the begin do not count. `later`: what
+    each bench is from `CHANGE` on.
     """
     count, settings = len(configs), EvaluationSettings(settle=settle, measure=6.0)
     fleet = truth_fleet(configs)
@@ -131,9 +127,8 @@ def run(
     asked: list[tuple[FloatArray, FloatArray]] = []
     tripped = np.zeros(count, bool)
     runs = vector_runs.run(
-        fleet, cases, vector_runs.fixed(np.array(gains or BASE)), settings, seed,
-        None if gains else Compensator(count), residual,
-    )  # fmt: skip
+        fleet, cases, vector_runs.fixed(np.array(BASE)), settings, seed, Compensator(count), residual
+    )
     for number, step in enumerate(runs):
         if later is not None and number == CHANGE:
             fleet.rows.parameters[:] = TruthPlant(later).parameters[0]
@@ -164,30 +159,26 @@ def drawn_signals(count: int, generator: np.random.Generator) -> list[ReferenceS
     return found
 
 
-def fitted(runs: Sequence[Run], steps: int, seed: int, start: Network | None = None) -> Network:
-    """Fit a network, or one further, to the needed corrections of runs, each run's share over its own mean square."""
+def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
+    """Fit a network to the needed corrections of runs, each run's share over its own mean square."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     x = np.concatenate([one.inputs[:, SKIPPED:].reshape(-1, INPUTS) for one in runs])
     y = np.concatenate([one.needed[:, SKIPPED:].reshape(-1, OUTPUTS) for one in runs])
     squares = [np.mean(one.needed[:, SKIPPED:, 0] ** 2, axis=1) + 0.1 for one in runs]
     share = np.concatenate([np.repeat(1.0 / one, runs[0].needed.shape[1] - SKIPPED) for one in squares])
-    mean, spread, rate = x.mean(0), x.std(0) + 1e-3, RATE
-    if start is not None:
-        mean, spread, rate = start.mean.astype(np.float32), start.spread.astype(np.float32), RATE / 3.0
+    mean, spread = x.mean(0), x.std(0) + 1e-3
     inputs, targets = torch.tensor((x - mean) / spread).clamp(-6.0, 6.0), torch.tensor(y)
     weight = torch.tensor(share.astype(np.float32))[:, None]
     sizes = (INPUTS, HIDDEN, HIDDEN, OUTPUTS)
     parts = [layer for a, b in pairwise(sizes) for layer in (torch.nn.Linear(a, b), torch.nn.SiLU())]
     model = torch.nn.Sequential(*parts[:-1])
-    for part, layer in zip(parts[::2], start.layers if start else (), strict=False):
-        part.weight.data, part.bias.data = (torch.tensor(one.T.astype(np.float32)) for one in layer)
     averaged = torch.optim.swa_utils.AveragedModel(
         model, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.998)
     )
-    optimiser = torch.optim.AdamW(model.parameters(), rate, weight_decay=0.02)
+    optimiser = torch.optim.AdamW(model.parameters(), RATE, weight_decay=0.02)
     for step in range(steps):
-        optimiser.param_groups[0]["lr"] = rate * max(1.0 - step / steps, 0.01)
+        optimiser.param_groups[0]["lr"] = RATE * max(1.0 - step / steps, 0.01)
         chosen = torch.randint(len(inputs), (BATCH,))
         noisy = inputs[chosen] + 0.05 * torch.randn(BATCH, INPUTS)
         loss = torch.mean(weight[chosen] * (model(noisy) - targets[chosen]) ** 2)
@@ -200,24 +191,6 @@ def fitted(runs: Sequence[Run], steps: int, seed: int, start: Network | None = N
         (part.weight.detach().numpy().T.astype(float), part.bias.detach().numpy().astype(float)) for part in linear
     )
     return Network(mean.astype(float), spread.astype(float), layers)
-
-
-def tuned(config: TruthConfig, network: Network, seed: int) -> Network:
-    """Fit a network further to runs of one bench under it, on references of the training."""
-    signals = drawn_signals(BENCH_RUNS, np.random.default_rng(seed))
-    found = run([config] * BENCH_RUNS, signals, Residual(BENCH_RUNS, network), seed + 1)
-    return fitted([found], BENCH_STEPS, seed, network)
-
-
-class Told(Residual):
-    """Given the corrections that were needed in the same runs, their noise included: no prediction knows them."""
-
-    def __init__(self, found: Run, network: Network) -> None:
-        super().__init__(len(found.needed), network)
-        self._told = np.pad(found.needed / REPEAT_GAIN, ((0, 0), (0, 2 * DELAY), (0, 0)))
-
-    def _repeated(self, a: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return self._told[:, self._steps - 1], np.ones((len(a), 1))
 
 
 def train(path: Path, steps: int, seed: int, rounds: int = 5) -> None:
@@ -255,21 +228,14 @@ def scores(found: Run) -> tuple[FloatArray, FloatArray]:
     return rms(found.error, found.counted), rms(rates, found.counted[:, 1:])
 
 
-def score(
-    config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float, bound: str | None
-) -> Scores:
+def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float) -> Scores:
     """RMSE [N], RMS of u' [A/s] and whether it tripped, of a controller of `CONTROLLERS` on each of `REFERENCES`.
 
     A run that tripped has the error of a force that stands.
     """
-    configs, signals, residual = [config] * len(REFERENCES), list(REFERENCES.values()), None
-    if controller == "learned":
-        network = Network.load(weights_file)
-        residual = Residual(len(configs), tuned(config, network, seed) if bound == "tuned" else network)
-        if bound == "told":
-            residual = Told(run(configs, signals, residual, seed, settle=settle), network)
-    gains = best_gains(config) if controller == "fixed" else None
-    found = run(configs, signals, residual, seed, settle=settle, gains=gains)
+    configs, signals = [config] * len(REFERENCES), list(REFERENCES.values())
+    residual = Residual(len(configs), Network.load(weights_file)) if controller == "learned" else None
+    found = run(configs, signals, residual, seed, settle=settle)
     rmse, rate = scores(found)
     times = np.arange(found.error.shape[1]) * SAMPLE_PERIOD
     still = [np.sqrt(np.mean(reference.sample(signal, times)[0] ** 2)) for signal in REFERENCES.values()]
@@ -279,30 +245,27 @@ def score(
 
 def compare(asked: argparse.Namespace) -> None:
     """Score a network on truths of a seed."""
-    names = CONTROLLERS if asked.fixed else CONTROLLERS[:2]
     used = b"" if asked.weights is None else asked.weights.read_bytes()
-    version = hashlib.sha256(repr((used, asked.settle, asked.bound, code_version())).encode()).hexdigest()[:12]
+    version = hashlib.sha256(repr((used, asked.settle, code_version())).encode()).hexdigest()[:12]
     jobs_of = {
         f"{version} {asked.seed} {truth} {name}":
-            (truth_from_mapping(content), name, asked.seed, asked.weights, asked.settle, asked.bound)
-        for truth, content in drawn_truths(asked.truths, asked.seed).items() for name in names
+            (truth_from_mapping(content), name, asked.seed, asked.weights, asked.settle)
+        for truth, content in drawn_truths(asked.truths, asked.seed).items() for name in CONTROLLERS
     }  # fmt: skip
     kept = asked.json.with_suffix(".rows") if asked.json else None
     found = list(jobs.complete(score, jobs_of, kept=kept, label="runs", unit="run", **jobs.where(asked)).values())
-    rows = [found[k : k + len(names)] for k in range(0, len(found), len(names))]
+    rows = [found[k : k + len(CONTROLLERS)] for k in range(0, len(found), len(CONTROLLERS))]
     table(rows, f"Learned residual, {len(rows)} truths of seed {asked.seed}, after {asked.settle:g} s").show(asked.json)
 
 
 def table(rows: Sequence[Sequence[Scores]], title: str) -> Table:
     """Interquartile means over the truths; `rows`: of each truth the scores of the controllers in their order."""
     rmse, rate, tripped = (np.array([[one[key] for one in own] for own in rows]) for key in ("rmse", "rate", "tripped"))
-    law, learned, fixed = rmse[:, 0], rmse[:, 1], rmse[:, 2] if rmse.shape[1] > 2 else None
+    law, learned = rmse[:, 0], rmse[:, 1]
     ratio, worse = learned / law, learned > 1.1 * law + 0.3
     columns = {"reference": "", "compensated": "RMSE, N", "with the residual": "RMSE, N", "ratio": "of the two",
                "low": "95 % interval of the ratio", "high": "", "largest": "ratio", "worse": "above 1.1 times + 0.3 N",
                "trips": "with the residual (without)", "u' ratio": "RMS of u' over the law's"}  # fmt: skip
-    if fixed is not None:
-        columns |= {"best fixed": "RMSE, N; its trips", "over it": "RMSE with the residual over it, 95 % interval"}
     made = Table(columns, title=title)
     picks = np.random.default_rng(0).integers(len(rows), size=(1000, len(rows)))
 
@@ -313,18 +276,13 @@ def table(rows: Sequence[Sequence[Scores]], title: str) -> Table:
     for name, chosen in (*((name, [k]) for k, name in enumerate(REFERENCES)), ("all", list(range(len(REFERENCES))))):
         own = ratio[:, chosen]
         low, high = spread(own)
-        cells = {}
-        if fixed is not None:
-            over = learned[:, chosen] / fixed[:, chosen]
-            cells["best fixed"] = f"{interquartile_mean(fixed[:, chosen].ravel()):.1f}; {tripped[:, 2, chosen].sum():g}"
-            cells["over it"] = "{:.3f} ({:.3f} to {:.3f})".format(interquartile_mean(over.ravel()), *spread(over))
         made.add(
             reference=name, compensated=interquartile_mean(law[:, chosen].ravel()),
             **{"with the residual": interquartile_mean(learned[:, chosen].ravel())},
             ratio=interquartile_mean(own.ravel()), low=low, high=high, largest=float(own.max()),
             worse=f"{int(worse[:, chosen].sum())} of {own.size}",
             trips=f"{tripped[:, 1, chosen].sum():g} ({tripped[:, 0, chosen].sum():g})",
-            **{"u' ratio": interquartile_mean((rate[:, 1] / rate[:, 0])[:, chosen].ravel())}, **cells,
+            **{"u' ratio": interquartile_mean((rate[:, 1] / rate[:, 0])[:, chosen].ravel())},
         )  # fmt: skip
     return made
 
@@ -353,7 +311,7 @@ def changed(weights_file: Path | None, seed: int) -> Table:
     return made
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> None:
     """Score, or train."""
     options = parser("residual", __doc__)
     options.add_argument("--truths", type=int, default=40, metavar="COUNT", help="benches, default %(default)s")
@@ -365,11 +323,6 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument(
         "--steps", type=int, default=30000, metavar="N", help="of fitting in each of five rounds, default %(default)s"
     )
-    options.add_argument("--fixed", action="store_true", help="the best fixed gains on each truth in hindsight as well")
-    options.add_argument(
-        "--bound", choices=("tuned", "told"), help="of learning on a bench: the network fitted further to ten minutes "
-        "there on other references; or no prediction, but the corrections that were needed in the same runs"
-    )  # fmt: skip
     options.add_argument("--changes", action="store_true", help="the default truth that changes in mid-run, instead")
     options.add_argument("--settle", type=float, default=2.0, metavar="S", help="not scored, default %(default)s s")
     jobs.add_arguments(options)
@@ -380,8 +333,7 @@ def main(arguments: list[str] | None = None) -> int:
         changed(asked.weights, asked.seed).show(asked.json)
     else:
         compare(asked)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

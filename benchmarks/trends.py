@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wear that is concealed in a year of recordings: when `trends` finds it, and what it finds where there is none.
 
-    python -m benchmarks.trends --benches 12                          tables as diagnose_many writes them, drawn
-    python -m benchmarks.trends --recorded 18 --write study            recordings by the emulator, diagnosed one by one
-
-Each bench has a recording a day and is looked at every --every days, as a nightly job does. A table's values are
-drawn with the intervals that stand beside them and a scatter between recordings of the same size; a cause below three
-standard deviations is not claimed.
+Each bench has a recording a day and is looked at every --every days, as a nightly job does. Tables are drawn as
+diagnose_many writes them, values with the intervals that stand beside them and a scatter between recordings of the same
+size; a cause below three standard deviations is not claimed.
 """
 
 from __future__ import annotations
@@ -17,18 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from benchmarks._report import parser
 from hydro_bridge.cli import jobs
 from hydro_bridge.cli.console import Table, command
-from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.change_points import course
-from hydro_diagnosis.diagnose_many import diagnosed, write_study
+from hydro_diagnosis.diagnose_many import write_study
 from hydro_diagnosis.trends import NEUTRAL, Series, series_of
-from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation import Segment
 
 DAYS = 365
 NUMBERS = {
@@ -174,70 +167,16 @@ def simulated(benches: int, seed: int, every: int, **where: Any) -> Table:
     return table
 
 
-GROWTH = 3e-14
-"""Of the recorded bench's leak [m3/s/Pa] by day from the middle of the history on."""
-RUNS = (Segment(seconds=5.0, waveform="multisine", amplitude=200.0, frequency=0.8, kp=60.0, ki=10.0),
-        Segment(seconds=5.0, waveform="sine", amplitude=250.0, frequency=0.5, kp=60.0, ki=10.0))  # fmt: skip
-
-
-def recorded_one(day: int, count: int, seed: int) -> dict[str, Any]:
-    """Rows of the diagnosis of one recording: the nominal bench with a leak and dry friction, 5 % from day to day."""
-    rng = np.random.default_rng([seed, day])
-    leak, force = 1e-13 * rng.normal(1.0, 0.05) + GROWTH * max(0, day - count // 2), 12.0 * rng.normal(1.0, 0.05)
-    effects = {"leakage_internal": {"coefficient": leak}, "friction_coulomb": {"force": force}}
-    states = record_offline(
-        truth_from_mapping({"profile": "nominal", "effects": effects}), RUNS, seed=seed + day
-    ).states
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "run.csv"
-        pd.DataFrame({"time": states["time"], **{name: states[name] for name in STATE_FIELDS}}).to_csv(
-            path, index=False
-        )
-        options = {"bench": None, "columns": None, "without": [], "estimate": [], "seconds": None}
-        return diagnosed(str(path), folder, options)
-
-
-def recorded(count: int, seed: int, study: Path, **where: Any) -> Table:
-    """What `trends` says of each number of such a bench, looked at every day."""
-    cases = {
-        f"{pd.Timestamp('2026-03-01') + pd.Timedelta(day, 'D'):%Y-%m-%d}": (day, count, seed) for day in range(count)
-    }
-    study.mkdir(parents=True, exist_ok=True)
-    kept = study / "found.jsonl"
-    write_study(study, jobs.complete(recorded_one, cases, **where, kept=kept, label="recordings", unit="recording"))
-    table = Table({"number": "", "named": "recordings", "alarms": f"days; the leak grows from day {count // 2} on",
-                   "told": "day of the last change", "first": "", "last": "95 % of it"})  # fmt: skip
-    for series in series_of(study, "%Y-%m-%d"):
-        zero, alarms, known, found = series.time[0], [], 0, None
-        for day in range(count):
-            seen = series.until(zero + day)
-            found = course(*seen.arrays)
-            if found and found.findings > known:
-                alarms.append(day)
-            known = found.findings if found else known
-        last = found.changes[-1] if found and found.changes else None
-        days = [one - zero for one in (last.time, last.earliest, last.latest)] if last else [None] * 3
-        table.add(number=series.name, named=len(series.time), alarms=", ".join(map(str, alarms)),
-                  **dict(zip(("told", "first", "last"), days, strict=True)))  # fmt: skip
-    return table
-
-
 @command(ValueError, OSError)
 def main() -> None:
-    """Draw or record, look, print the table."""
+    """Draw, look, print the table."""
     options = parser("trends", __doc__)
     options.add_argument("--benches", type=int, default=12, help="of each kind (default: 12)")
     options.add_argument("--every", type=int, default=3, metavar="DAYS", help="between looks (default: 3)")
-    options.add_argument("--recorded", type=int, metavar="N", help="recordings by the emulator, in place of tables")
-    options.add_argument("--write", type=Path, default=Path("study"), metavar="STUDY", help="folder of their tables")
     options.add_argument("--seed", type=int, default=1)
     jobs.add_arguments(options)
     asked = options.parse_args()
-    if asked.recorded:
-        table = recorded(asked.recorded, asked.seed, asked.write, **jobs.where(asked))
-    else:
-        table = simulated(asked.benches, asked.seed, asked.every, **jobs.where(asked))
-    table.show(asked.json)
+    simulated(asked.benches, asked.seed, asked.every, **jobs.where(asked)).show(asked.json)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") fo
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 RUN = re.compile(r"ros2 run (\w+) (\w+)")
 MAKE = re.compile(r"(?:^|`)\s*make ([a-z][a-z-]*)", re.MULTILINE)
-MODULE = re.compile(r"python -m ((?:benchmarks|demo|tests)[\w.]*)(?: (\w+))?")
+MODULE = re.compile(r"python -m ((?:benchmarks|demo|tests)[\w.]*)")
 PAGE_NAME = re.compile(r"(?<![\w./-])((?:docs/[\w/-]+/)?[a-z][\w-]*)\.md\b")
 
 
@@ -73,8 +73,7 @@ def test_commands_and_modules_exist() -> None:
             if name not in generate_reference.executables(package):
                 unknown.append(where(path, f"{package} {name}"))
         unknown += [where(path, f"make {target}") for target in MAKE.findall(text) if target not in targets()]
-        for module, argument in MODULE.findall(text):
-            name = f"{module}.{argument}" if module == "benchmarks" and argument else module
+        for name in MODULE.findall(text):
             place = ROOT / name.replace(".", "/")
             if not place.with_suffix(".py").exists() and not (place / "__main__.py").exists():
                 unknown.append(where(path, name))

@@ -24,37 +24,34 @@ from benchmarks._report import parser
 from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded
 from benchmarks.beyond_the_table.kinds import HALVES, NAMES
 from benchmarks.beyond_the_table.score import scored, table
-from hydro_bridge.cli.console import UserError, command, progress, writable_folder
+from hydro_bridge.cli.console import UserError, command, number, progress, writable_folder
 
 
 @command()
 def main() -> None:
     """Run what is asked for and print the table."""
     options = parser("beyond_the_table", __doc__)
-    options.add_argument("--cases", type=int, default=10, metavar="N", help="how many (default: 10)")
-    options.add_argument("--seed", type=int, default=1, metavar="S", help="that they are drawn from (default: 1)")
+    options.add_argument("--cases", type=number(1), default=10, metavar="N", help="how many (default: 10)")
+    options.add_argument("--seed", type=number(0), default=1, metavar="S", help="that they are drawn from (default: 1)")
     options.add_argument("--half", choices=HALVES, default="dev", help="of the kinds (default: dev)")
     options.add_argument("--kinds", nargs="+", choices=NAMES, metavar="KIND", help=f"of: {', '.join(NAMES)}")
     options.add_argument("--out", type=writable_folder, default=Path("runs/beyond_the_table"), metavar="DIR",
                          help="where reports go (default: runs/beyond_the_table)")  # fmt: skip
-    options.add_argument("--again", action="store_true", help="diagnose cases again that are done")
     asked = options.parse_args()
-    if asked.cases < 1 or asked.seed < 0:
-        raise UserError("--cases must be at least 1, --seed at least 0")
     cases = drawn(asked.half, asked.cases, asked.seed, asked.kinds)
     if not cases:
         raise UserError(f"none of {', '.join(asked.kinds)} is of the half {asked.half}")
     rows = []
     for case in (bar := progress(cases, label="beyond the table", unit="case")):
         bar.set_postfix_str(case.name)
-        rows.append(scored(case, carried_out(case, asked.out / str(asked.seed) / case.name, again=asked.again)))
+        rows.append(scored(case, carried_out(case, asked.out / str(asked.seed) / case.name)))
     table(rows).show(asked.json)
 
 
-def carried_out(case: Case, folder: Path, *, seconds: float = SECONDS, again: bool = False) -> dict[str, Any]:
+def carried_out(case: Case, folder: Path, *, seconds: float = SECONDS) -> dict[str, Any]:
     """Record and diagnose a case, or take what is there: `report` (null where it was refused), `said`, `cpu` [s]."""
     kept = folder / "result.json"
-    if kept.exists() and not again:
+    if kept.exists():
         return dict(json.loads(kept.read_text(encoding="utf-8")))
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -14,21 +14,22 @@ import hashlib
 import json
 import subprocess
 import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from benchmarks.prove import pictures
 from benchmarks.prove.cases import PARTS, Case, draw, draw_parts
 from benchmarks.prove.scores import Result, confusion, failures, standards
 from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import UserError, add_json_argument, command, number, writable_folder
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, number, writable_folder
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_sim.model.bench import Bench
+from hydro_sim.plotting import figure
 
 ANSWERS, DIGEST = "answers.json", "answers.sha256"
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,44 +77,32 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--seed", type=number(0), required=True, metavar="S", help="of everything that is drawn")
     options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
     jobs.add_arguments(options)
-    options.add_argument("--minutes", type=float, default=float("inf"),
-                         help="begin no new case after so long; the same command goes on later")  # fmt: skip
-    options.add_argument("--again", action="store_true",
-                         help="diagnose again what another version of the diagnosis answered")  # fmt: skip
     add_json_argument(options)
     return options
 
 
-def run(arguments: Sequence[str]) -> int:
-    """Prove; 0 when cases are scored, 3 when time was up before."""
+def run(arguments: Sequence[str]) -> None:
+    """Prove."""
     chosen = parser().parse_args(arguments)
     from benchmarks.prove.blind import ANSWER
 
     cases = _drawn(chosen)
-    until = time.monotonic() + 60.0 * chosen.minutes
     folder = writable_folder(chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}").absolute()
     digest = seal(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
-    recorded = _record(cases, folder / BLIND, chosen, until)
-    if chosen.again:
-        _forget_other_versions(folder)
-    finished = recorded and _diagnose(folder / BLIND, until, **jobs.where(chosen))
-    if not finished:
-        done = sum((folder / BLIND / case.name / ANSWER).exists() for case in cases)
-        print(f"time is up: {done} of {len(cases)} cases are diagnosed; the same command goes on")
-        return 3
+    _record(cases, folder / BLIND, **jobs.where(chosen))
+    _diagnose(folder / BLIND, **jobs.where(chosen))
     answers = unseal(folder / SEALED, digest)
     print("opened: the answers are those that were sealed")
     said = [json.loads((folder / BLIND / case.name / ANSWER).read_text()) for case in answers]
     results = [Result(case=case, answer=one) for case, one in zip(answers, said, strict=True)]
     _show(results, folder, {"seed": str(chosen.seed), "cases": str(len(cases)), "SHA-256": digest}, chosen.json)
-    return 0
 
 
 @command(OSError)
-def main() -> int:
-    """Entry point; 2 for words that cannot be used, 3 when time was up, 130 after Ctrl-C."""
-    return run(sys.argv[1:])
+def main() -> None:
+    """Entry point."""
+    run(sys.argv[1:])
 
 
 def _drawn(chosen: argparse.Namespace) -> list[Case]:
@@ -126,28 +115,28 @@ def _drawn(chosen: argparse.Namespace) -> list[Case]:
     return draw_parts({kind: int(count) for kind, count in parts.items()}, chosen.seed)
 
 
-def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
-    """Record all cases; False if time was up."""
+def _record(cases: Sequence[Case], folder: Path, **where: Any) -> None:
+    """Record all cases."""
     from benchmarks.prove.recording import record
 
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "bench.yaml").exists():
         believed = yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False)
         (folder / "bench.yaml").write_text(believed, encoding="utf-8")
-    return record(cases, folder, until, **jobs.where(chosen))
+    record(cases, folder, **where)
 
 
 SLICE = 4
 """Cases that one process diagnoses: a blindfold is not taken off again."""
 
 
-def _diagnose(folder: Path, until: float, **where: Any) -> bool:
-    """Have all cases diagnosed in processes of their own; False if time was up."""
+def _diagnose(folder: Path, **where: Any) -> None:
+    """Have all cases diagnosed in processes of their own that this version of the diagnosis has not answered."""
     from benchmarks.prove.blind import waiting
 
     left = waiting(folder)
     slices = {left[at].name: (left[at : at + SLICE],) for at in range(0, len(left), SLICE)}
-    return len(jobs.complete(_blindly, slices, **where, until=until, label="diagnosing", unit="slice")) == len(slices)
+    jobs.complete(_blindly, slices, **where, label="diagnosing", unit="slice")
 
 
 def _blindly(cases: Sequence[Path]) -> None:
@@ -157,33 +146,18 @@ def _blindly(cases: Sequence[Path]) -> None:
         raise UserError(done.stderr.strip() or f"the diagnosis ended with status {done.returncode}")
 
 
-def _forget_other_versions(folder: Path) -> None:
-    """Remove what another version of the diagnosis answered."""
-    from benchmarks.prove.blind import ANSWER, ENGINE
-
-    for answer in (folder / BLIND).glob(f"*/{ANSWER}"):
-        if json.loads(answer.read_text())["engine"] != ENGINE:
-            answer.unlink()
-
-
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
-    """Print the table; write proof.json, the pictures and proof.html."""
-    from benchmarks.prove.blind import ENGINE
-
-    engines = sorted({str(result.answer["engine"]) for result in results})
-    about = {**about, "engine": ", ".join(engines)}
+    """Print the table; write proof.json, the picture and proof.html."""
+    about = {**about, "engine": ", ".join(sorted({str(result.answer["engine"]) for result in results}))}
     table, failed = standards(results), failures(results)
     table.show(json_file)
-    drawn = pictures.draw(results, folder)
-    pictures.write_page(folder / "proof.html", table, drawn, failed, about)
+    matrix, picture = confusion(results), folder / "confusion.png"
+    draw_confusion(matrix, picture)
+    write_page(folder / "proof.html", table, picture, failed, about)
     refresh_index(folder)
-    content = {"about": about, "standards": table.rows, "confusion": confusion(results), "failures": failed,
-               "floors": pictures.floors(results), "cases": [_row(result) for result in results]}  # fmt: skip
+    content = {"about": about, "standards": table.rows, "confusion": matrix, "failures": failed,
+               "cases": [_row(result) for result in results]}  # fmt: skip
     write_whole(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
-    if engines != [ENGINE]:
-        others = ", ".join(other for other in engines if other != ENGINE)
-        print(f"warning: cases were diagnosed by another version ({others}): --again diagnoses them again",
-              file=sys.stderr)  # fmt: skip
     print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")
 
 
@@ -194,10 +168,67 @@ def _row(result: Result) -> dict[str, Any]:
         "case": case.name, "kind": case.kind, "label": case.label, "noise": case.noise, "size": case.size,
         "truth": {**case.effects, **case.outside}, "verdict": result.verdict, "claimed": result.claimed,
         "passed": result.passed, "located": result.located, "places": result.places,
-        "held_out": result.held_out, "worst_channel": result.worst_channel(),
+        "held_out": result.held_out,
         "estimates": [{**vars(one), "error": one.error} for one in result.estimates],
         "wall": result.answer["wall"], "cpu": result.answer["cpu"],
     }  # fmt: skip
+
+
+_CAPTION = "What was said about each cause that was concealed alone; numbers are cases, blue is their share."
+
+
+def write_page(
+    path: Path, table: Table, picture: Path, failed: Sequence[Mapping[str, Any]], about: Mapping[str, str]
+) -> None:
+    """Write the page; `picture`: of `draw_confusion`, `about`: facts on the run, by name."""
+    cases = Table(dict.fromkeys(("case", "kind", "concealed", "verdict", "claimed"), ""), title="Failures")
+    for one in failed:
+        cases.add(case=one["case"], kind=one["kind"], concealed=_flat(one["truth"]), verdict=one["verdict"],
+                  claimed=f"{_flat(one['claimed'])} {one['why']}")  # fmt: skip
+    shown = [
+        Section(heading="Standards", table=table),
+        Section(heading="confusion", text=_CAPTION, picture=picture),
+        Section(heading="Failures", table=cases) if failed else Section(heading="Failures", text="None."),
+    ]
+    write_whole(path, results_page("Proof on sealed cases", about, shown).encode())
+
+
+def _flat(data: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(_rounded(data), default_flow_style=True, width=10**6).strip() if data else ""
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _rounded(one) for key, one in value.items()}
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+_VERDICTS = ("no_mismatch", "unknown", "partly_explained", "modelled", "explained", "refused")
+
+
+def draw_confusion(matrix: dict[str, dict[str, int]], path: Path) -> None:
+    """Confusion matrix. Rows: concealed causes; columns: claimed ones."""
+    rows = sorted(matrix, key=lambda name: (name == "nothing", name))
+    said = {name for counts in matrix.values() for name in counts}
+    columns = [name for name in rows if name in said] + sorted(said - set(rows) - set(_VERDICTS))
+    columns += [name for name in _VERDICTS if name in said]
+    share = np.array([[matrix[row].get(column, 0) / sum(matrix[row].values()) for column in columns] for row in rows])
+    size = (1.8 + 0.22 * len(columns), 1.6 + 0.2 * len(rows))
+    with figure(path, size=size) as (_, (axis,)):
+        axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+        axis.grid(visible=False)
+        axis.set_xticks(range(len(columns)), [_words(name) for name in columns], rotation=90, fontsize=7)
+        axis.set_yticks(range(len(rows)), [_words(name) for name in rows], fontsize=7)
+        for i, row in enumerate(rows):
+            for j, column in enumerate(columns):
+                if matrix[row].get(column):
+                    axis.text(j, i, matrix[row][column], ha="center", va="center", fontsize=6,
+                              color="white" if share[i, j] > 0.6 else "black")  # fmt: skip
+        axis.set(xlabel="said", ylabel="concealed, alone")
+
+
+def _words(name: Any) -> str:
+    return str(name).replace("_", " ")
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ LIMIT = 300
 
 def diagnosed(case: Path) -> None:
     """Diagnose one case and write its answer.json: report, refused (a sentence or null), wall and cpu [s], engine."""
-    if (case / ANSWER).exists():  # another one was here in the meantime
+    if answered(case):  # another one was here in the meantime
         return
     guard(case.parent.parent, case.parent)
     begun, cpu = time.monotonic(), time.process_time()
@@ -107,9 +107,15 @@ def _too_long(number: int, frame: FrameType | None) -> None:
     raise InputError(f"no answer after {LIMIT} s of CPU")
 
 
+def answered(case: Path) -> bool:
+    """Whether this version of the diagnosis has answered a case."""
+    answer = case / ANSWER
+    return answer.exists() and bool(json.loads(answer.read_text())["engine"] == ENGINE)
+
+
 def waiting(folder: Path) -> list[Path]:
-    """Cases whose recordings are whole and that have no answer yet."""
-    return [case for case in sorted(folder.glob("case-*")) if not (case / ANSWER).exists() and not missing(case)]
+    """Cases whose recordings are whole and that this version has not answered yet."""
+    return [case for case in sorted(folder.glob("case-*")) if not answered(case) and not missing(case)]
 
 
 @command(OSError)

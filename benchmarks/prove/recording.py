@@ -81,16 +81,10 @@ def usable(bag: Path) -> bool:
     return recording.seconds >= USED * 1e-3 * len(flags)
 
 
-def record(cases: Sequence[Case], folder: Path, until: float, **where: Any) -> bool:
-    """Record the missing runs of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side.
-
-    Returns
-    -------
-    False if `until`, a time of `time.monotonic`, came before the end.
-    """
+def record(cases: Sequence[Case], folder: Path, **where: Any) -> None:
+    """Record the missing runs of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side."""
     left = {case.name: (case, folder / case.name) for case in cases if missing(folder / case.name)}
-    done = jobs.complete(_record, left, **where, until=until, label="recording", unit="case")
-    return len(done) == len(left)
+    jobs.complete(_record, left, **where, label="recording", unit="case")
 
 
 def _record(case: Case, folder: Path) -> None:

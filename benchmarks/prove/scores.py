@@ -60,10 +60,6 @@ _IDS = {
 }  # fmt: skip
 SHARE = 0.1
 """Share of the mismatch below which a place does not count against the location."""
-_BY_RATIO = ("valve_gain", "valve_gain_asymmetry", "bulk_modulus", "load_cell_gain", "spring_stiffness",
-             "supply_pressure", "piston_area", "area_ratio", "dead_volume")  # fmt: skip
-_NEUTRAL = {**{(cause, "ratio"): 1.0 for cause in _BY_RATIO}, ("spring_rest", "position"): 0.04}
-"""Neutral values other than 0."""
 
 
 def equations(cause: str) -> set[str]:
@@ -86,11 +82,6 @@ class Estimate:
     def error(self) -> float:
         """Error relative to the true value."""
         return abs(self.value - self.truth) / abs(self.truth)
-
-    @property
-    def error_of_size(self) -> float:
-        """Error relative to the true value's distance from neutral: for a ratio of 1.05, relative to 0.05."""
-        return abs(self.value - self.truth) / abs(self.truth - _NEUTRAL.get((self.cause, self.name), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,29 +177,17 @@ class Result:
     @property
     def held_out(self) -> float | None:
         """Held-out error over the noise floor, root mean square over channels; infinite where it diverges."""
-        return None if self.refused else _over(self.answer["report"]["fit"]["holdout"])
-
-    def worst_channel(self) -> str:
-        """Channel whose held-out error is largest over its noise floor."""
-        ratios = _ratios({} if self.refused else self.answer["report"]["fit"]["holdout"])
-        return max(ratios, key=lambda name: ratios[name]) if ratios else ""
+        channels = {} if self.refused else self.answer["report"]["fit"]["holdout"]
+        ratios = [
+            float("inf") if one["rmse_after"] is None else one["rmse_after"] / one["noise_floor"]
+            for one in channels.values()
+            if one["noise_floor"]
+        ]
+        return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 
 def _place(options: Mapping[str, str]) -> str:
     return next((options[key] for key in PLACES if key in options), "")
-
-
-def _over(channels: Mapping[str, Any]) -> float | None:
-    ratios = list(_ratios(channels).values())
-    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
-
-
-def _ratios(channels: Mapping[str, Any]) -> dict[str, float]:
-    return {
-        name: float("inf") if one["rmse_after"] is None else one["rmse_after"] / one["noise_floor"]
-        for name, one in channels.items()
-        if one["noise_floor"]
-    }
 
 
 COLUMNS = {
@@ -284,9 +263,6 @@ def _numbers(table: Table, results: Sequence[Result]) -> None:
     middle, tail = np.percentile([one.error for one in estimates], [50, 95])
     _figure(table, "parameter error, median", "<= 0.5%", f"{middle:.2%}", len(estimates), middle <= 0.005)
     _figure(table, "parameter error, 95th percentile", "<= 3%", f"{tail:.2%}", len(estimates), tail <= 0.03)
-    middle, tail = np.percentile([one.error_of_size for one in estimates], [50, 95])
-    table.add(standard="the same over the effect's size (of a ratio of 1.05, over 0.05)", goal="", met="", wilson="",
-              reached=f"median {middle:.2%}, p95 {tail:.2%}", count=len(estimates))  # fmt: skip
     hits = sum(one.inside for one in estimates)
     share = hits / len(estimates)
     table.add(standard="95 % intervals that hold the truth", goal="92% to 98%", reached=f"{share:.1%}",

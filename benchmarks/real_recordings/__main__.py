@@ -3,7 +3,7 @@
 
     python -m benchmarks.real_recordings --fetch                  from the public repositories that rigs/*.yaml names
     python -m benchmarks.real_recordings --json FILE              all rigs whose files are in the data folder
-    python -m benchmarks.real_recordings emps lead_screw --leave-out
+    python -m benchmarks.real_recordings emps lead_screw
 
 Files lie in DATA/RIG/NAME. EMPS has to be put there by hand (nonlinearbenchmark.org).
 """
@@ -17,7 +17,6 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,8 +34,6 @@ from hydro_diagnosis.report_json import EffectReport
 
 RIGS = {path.stem: path for path in sorted((Path(__file__).parent / "rigs").glob("*.yaml"))}
 ORIGIN = "https://raw.githubusercontent.com/{repository}/{commit}/{path}"
-MOVED = 0.25
-"""Share of its value by which a claim may move when one recording is left out."""
 COLUMNS = {
     "rig": "",
     "verdict": "and a ! where the answer rules it out",
@@ -47,7 +44,6 @@ COLUMNS = {
     "missed": "causes that it holds and that were not named",
     "curve": "steady speeds at which the force that the claims make is within the tolerance",
     "left": "% of the error of the bench file alone that is left on what was held out, worst channel",
-    "moved": "claims that move by more than a quarter, or go, when a recording is left out",
     "cpu": "s of CPU",
     "work": "s of CPU as the budget counts them",
 }
@@ -70,9 +66,6 @@ class Score:
     claims: list[str] = field(default_factory=list)
     laws: list[str] = field(default_factory=list)
     """Terms without a name."""
-    left_out: int = 0
-    """Diagnoses that left one recording out."""
-    moved: list[str] = field(default_factory=list)
     cpu: float = 0.0
     work: float = 0.0
     note: str = ""
@@ -101,12 +94,12 @@ def _read(path: Path, how: Mapping[str, Any]) -> pd.DataFrame:
     return pd.DataFrame({name: one for name, one in columns.items() if np.size(one) in (1, rows)}, index=range(rows))
 
 
-def diagnosed(rig: Mapping[str, Any], folder: Path, without: str = "") -> Diagnosis:
-    """Diagnose the recordings in a folder, all or all but one of the fitted ones."""
+def diagnosed(rig: Mapping[str, Any], folder: Path) -> Diagnosis:
+    """Diagnose the recordings in a folder."""
     with tempfile.TemporaryDirectory() as scratch:
         made: dict[str, list[Path]] = {"fitted": [], "held_out": []}
         for role, paths in made.items():
-            files = [folder / Path(path).name for path in rig[role] if path != without]
+            files = [folder / Path(path).name for path in rig[role]]
             for number, group in enumerate([files] if rig.get("side_by_side") and files else [[one] for one in files]):
                 paths.append(Path(scratch) / f"{role}-{number}.csv")
                 recording(group, rig).to_csv(paths[-1], index=False)
@@ -168,18 +161,7 @@ def known_ids(answer: Mapping[str, Any]) -> set[str]:
     return {*answer["named"], *answer.get("numbers", {})}
 
 
-def moved(whole: Sequence[EffectReport], part: Sequence[EffectReport]) -> list[str]:
-    """Parameters that differ by more than `MOVED`, or are gone, where a recording was left out."""
-    others = {(one.id, key): two.value for one in part for key, two in one.parameters.items()}
-    return [
-        f"{one.id}.{key}"
-        for one in whole
-        for key, two in one.parameters.items()
-        if abs(others.get((one.id, key), 0.0) - two.value) > MOVED * abs(two.value)
-    ]
-
-
-def carried_out(name: str, folder: Path, *, leave_out: bool) -> Score:
+def carried_out(name: str, folder: Path) -> Score:
     """Diagnose one rig and score it."""
     rig = yaml.safe_load(RIGS[name].read_text())
     begun = time.process_time()
@@ -192,12 +174,6 @@ def carried_out(name: str, folder: Path, *, leave_out: bool) -> Score:
         return Score(name, verdict, verdict in rig["answer"]["verdict"], missed=missed, note=note, cpu=cpu)
     score = scored(name, rig, found)
     score.cpu, score.work = time.process_time() - begun, found.problem.budget.spent
-    if leave_out and len(rig["fitted"]) > 1 and not rig.get("side_by_side"):
-        for path in rig["fitted"]:
-            with suppress(InputError):
-                part = diagnosed(rig, folder, path).report.effects
-                score.moved += [one for one in moved(found.report.effects, part) if one not in score.moved]
-                score.left_out += 1
     return score
 
 
@@ -228,7 +204,6 @@ def main() -> None:
     options.add_argument("--data", type=Path, default=Path("runs/real_recordings"), metavar="FOLDER",
                          help="recordings (default: runs/real_recordings)")  # fmt: skip
     options.add_argument("--fetch", action="store_true", help="download them first")
-    options.add_argument("--leave-out", action="store_true", help="diagnose again without each fitted recording")
     chosen = options.parse_args()
     if unknown := set(chosen.rigs) - set(RIGS):
         raise UserError(f"no rig {min(unknown)!r}; there are {', '.join(RIGS)}")
@@ -237,14 +212,14 @@ def main() -> None:
         if not ready(name, chosen.data / name, fetch=chosen.fetch):
             print(f"{name}: skipped, its recordings are not in {chosen.data / name}")
             continue
-        score = carried_out(name, chosen.data / name, leave_out=chosen.leave_out)
+        score = carried_out(name, chosen.data / name)
         scores.append(asdict(score))
         add(table, score)
         if chosen.json:
             chosen.json.write_text(json.dumps({"scores": scores}, indent=2) + "\n")
     print(table.text())
     for one in scores:
-        for text in (*one["contradict"], *one["moved"], *([one["note"]] if one["note"] else [])):
+        for text in (*one["contradict"], *([one["note"]] if one["note"] else [])):
             print(f"{one['rig']}: {text}")
 
 
@@ -256,8 +231,7 @@ def add(table: Table, score: Score) -> None:
         claims=", ".join([*score.claims, *score.laws]) or "-", agree=len(score.agree), contradict=len(score.contradict),
         open=len(score.open), missed=len(score.missed),
         curve=f"{sum(right)}/{len(right)}" if right else "-",
-        left=max(score.left.values(), default=float("nan")), moved=len(score.moved) if score.left_out else "-",
-        cpu=score.cpu, work=score.work,
+        left=max(score.left.values(), default=float("nan")), cpu=score.cpu, work=score.work,
     )  # fmt: skip
 
 

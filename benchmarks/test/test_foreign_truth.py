@@ -26,12 +26,6 @@ def left_alone(bench: Numbers, seconds: float, velocity: float = 0.0) -> FloatAr
     return states
 
 
-def test_rest_stays_rest() -> None:
-    log = run(numbers(), np.zeros((50, 2)))
-    assert np.ptp(log[:, 6]) < 1e-13
-    assert np.abs(log[:, 8]).max() < 1e-9
-
-
 def test_undamped_mass_swings_at_the_frequency_of_oil_and_spring_and_keeps_its_energy() -> None:
     bench = numbers(viscous_friction=0.0)
     area, middle = bench.piston_area, bench.spring_rest_position

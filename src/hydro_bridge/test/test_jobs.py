@@ -65,13 +65,11 @@ def test_results_do_not_depend_on_how_many_compute_them() -> None:
     assert len({process for _, process in together.values()} - {os.getpid()}) == 2
 
 
-def test_finished_jobs_are_not_done_again_and_nothing_begins_once_time_is_up(tmp_path: Path) -> None:
+def test_finished_jobs_are_not_done_again(tmp_path: Path) -> None:
     kept = tmp_path / "rows"
     assert jobs.complete(pow, {"a": (2, 3), "b": (2, 4)}, kept=kept, at_once=1) == {"a": 8, "b": 16}
     assert jobs.complete(divmod, {"b": (1, 0), "a": (1, 0)}, kept=kept, at_once=1) == {"b": 16, "a": 8}
     assert jobs.complete(pow, {"a": (2, 3), "c": (3, 3)}, kept=kept, at_once=1) == {"a": 8, "c": 27}
-
-    assert jobs.complete(drawn, arguments(2), at_once=1, until=time.monotonic() - 1.0) == {}
 
 
 def test_poisoned_job_is_named_and_the_rest_is_done(capsys: pytest.CaptureFixture[str]) -> None:

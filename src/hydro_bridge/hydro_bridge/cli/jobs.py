@@ -15,12 +15,10 @@ import argparse
 import json
 import os
 import sys
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
 from logging import CRITICAL
-from math import inf
 from pathlib import Path
 from traceback import format_exception
 from typing import Any
@@ -66,7 +64,7 @@ def where(asked: argparse.Namespace) -> dict[str, Any]:
 
 def run(
     function: Callable[..., Any], arguments: Arguments, *, at_once: int = 0, scheduler: str | None = None,
-    kept: Path | None = None, until: float = inf, label: str = "jobs", unit: str = "job",
+    kept: Path | None = None, label: str = "jobs", unit: str = "job",
 ) -> Iterator[tuple[str, Any]]:  # fmt: skip
     """Yield the name of each job and what `function(*arguments[name])` returns, as they come.
 
@@ -78,8 +76,6 @@ def run(
         Address of a Dask scheduler, whose workers compute in their place.
     kept
         File of results, a line of JSON each: what it has is not computed again, what comes is added.
-    until
-        Time of `time.monotonic` after which no job begins.
 
     Raises
     ------
@@ -91,7 +87,7 @@ def run(
     yield from ((name, found[name]) for name in arguments if name in found)
     at_once = min(at_once or len(os.sched_getaffinity(0)), len(missing))
     alone = not missing or (at_once == 1 and scheduler is None)
-    results = _here(function, missing, until) if alone else _side_by_side(function, missing, until, at_once, scheduler)
+    results = _here(function, missing) if alone else _side_by_side(function, missing, at_once, scheduler)
     errors: dict[str, Exception] = {}
     bar: tqdm[Any] = progress(total=len(missing), label=label, unit=unit, every=60.0, delay=60.0)
     with closing(results), bar:
@@ -112,7 +108,7 @@ def run(
 def complete(function: Callable[..., Any], arguments: Arguments, **how: Any) -> dict[str, Any]:
     """Return the results of `run` by name, in the order of the names."""
     found = dict(run(function, arguments, **how))
-    return {name: found[name] for name in arguments if name in found}
+    return {name: found[name] for name in arguments}
 
 
 def _found(kept: Path) -> dict[str, Any]:
@@ -124,10 +120,8 @@ def _found(kept: Path) -> dict[str, Any]:
     return {entry["key"]: entry["value"] for entry in map(json.loads, whole.splitlines())}
 
 
-def _here(function: Callable[..., Any], missing: Arguments, until: float) -> Results:
+def _here(function: Callable[..., Any], missing: Arguments) -> Results:
     for name, values in missing.items():
-        if time.monotonic() > until:
-            return
         try:
             value = function(*values)
         except Exception as error:
@@ -136,9 +130,7 @@ def _here(function: Callable[..., Any], missing: Arguments, until: float) -> Res
             yield name, value, None
 
 
-def _side_by_side(
-    function: Callable[..., Any], missing: Arguments, until: float, at_once: int, scheduler: str | None
-) -> Results:
+def _side_by_side(function: Callable[..., Any], missing: Arguments, at_once: int, scheduler: str | None) -> Results:
     """A worker has one job at a time: if it is killed, it was by that one."""
     import dask
     from distributed import CancelledError, Client, KilledWorker, LocalCluster, as_completed
@@ -157,7 +149,7 @@ def _side_by_side(
         waiting, deaths, done = deque(missing), Counter[str](), as_completed()
 
         def send() -> None:
-            while waiting and len(sent) < max(1, sum(client.nthreads().values())) and time.monotonic() <= until:
+            while waiting and len(sent) < max(1, sum(client.nthreads().values())):
                 future = client.submit(function, *missing[waiting[0]], pure=False)
                 sent[future.key] = waiting.popleft()
                 done.add(future)
