@@ -38,7 +38,7 @@ SETTINGS: dict[str, tuple[tuple[str, str], ...]] = {
         ("task.", "hydro_policy.task.mdp.TaskSettings"),
         ("task.gains.", "hydro_policy.task.mdp.GainRange"),
         ("sac.", "hydro_policy.sac.settings.SacSettings"),
-        ("exam.", "hydro_policy.evaluation.policy_examination.ExamSettings"),
+        ("exam.", "hydro_policy.task.cases.ExamSettings"),
         ("monitor.", "hydro_policy.supervision.monitor.MonitorSettings"),
     ),
 }

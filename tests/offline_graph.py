@@ -29,7 +29,7 @@ from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.algorithm import Losses
 from hydro_policy.sac.snapshot import dump
-from hydro_policy.supervision.interfaces import Outputs, Session
+from hydro_policy.supervision.plant_supervisor import Outputs, Session
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant

@@ -23,7 +23,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
 from hydro_policy.nodes.commissioning import NAMES, Site, comparison
-from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_box
+from hydro_policy.nodes.evaluation import box_mismatch, expected_box
 from hydro_policy.nodes.startup.options import take_site
 from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench

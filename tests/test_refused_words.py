@@ -31,7 +31,7 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_filter.metric import shipped as shipped_metric
 from hydro_msgs.msg import BoxInfo
-from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
+from hydro_policy.nodes.evaluation import require_matching_agent, require_matching_policy
 from hydro_policy.nodes.startup.companions import requested_filter
 from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent

@@ -18,12 +18,11 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings
-from hydro_policy.evaluation.policy_examination import EXAMINED, significantly_better
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.algorithm import Losses, Sac
 from hydro_policy.sac.snapshot import actor_parameters, dump
-from hydro_policy.sessions.run_state import Progress, RunState
+from hydro_policy.sessions.run_state import EXAMINED, Progress, RunState, significantly_better
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings, Score, Trace, score
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS

@@ -15,13 +15,13 @@ from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.evaluation.policy_examination import LEAD
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.run_state import LEAD
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride

@@ -121,16 +121,7 @@ class EvaluationSession:
     @property
     def seconds(self) -> float:
         """Bench time of all runs, s."""
-        return self._length(len(self.plan))
-
-    @property
-    def seconds_done(self) -> float:
-        """Bench time of the scored runs, s."""
-        return self._length(len(self.scores))
-
-    def _length(self, runs: int) -> float:
-        """Bench time of the first so many runs, s."""
-        return sum(self.settings.length(case) + self._more(k) for k, (_, case, _) in enumerate(self.plan[:runs]))
+        return sum(self.settings.length(case) + self._more(k) for k, (_, case, _) in enumerate(self.plan))
 
     def _more(self, index: int) -> float:
         """By how much a run settles longer, s."""

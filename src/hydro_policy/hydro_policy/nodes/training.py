@@ -31,22 +31,20 @@ from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluation import (
+    box_mismatch,
     conditions,
     evaluate_on,
+    expected_box,
     remove_rejected,
+    require_matching_agent,
+    require_same_box,
     search_on,
     show_results,
+    training_provenance,
     write_page,
 )
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrainingProgress
-from hydro_policy.nodes.startup.box_expectation import (
-    box_mismatch,
-    expected_box,
-    require_matching_agent,
-    require_same_box,
-    training_provenance,
-)
 from hydro_policy.nodes.startup.companions import (
     LOAD_FORCE,
     describe_policy,

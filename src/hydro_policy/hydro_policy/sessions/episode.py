@@ -15,7 +15,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
-from hydro_policy.supervision.interfaces import Outputs
+from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, Step, observe
 
 SETTLING_STEPS = 50

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State of a training run: progress, record of events, and which agents are candidate, good and best.
+"""State of a training run: progress, record of events, verdicts, and which agents are candidate, good and best.
 
 A failing policy is replaced by the last one that passed an examination::
 
@@ -12,15 +12,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import NormalDist
 from typing import Any
 
+import numpy as np
+
 from hydro_bridge.signals import FloatArray
-from hydro_policy.evaluation import policy_examination
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import EpisodeRecord
-from hydro_policy.task.cases import Score
+from hydro_policy.task.cases import ExamSettings, Score
+
+CHANCE = 0.025
+"""Probability that a score passes for better by chance, over the comparisons of the run so far (Bonferroni)."""
+
+LEAD = 16.0
+"""s that a policy, or the fixed gains, act before the first sine of an examination that follows no episode.
+
+What arming or other gains leave in the box's integral fades with K_p / K_i, which is 6 s for (90, 15) and up to 18 s.
+"""
+
+EXAMINED = "policy"
+"""Name of the policy in an examination's scores."""
 
 
 @dataclass
@@ -119,17 +133,18 @@ class RunState:
         The first one is that of the initial policy: the run returns it, or one that is better by more than noise.
         """
         progress, settings = self.progress, self.settings.exam
-        progress.reference_rmse = progress.reference_rmse or policy_examination.reference_rmse(settings, scores)
-        verdict = policy_examination.verdict(scores, progress.reference_rmse)
-        errors = [*(exam.get("error", 0.0) for exam in progress.exams), verdict.error]
-        kept = next((exam.get("error", 0.0) for exam in reversed(progress.exams) if exam["best"]), 0.0)
-        best = policy_examination.significantly_better(verdict.score, progress.best_score, errors, kept)
+        progress.reference_rmse = progress.reference_rmse or reference_rmse(settings, scores)
+        rmse, score, error = verdict(scores, progress.reference_rmse)
+        beaten = sum(own < fixed for own, fixed in zip(rmse, progress.reference_rmse, strict=True))
+        errors = [*(exam["error"] for exam in progress.exams), error]
+        kept = next((exam["error"] for exam in reversed(progress.exams) if exam["best"]), 0.0)
+        best = significantly_better(score, progress.best_score, errors, kept)
         self.accept(best)
-        progress.examined, progress.best_score = progress.episode, verdict.score if best else progress.best_score
-        if progress.passed_at < 0 and verdict.beaten == len(verdict.rmse):
+        progress.examined, progress.best_score = progress.episode, score if best else progress.best_score
+        if progress.passed_at < 0 and beaten == len(rmse):
             progress.passed_at = progress.episode
-        result = {"episode": progress.episode, "policy": digest, "rmse": verdict.rmse, "beaten": verdict.beaten}
-        progress.exams.append({**result, "score": verdict.score, "error": verdict.error, "best": best})
+        result = {"episode": progress.episode, "policy": digest, "rmse": rmse, "beaten": beaten}
+        progress.exams.append({**result, "score": score, "error": error, "best": best})
         self.record.add("exam", **progress.exams[-1], reference_rmse=progress.reference_rmse)
         return best
 
@@ -183,3 +198,50 @@ class RunState:
         if self._good is not None:
             self.learner.roll_back()
         return self.good
+
+
+def significantly_better(score: float, best: float, errors: Sequence[float], best_error: float = 0.0) -> bool:
+    """Return whether a score is below the best one by more than the noise of both.
+
+    `errors`: standard errors of all scores of the run, this one's last. Two runs of a sine alone give a poor estimate
+    of their scatter: the root of the mean square of all of them counts where a score's own is smaller. For a score of
+    single runs it is 0: unknown. `best_error`: that of the best score.
+    """
+    known = [error for error in errors if error > 0.0]
+    pooled = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
+    noise = math.hypot(max(errors[-1], pooled), max(best_error, pooled))
+    return score < best - NormalDist().inv_cdf(1.0 - CHANCE / max(len(errors) - 1, 1)) * noise
+
+
+def stop_reason(scores: Sequence[Score]) -> str:
+    """Return why the policy was stopped; empty if it was not."""
+    return next((score.stopped for score in scores if score.controller == EXAMINED and score.stopped), "")
+
+
+def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[float]:
+    """Return the force RMSE [N] of the fixed gains; runs that had to be stopped count as no tracking at all."""
+    nothing = settings.evaluation.amplitude / math.sqrt(2.0)
+    return [
+        float(np.mean([nothing if score.stopped else score.rmse for score in runs]))
+        for runs in _by_case([score for score in scores if score.controller != EXAMINED])
+    ]
+
+
+def verdict(scores: Sequence[Score], reference: Sequence[float]) -> tuple[list[float], float, float]:
+    """Return the policy's force RMSE at each sine [N], mean over the repeats; its score; the score's standard error.
+
+    The score is the mean of its ratios to `reference`, the RMSE of the fixed gains [N]: below 1 the policy beats them
+    on average. Its error is by the scatter of repeats, 0 without; that of the reference is common to a run.
+    """
+    runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == EXAMINED])]
+    rmse = [float(np.mean(one)) for one in runs]
+    ratios = [own / other for own, other in zip(rmse, reference, strict=True)]
+    repeated = [(one, other) for one, other in zip(runs, reference, strict=True) if len(one) > 1]
+    errors = [float(np.std(one, ddof=1)) / math.sqrt(len(one)) / other for one, other in repeated]
+    return rmse, math.fsum(ratios) / len(ratios), math.hypot(*errors) / len(ratios)
+
+
+def _by_case(scores: Sequence[Score]) -> list[list[Score]]:
+    """Return the runs of each sine, sines in order of first occurrence."""
+    names = dict.fromkeys(score.case for score in scores)
+    return [[score for score in scores if score.case == name] for name in names]

@@ -16,13 +16,12 @@ from dataclasses import asdict
 from typing import Any
 
 from hydro_bridge.signals import FAULTS, Flag, FloatArray
-from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
-from hydro_policy.sessions.run_state import Progress, RunState
+from hydro_policy.sessions.run_state import EXAMINED, LEAD, Progress, RunState, stop_reason
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.mdp import Step, StepClock
@@ -191,17 +190,17 @@ class TrainingSession:
         if parameters is not None:
             self.policy.load_flat(parameters)
         settings, gains = self.settings.exam, self.settings.task.gains
-        controllers: list[Controller] = [PolicyController(self.policy, gains, policy_examination.EXAMINED)]
+        controllers: list[Controller] = [PolicyController(self.policy, gains, EXAMINED)]
         if reference_too := not self.progress.reference_rmse:
             controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, self.override.base))
-        lead = policy_examination.LEAD if self._fresh or reference_too else 0.0
+        lead = LEAD if self._fresh or reference_too else 0.0
         self.exam = EvaluationSession(settings.evaluation, controllers, self.watch, monitor=self.monitor, lead=lead)
         self.explorer.forget()
         self.phase = Phase.EVALUATING
 
     def _examine(self, running: EvaluationSession, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         acted = running.on_sample(sequence, sample, flags, now)
-        reason = policy_examination.stop_reason(running.scores)
+        reason = stop_reason(running.scores)
         if reason:
             self._stop(reason, sample)
         elif running.finished:

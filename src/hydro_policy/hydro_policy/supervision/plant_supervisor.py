@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the plant: present, armed and ready for a run; shared by training and evaluation.
+"""Supervision of the plant: present, armed and ready for a run; shared by sessions, whose interfaces are here, too.
 
 no state for 100 ms      lost: disarming is requested, so that a reconnected plant is not armed
 requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`); if found armed: disarmed
@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from hydro_bridge.files.site import ANEW
-from hydro_bridge.safety.arming import TOO_EARLY, Arming
+from hydro_bridge.safety.arming import TOO_EARLY, Arming, ArmingOutputs
 from hydro_bridge.safety.limits import NARROW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
-from hydro_bridge.signals import FAULTS, CorrectionStatus, Flag, ReferenceSignal
-from hydro_policy.supervision.interfaces import Outputs
+from hydro_bridge.signals import FAULTS, CorrectionStatus, Flag, FloatArray, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
 COMPILES = "loading takes some seconds, and a minute more after a change without `make setup`"
@@ -85,6 +85,31 @@ UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is
 HEARD_WITHIN = 1.0
 """s within which a filter that decides nothing has to be heard: the plant counts its corrections as stale."""
 CALM_AGAIN = "calm again: disarmed and armed again, so that the force law starts again"
+
+
+class Outputs(ArmingOutputs, Protocol):
+    """Outputs of a session to the graph. No call blocks."""
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+        """Publish gains [1/s], [1/s^2]."""
+
+    def command_law(self, command: LawCommand, step: int) -> None:
+        """Publish the force law to run; a plant of which none is asked runs the paper's."""
+
+    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        """Report a learning policy's result of `step`, once its gains are sent; see `PolicyStep.msg`.
+
+        Parameters
+        ----------
+        step
+            As given to `gains`.
+        mean
+            Gains of the mean action [1/s], [1/s^2].
+        reward
+            Reward of the previous step; NaN if there is none.
+        weights
+            Digest of the weights that acted.
+        """
 
 
 class PlantSupervisor:
@@ -271,3 +296,23 @@ class PlantSupervisor:
         if hint or self._told not in (None, condition):
             self.outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
         self._told = condition
+
+
+class Session(Protocol):
+    """Controls a plant: a `TrainingSession` or an `EvaluationSession`."""
+
+    watch: PlantSupervisor
+    override: GainOverride
+
+    @property
+    def finished(self) -> bool:
+        """Whether it needs no more samples."""
+
+    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        """Process a sample; returns True if gains were sent."""
+
+    def on_correction(self, after: float, status: int) -> None:
+        """Process the filter's result of a sample: M_c [1/s] under its correction, and the status."""
+
+    def on_tick(self, now: float) -> None:
+        """Handle a tick, some twenty times a second."""

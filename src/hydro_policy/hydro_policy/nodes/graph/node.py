@@ -49,9 +49,8 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.nodes.graph.announcements import Announcer, CompanionWatch
 from hydro_policy.nodes.graph.services import FreezeService, OverrideService
 from hydro_policy.supervision import plant_supervisor
-from hydro_policy.supervision.interfaces import Session
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor, Session
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
 
@@ -132,7 +131,7 @@ NICE = -15
 
 
 class GraphNode(Node):
-    """Moves messages between the graph and one session at a time; implements `supervision.interfaces.Outputs`.
+    """Moves messages between the graph and one session at a time; implements `supervision.plant_supervisor.Outputs`.
 
     It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
@@ -284,16 +283,16 @@ class GraphNode(Node):
         self._keys = typed_lines()
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        """See `hydro_policy.supervision.interfaces.Outputs`."""
+        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         self._gains = self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
 
     def command_law(self, command: LawCommand, step: int) -> None:
-        """See `hydro_policy.supervision.interfaces.Outputs`."""
+        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         self._commander.law(command, step)
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """See `hydro_policy.supervision.interfaces.Outputs`."""
+        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         if self._steps is None:
             return
         message = self._step
@@ -303,17 +302,17 @@ class GraphNode(Node):
         self._steps.publish(message)
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """See `hydro_policy.supervision.interfaces.Outputs`."""
+        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         self._commander.reference(signal)
 
     def arm(self, arm: bool) -> None:
-        """See `hydro_policy.supervision.interfaces.Outputs`."""
+        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         answer = self._commander.arm(arm)
         if answer is not None:
             answer.add_done_callback(self._on_arm_answer if arm else self._on_disarm_answer)
 
     def say(self, sentence: str, warning: bool = False) -> None:
-        """See `hydro_policy.supervision.interfaces.Outputs`."""
+        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         self.announcer.say(sentence, warning)
 
     def warn(self, sentence: str) -> None:

@@ -138,12 +138,12 @@ class EvaluationProgress:
     def __init__(self, session: EvaluationSession) -> None:
         self._session = session
         form = _BAR.replace("{elapsed}", "{elapsed}<{remaining}")
-        self._bar: tqdm[None] = progress(total=round(session.seconds), label="evaluating", bar_format=form)
+        self._bar: tqdm[None] = progress(total=len(session.plan), label="evaluating", bar_format=form)
 
     def tick(self) -> None:
         """Redraw."""
         session = self._session
-        self._bar.n = round(session.seconds_done)
+        self._bar.n = len(session.scores)
         if not session.finished:
             _, case, controller = session.plan[len(session.scores)]
             state = "" if (now := session.watch.summary) == "armed" else f" ({now})"

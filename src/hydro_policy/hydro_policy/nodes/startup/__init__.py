@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Preparation of a session: command-line options, the selected plant and box, companion processes, width of the guard.
+"""Preparation of a session: command-line options, the selected plant, companion processes, width of the guard.
 
 May import `graph`.
 """
