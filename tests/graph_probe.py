@@ -6,12 +6,12 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -126,23 +126,25 @@ class Probe:
 
 
 class Trainer:
-    """A trainer with its companions, in a process group of its own; `text` is what it has printed.
+    """A trainer with its companions, in a process group of its own.
 
     `stdin`: the descriptor that it reads; none by default.
     """
 
     def __init__(self, *words: str, stdin: int = subprocess.DEVNULL) -> None:
+        self._said = os.memfd_create("said")
         self.process = subprocess.Popen(
             [str(executable_path("hydro_policy", "trainer")), *words],
             stdin=stdin,
-            stdout=subprocess.PIPE,
+            stdout=self._said,
             stderr=subprocess.STDOUT,
-            text=True,
             start_new_session=True,
         )
-        self.text = ""
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+
+    @property
+    def text(self) -> str:
+        """What it has printed."""
+        return os.pread(self._said, 1 << 24, 0).decode(errors="replace")
 
     def child(self, word: str) -> int:
         """Process id of the one child whose command line holds `word`."""
@@ -153,19 +155,7 @@ class Trainer:
     def end(self, number: int = signal.SIGINT, timeout: float = 40.0) -> int:
         """Send a signal, and wait for the exit status."""
         self.process.send_signal(number)
-        status = self.process.wait(timeout)
-        self._reader.join(5.0)
-        return status
-
-    def close(self) -> None:
-        """After its end: take what it still had to say."""
-        self._reader.join(5.0)
-        self.process.stdout.close()
-
-    def _read(self) -> None:
-        for line in self.process.stdout:
-            print(line, end="")
-            self.text += line
+        return self.process.wait(timeout)
 
 
 @contextmanager
@@ -179,7 +169,7 @@ def trainer(*words: str, stdin: int = subprocess.DEVNULL) -> Iterator[Trainer]:
         with suppress(subprocess.TimeoutExpired):
             run.process.wait(30.0)
         run.process.kill()
-        run.close()
+        print(run.text)
 
 
 def _children(pid: int) -> list[int]:
@@ -191,19 +181,10 @@ def _command_line(pid: int) -> str:
     return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
 
 
-@contextmanager
-def own_domain() -> Iterator[None]:
+def own_domain() -> AbstractContextManager[Any]:
     """A ROS domain that no other test of this machine is likely to use, on this machine only.
 
     Domains above 101 use ports that the kernel hands out to anybody.
     """
-    before = {name: os.environ.get(name) for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-    os.environ |= {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name)
-            else:
-                os.environ[name] = value
+    domain = str(1 + os.getpid() % 100)
+    return patch.dict(os.environ, {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})

@@ -223,7 +223,6 @@ def test_a_closed_terminal_ends_a_training_as_ctrl_c_does(training: Training) ->
     probe.wait(lambda: bool(probe.heard[STATE]) and not probe.flags() & Flag.ARMED, 10.0)
     assert training.disarmed_after(moment) < 1.0
     assert process.process.wait(40.0) == 130
-    process.close()
     assert f"--resume {training.run.path}" in process.text and "Traceback" not in process.text
     checkpoint = training.checkpoint()
     assert checkpoint.produced >= sum(episode["whole_steps"] for episode in checkpoint.trainer["progress"]["history"])

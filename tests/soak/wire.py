@@ -1,32 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """The serial line with a stranger on it: whole frames pass both ways, and hostile bytes come between them.
 
-python -m tests.soak.wire BOX BRIDGE TRACE SEED
-
-Orders come on standard input, one a line::
+Orders, to a process of its own::
 
     hostile N    so many hostile bytes a millisecond each way, on average, from now on
     replay N     so many old frames each way, at once
     mute N       nothing of the host's reaches the box for so many seconds
     unplug N     the bridge's port is gone for so many seconds
-    report       answer with one line of JSON: whole frames and hostile bytes that went up and down; `forged`, states
-                 that name a command which never passed
+    report       answer by `Line.report`
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import select
-import subprocess
-import sys
 import time
 from collections import deque
 from contextlib import ExitStack
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +98,7 @@ class Direction:
 
 
 class Wire:
-    """The process that this module is, from the side of whoever gives it orders.
+    """The process that carries, from the side of whoever gives it orders.
 
     In `folder` it carries between the box's port `box` and `port`, where the bridge finds its own, and writes `trace`.
     """
@@ -110,29 +106,20 @@ class Wire:
     def __init__(self, stack: ExitStack, folder: Path, seed: int) -> None:
         self.trace = folder / "trace"
         self.trace.touch()
-        places = (str(folder / "box"), str(folder / "port"), str(self.trace))
-        self.process = stack.enter_context(
-            subprocess.Popen(
-                [sys.executable, "-m", "tests.soak.wire", *places, str(seed)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                text=True,
-                bufsize=1,
-                start_new_session=True,
-            )
-        )
-        stack.callback(self.process.kill)
-        self._orders: IO[str] = self.process.stdin
-        self._answers: IO[str] = self.process.stdout
+        own = get_context("spawn")
+        self._pipe, other = own.Pipe()
+        process = own.Process(target=carry, args=(other, folder / "box", folder / "port", self.trace, seed))
+        process.start()
+        stack.callback(process.kill)
 
     def order(self, order: str) -> None:
         """Tell it what to do."""
-        self._orders.write(f"{order}\n")
+        self._pipe.send(order)
 
     def report(self) -> dict[str, Any]:
         """What has passed."""
         self.order("report")
-        return dict(json.loads(self._answers.readline()))
+        return dict(self._pipe.recv())
 
 
 def resident(pid: int) -> float:
@@ -163,7 +150,7 @@ class Line:
         self._disturbed, self._forged = time.monotonic(), 0
 
     def report(self) -> dict[str, object]:
-        """What has passed."""
+        """Whole frames and hostile bytes that went `up` and `down`; `forged`: states that name a command never sent."""
         ways = {"up": self.up, "down": self.down}
         passed = {name: {"frames": way.frames, "hostile": way.hostile} for name, way in ways.items()}
         return {**passed, "forged": self._forged}
@@ -235,11 +222,11 @@ def _frame(piece: bytes) -> object:
         return None
 
 
-def obey(line: Line, order: str) -> None:
+def obey(line: Line, order: str, pipe: Connection) -> None:
     """Carry out one order."""
     word, _, number = order.partition(" ")
     if word == "report":
-        print(json.dumps(line.report()), flush=True)
+        pipe.send(line.report())
     elif word == "hostile":
         line.rate = float(number)
     elif word == "mute":
@@ -253,21 +240,12 @@ def obey(line: Line, order: str) -> None:
         raise ValueError(order)
 
 
-def main() -> None:
-    """Carry until standard input ends."""
-    *places, seed = sys.argv[1:]
-    line, text = Line(*map(Path, places), int(seed)), ""
+def carry(pipe: Connection, box: Path, bridge: Path, trace: Path, seed: int) -> None:
+    """Carry until it is killed; a Ctrl-C of the terminal is none to this process."""
+    os.setsid()
+    line = Line(box, bridge, trace, seed)
     raise_priority()
     while True:
         line.step()
-        if select.select([0], [], [], 0.0)[0]:
-            data = os.read(0, 4096)
-            if not data:
-                sys.exit()
-            *orders, text = (text + data.decode()).split("\n")
-            for order in orders:
-                obey(line, order)
-
-
-if __name__ == "__main__":
-    main()
+        if pipe.poll():
+            obey(line, pipe.recv(), pipe)
