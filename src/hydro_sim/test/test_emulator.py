@@ -26,7 +26,7 @@ from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.realtime import execute
-from hydro_sim.emulator.truth.config import profile, truth_from_mapping, truth_to_mapping
+from hydro_sim.emulator.truth.config import profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
@@ -37,7 +37,7 @@ def test_the_emulated_bench_is_the_box_s_where_the_truth_does_not_say_otherwise(
     own = replace(Bench.nominal(), piston_area=1e-3, moving_mass=9.0, load_cell_bandwidth=None)
     file = tmp_path / "truth.yaml"
     file.write_text("profile: nominal\nbench: {moving_mass: 8}\n")
-    emulated = truth_to_mapping(offline.truth(str(file), own))["bench"]
+    emulated = vars(offline.truth(str(file), own).bench)
     assert {name: emulated[name] for name in own.to_mapping()} == own.to_mapping() | {"moving_mass": 8.0}
     assert emulated["load_cell_bandwidth"] is None
     assert offline.truth(None, own).bench.piston_area == 1e-3

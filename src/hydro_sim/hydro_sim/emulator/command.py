@@ -10,8 +10,6 @@ from pathlib import Path
 from types import FrameType
 from typing import get_args
 
-import yaml
-
 from hydro_bridge.cli.console import command, number, writable, writable_folder
 from hydro_bridge.process import endings
 from hydro_bridge.settings import SettingsError
@@ -24,7 +22,6 @@ from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import ControlPipe, RealTime, raise_priority
-from hydro_sim.emulator.truth.config import truth_to_mapping
 from hydro_sim.excitation import load_schedule
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
@@ -34,10 +31,7 @@ from hydro_sim.model.bench import Bench
 def main() -> None:
     """Entry point."""
     options = _parser().parse_args()
-    if options.print_truth:
-        truth = offline.truth(options.truth, _believed(options))
-        print(yaml.safe_dump(truth_to_mapping(truth), sort_keys=False), end="")
-    elif options.offline:
+    if options.offline:
         _record(options)
     else:
         _serve(options)
@@ -55,7 +49,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
     )
-    parser.add_argument("--print-truth", action="store_true", help="print the whole truth as YAML and stop")
     line = parser.add_argument_group("on a serial line, in real time")
     line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
     presets = ", ".join(PRESETS)

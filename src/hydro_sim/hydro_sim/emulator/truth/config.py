@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping, unknown_key
+from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml, unknown_key
 from hydro_sim.emulator.truth.effects import (
     Effects,
     FrictionCoulomb,
@@ -111,11 +111,6 @@ def truth_from_mapping(data: Mapping[str, Any], where: str = "truth", bench: Tru
 def load_truth(path: str | Path, bench: TruthBench | None = None) -> TruthConfig:
     """`TruthConfig` from a YAML file; see `truth_from_mapping`."""
     return truth_from_mapping(read_yaml(path), Path(path).name, bench)
-
-
-def truth_to_mapping(config: TruthConfig) -> dict[str, Any]:
-    """Return plain data from which `truth_from_mapping` restores `config`."""
-    return {"profile": "nominal", **to_mapping(config)}
 
 
 def check(config: TruthConfig) -> TruthConfig:
