@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import cast
 
 import h5py
 import numpy as np
@@ -16,7 +15,6 @@ from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.column_proposal import proposed
-from hydro_diagnosis.inspect_command import improbable
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
@@ -88,14 +86,6 @@ def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Pat
     columns = ColumnMap.load("load_force=load_force*-1,pressure_a=none")
     assert columns is not None and str(columns) == "load_force=load_force*-1,pressure_a=none"
     same(read_table(path, columns), {"time": [0, 1, 2], "load_force": [-1, -2, -3], "pressure_b": [7, 8, 9]})
-
-
-def test_inspect_says_which_numbers_the_bench_cannot_have(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    pd.DataFrame({"t": np.arange(100) / 1e3, "pA": np.full(100, 60.0), "x": np.full(100, 0.04)}).to_csv(path)
-    given = cast(ColumnMap, ColumnMap.load("time=t,pressure_a=pA[kPa],piston_position=x"))
-    found = improbable(path, columns_of(path), given, Bench.nominal())
-    assert len(found) == 1 and found[0].startswith("pressure_a has numbers") and "in bar, not kPa" in found[0]
 
 
 def same(table: RawTable, true: dict[str, list[float]]) -> None:

@@ -188,7 +188,6 @@ sys.exit(main_of.hydro_diagnosis.cli())
     ("source", "why"),
     [
         ("law: {", "ParserError"),
-        ("law: {equation: motion, form: nowhere}\nparameters: {}\n", "nowhere"),
         ("law: {equation: motion, form: quadratic drag}\n", "parameters"),
         ("law: {equation: motion, form: table over velocity}\nparameters: {}\n", "a table of numbers is not an effect"),
     ],

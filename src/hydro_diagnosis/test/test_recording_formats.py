@@ -11,7 +11,6 @@ from hydro_bridge.signals import StateArray
 from hydro_diagnosis.column_proposal import proposed
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import columns_of, read_columns, read_table
-from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_sim.model.bench import Bench
 from tests import loggers
@@ -30,6 +29,7 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, nomina
     np.testing.assert_allclose(np.diff(table.time), 1e-3, rtol=1e-3)
     for field, values in table.columns.items():
         np.testing.assert_allclose(values, short[field], rtol=1e-12, atol=1e-15, err_msg=field)
+    assert any("/valve" in note and "carry no time" in note for note in table.notes) == (write is loggers.topics)
 
 
 def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, nominal: StateArray) -> None:
@@ -45,12 +45,6 @@ def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, nominal: S
     line = next(line for line in shown.splitlines() if "proposed, to be checked" in line)
     again = read_table(path, ColumnMap.load(line.split('--columns "')[1].rstrip('"')))
     np.testing.assert_array_equal(again.columns["pressure_a"], table.columns["pressure_a"])
-
-
-def test_messages_without_a_time_are_listed(tmp_path: Path, nominal: StateArray) -> None:
-    path = loggers.topics(tmp_path, nominal[:3000])
-    recording = checked(read_table(path, ColumnMap.load(loggers.TOPICS)), BENCH)
-    assert any("/valve" in note and "carry no time" in note for note in recording.quality)
 
 
 def test_current_of_a_faster_clock_is_averaged_about_the_sample_of_each_row(tmp_path: Path) -> None:
