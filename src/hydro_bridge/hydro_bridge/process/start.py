@@ -48,14 +48,10 @@ class MainOf:
             endings.complain(trouble)
             return 2
         try:
-            main = import_module(self._module).main
+            status: int | None = import_module(self._module).main()
         except UserError as error:  # a file of the user's that is read with the module, such as a grown effect
             endings.complain(str(error))
             return 2
-        except ModuleNotFoundError as error:
-            return _without_ros(error)
-        try:
-            status: int | None = main()
         except ModuleNotFoundError as error:
             return _without_ros(error)
         finally:
