@@ -49,11 +49,6 @@ class Training:
     def _note(self, array: DiagnosticArray) -> None:
         self.told |= {status.name: status.message for status in array.status}
 
-    @property
-    def text(self) -> str:
-        """What the trainer has printed."""
-        return self.process.text
-
     def begin(self, stack: ExitStack, *words: str) -> Trainer:
         """Start, and wait until it learns."""
         self.probe.forget()
@@ -117,8 +112,8 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(training: Tr
     probe.wait(lambda: "OVERRIDDEN by hand: K_p 60, K_i 10" in training.told.get("trainer", ""), 3.0)
     refused = override("--kp", "400", "--ki", "10")
     assert refused.returncode == 2 and "K_p within [15, 90]" in refused.stderr
-    probe.wait(lambda: "override is over" in training.text, 6.0)
-    assert "gains overridden by hand" in training.text
+    probe.wait(lambda: "override is over" in training.process.text, 6.0)
+    assert "gains overridden by hand" in training.process.text
     probe.spin(0.5)
     assert override("--kp", "20", "--ki", "5").returncode == 0
     probe.spin(0.5)
@@ -152,7 +147,7 @@ def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Tr
     (training.run.path / "emulator_control").write_text("unplug 1.5\n")
     probe.wait(lambda: training.phase() == TrainingStatus.PAUSED, 5.0)
     paused = time.time()
-    probe.wait(lambda: "paused in episode" in training.text and "no samples" in training.text, 5.0)
+    probe.wait(lambda: "paused in episode" in training.process.text and "no samples" in training.process.text, 5.0)
     # Samples from before may still wait to be heard: a sample's stamp tells.
     back = probe.wait_for(STATE, lambda state: seconds(state.header.stamp) > paused, 15.0)
     assert not back.flags & Flag.ARMED, "after the replug the box waits to be armed"

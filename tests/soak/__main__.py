@@ -34,7 +34,6 @@ COLUMNS = {
     "force_N": "the largest until then",
     "current_mA": "the largest until then",
     "back_s": "until a policy acted again, the longest",
-    "way_on": "who was started again",
 }
 
 
@@ -53,7 +52,6 @@ def rows(outcomes: list[Outcome]) -> Table:
                 force_N=f"{max(outcome.force for outcome in own):.0f}",
                 current_mA=f"{1e3 * max(outcome.current for outcome in own):.1f}",
                 back_s=f"{max(back):.0f}" if back else "",
-                way_on="; ".join(sorted({outcome.way_on for outcome in own})),
             )
     return table
 

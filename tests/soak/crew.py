@@ -63,14 +63,13 @@ class Crew:
             "trainer": ["--plant", "external", "--rearm", "auto", "--no-record", *new, *place, *SHORT],
         }[name]
 
-    def revive(self) -> list[str]:
-        """Start whoever is not there; their names."""
-        missing = [name for name in PACKAGES if not self.pid(name)]
-        for name in missing:
-            if name in self._companions:
-                self._companions[name].stop()
-            self._companions[name] = Companion(PACKAGES[name], name, self._words(name), output=self._log.write)
-        return missing
+    def revive(self) -> None:
+        """Start whoever is not there."""
+        for name, package in PACKAGES.items():
+            if not self.pid(name):
+                if name in self._companions:
+                    self._companions[name].stop()
+                self._companions[name] = Companion(package, name, self._words(name), output=self._log.write)
 
     def pid(self, name: str) -> int:
         """Process id of one of them, or of the trainer's learner; 0: it is not there."""

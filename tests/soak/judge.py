@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -90,8 +90,6 @@ class Outcome:
     """N, largest until then, of either sign."""
     current: float = 0.0
     """A, largest until then, of either sign."""
-    restarted: list[str] = field(default_factory=list)
-    """Those that the soak started again."""
     back_after: float | None = None
     """s from its beginning until a policy acted again; None: it did not."""
 
@@ -112,13 +110,6 @@ class Outcome:
             return [f"{self.cause}: never safe"]
         late = self.safe_after > slack * self.safe_within
         return [f"{self.cause}: safe after {self.safe_after:.2f} s, not {self.safe_within} s"] if late else []
-
-    @property
-    def way_on(self) -> str:
-        """How it went on."""
-        if self.back_after is None:
-            return "none"
-        return f"{', '.join(self.restarted)} by the soak" if self.restarted else "by itself"
 
 
 def invariants(records: NDArray[np.void]) -> list[str]:

@@ -48,7 +48,7 @@ class Soak:
         """Strike until there is no fault more or `seconds` are over; `tick` is told how many have passed."""
         self._tick, self._begun = tick, time.monotonic()
         self.crew.revive()
-        if not self._wait_until_acting([]):
+        if not self._wait_until_acting():
             self.broken.append(f"no policy acted within {_PATIENCE:.0f} s: nothing was tried")
             return
         for fault in faults:
@@ -73,7 +73,7 @@ class Soak:
                 outcome.look(self._since(outcome.began))
         self._rest(_CALM)
         outcome.look(self._since(outcome.began))
-        back = self._wait_until_acting(outcome.restarted)
+        back = self._wait_until_acting()
         outcome.back_after = time.monotonic() - outcome.began if back else None
         if not back:
             self.broken.append(f"{fault.cause}: no policy acted again within {_PATIENCE:.0f} s")
@@ -93,10 +93,10 @@ class Soak:
         late = [sentence for outcome in self.outcomes for sentence in outcome.violations(self._slack)]
         return [*late, *invariants(self.records), *growth(self.crew.memory), *self.broken]
 
-    def _wait_until_acting(self, restarted: list[str]) -> bool:
+    def _wait_until_acting(self) -> bool:
         end, self._acting = time.monotonic() + _PATIENCE, False
         while time.monotonic() < end:
-            restarted += [name for name in self.crew.revive() if name not in restarted]
+            self.crew.revive()
             self._rest(_CALM)
             if acting(self._since(time.monotonic() - _CALM)):
                 self._acting = True
