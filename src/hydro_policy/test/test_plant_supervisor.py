@@ -51,6 +51,11 @@ class Slow:
         )
 
 
+@pytest.fixture
+def heard() -> Heard:
+    return Heard()
+
+
 def run(watch: PlantSupervisor, flags: int, start: float, end: float) -> None:
     for tick in range(round(20 * start), round(20 * end)):
         watch.on_sample(flags, tick / 20)
@@ -76,8 +81,7 @@ def test_a_box_that_trips_whenever_it_is_armed_is_not_armed_again() -> None:
         run(watch, tripped, 2.0 + TRIALS, 3.0 + TRIALS)
 
 
-def test_a_plant_that_a_person_disarmed_is_asked_for_now_and_then_until_a_person_arms_it() -> None:
-    heard = Heard()
+def test_a_plant_that_a_person_disarmed_is_asked_for_now_and_then_until_a_person_arms_it(heard: Heard) -> None:
     watch = armed_watch(heard, rearm=True)
     run(watch, 0, 1.1, 1.3)
     assert heard.armings == [False, True]
@@ -100,8 +104,7 @@ def test_a_plant_that_a_person_arms_before_all_is_ready_is_disarmed() -> None:
     assert TOO_EARLY in heard.said and heard.armings == [False]
 
 
-def test_arming_waits_for_the_filter() -> None:
-    heard = Heard()
+def test_arming_waits_for_the_filter(heard: Heard) -> None:
     watch = PlantSupervisor(heard, rearm=True)
     run(watch, STALE, 0.0, 20.0)
     assert heard.armings == []
@@ -112,8 +115,7 @@ def test_arming_waits_for_the_filter() -> None:
     assert watch.may_begin(20.6)
 
 
-def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
-    heard = Heard()
+def test_without_a_filter_it_is_armed_in_the_end_and_said(heard: Heard) -> None:
     watch = PlantSupervisor(heard, rearm=True)
     run(watch, STALE, 0.0, 92.0)
     assert heard.armings[:2] == [False, True]
@@ -135,8 +137,7 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
     assert [HOW_TO_ARM in sentence for sentence in heard.said[1:]] == ([] if rearm else [True])
 
 
-def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:
-    heard = Heard()
+def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out(heard: Heard) -> None:
     watch = PlantSupervisor(heard, rearm=False)
     run(watch, 0, 0.0, 1.0)
     watch.arm_now(1.0)
@@ -146,8 +147,7 @@ def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out
     assert sum(HOW_TO_ARM in sentence for sentence in heard.said) == 2, "asked again"
 
 
-def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it() -> None:
-    heard = Heard()
+def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it(heard: Heard) -> None:
     watch = PlantSupervisor(heard, rearm=False)
     run(watch, 0, 0.0, 1.0)
     watch.arm_now(1.0)
@@ -160,8 +160,7 @@ def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_i
 
 
 @pytest.mark.parametrize("rearm", [True, False])
-def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: bool) -> None:
-    heard = Heard()
+def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(heard: Heard, rearm: bool) -> None:
     watch = PlantSupervisor(heard, rearm)
     run(watch, ARMED, 0.0, 0.5)
     assert heard.armings == [False] and heard.references == [ReferenceSignal()] and heard.said == [TOO_EARLY]
@@ -173,8 +172,7 @@ def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: b
     assert watch.may_begin(1.1)
 
 
-def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_armed_anew() -> None:
-    heard = Heard()
+def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_armed_anew(heard: Heard) -> None:
     watch = armed_watch(heard, rearm=True)
     run(watch, ARMED, 1.1, 1.0 + IDLE)
     assert heard.armings == [] and watch.may_begin(1.0 + IDLE)
@@ -224,8 +222,7 @@ def test_every_wait_ends(flags: int | None, seconds: float, sentence: str) -> No
             watch.on_tick(tick / 20)
 
 
-def test_a_watch_goes_on_where_another_sessions_ends() -> None:
-    heard = Heard()
+def test_a_watch_goes_on_where_another_sessions_ends(heard: Heard) -> None:
     before = armed_watch(heard, rearm=False)
     before.acted(2.0)
     watch = PlantSupervisor(heard, False)
@@ -239,8 +236,9 @@ def test_a_watch_goes_on_where_another_sessions_ends() -> None:
 
 
 @pytest.mark.parametrize("rearm", [True, False])
-def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_disarmed_meanwhile(rearm: bool) -> None:
-    heard = Heard()
+def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_disarmed_meanwhile(
+    heard: Heard, rearm: bool
+) -> None:
     watch = armed_watch(heard, rearm=rearm)
     assert watch.may_begin(1.1) and heard.references == []
     watch.calm()
@@ -256,8 +254,7 @@ def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_dis
     assert heard.armings == ([False, True, False] if rearm else [])
 
 
-def test_a_bypassed_filter_does_not_say_that_its_model_fits_and_is_waited_for_only_if_it_is_gone() -> None:
-    heard = Heard()
+def test_a_bypassed_filter_does_not_say_that_its_model_fits_and_is_waited_for_only_if_it_is_gone(heard: Heard) -> None:
     watch = PlantSupervisor(heard, rearm=True)
     watch.on_correction(CorrectionStatus.MISMATCH)
     watch.on_correction(CorrectionStatus.BYPASSED)
@@ -273,8 +270,7 @@ def test_a_bypassed_filter_does_not_say_that_its_model_fits_and_is_waited_for_on
     assert True not in heard.armings
 
 
-def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:
-    heard = Heard()
+def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once(heard: Heard) -> None:
     watch = PlantSupervisor(heard, rearm=True)
     for _ in range(3):
         watch.on_correction(CorrectionStatus.MISMATCH)

@@ -116,11 +116,10 @@ def corrected(bench: Bench, gains: tuple[float, float]) -> tuple[FloatArray, lis
     return np.array([result.delta_u for result in done.results]) / size.current, [one.status for one in done.results]
 
 
-@pytest.mark.parametrize("effects", [False, True])
-def test_the_filter_corrects_a_similar_bench_alike(effects: bool) -> None:
+def test_the_filter_corrects_a_similar_bench_alike() -> None:
     """Up to the tolerance of its solver."""
     for gains in ((90.0, 15.0), (-30.0, -3.0)):
-        (here, told), (there, also_told) = (corrected(bench, gains) for bench in similar(effects))
+        (here, told), (there, also_told) = (corrected(bench, gains) for bench in similar(effects=True))
         print(gains, f"{np.abs(here - there).max():g} of {np.abs(here).max():g}")
         np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-8)
         assert also_told == told and CorrectionStatus.MISMATCH not in told
