@@ -37,7 +37,6 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of; a site keeps it"
     )
-    result.add_argument("--seed", type=int, default=0, metavar="N", help="of the emulated bench's noise")
     result.add_argument(
         "--arm",
         choices=("person", "auto"),
@@ -75,7 +74,7 @@ def main() -> int:
         arm = "auto" if (options.arm or ("auto" if emulated else "person")) == "auto" else "ask"
         at = Site(folder=folder, record=record, port=port, arm=arm, policy=options.policy, log=log)
         if emulated and any(gate.plant for gate in GATES[first:]):
-            start_emulator(stack, at, options.seed)
+            start_emulator(stack, at)
         passed = all(_pass(at, gate) for gate in GATES[first:])
     print(f"\n{record.table().text()}\n")
     if record.comparison:

@@ -139,14 +139,13 @@ TRUTH = "truth.yaml"
 """What the emulated bench of a site is made of; where there is none, the emulator's own."""
 
 
-def start_emulator(stack: ExitStack, at: Site, seed: int) -> None:
+def start_emulator(stack: ExitStack, at: Site) -> None:
     """Start the emulator on the site's port for as long as `stack` holds (raises UserError where it does not start)."""
     port = Path(at.port)
     port.unlink(missing_ok=True)  # of one that was killed
     truth = at.folder / TRUTH
     known = ["--truth", str(truth)] if truth.is_file() else []
-    words = ["--link", at.port, "--bench", at.bench, "--seed", str(seed), *known]
-    emulator = at.start(stack, "hydro_sim", "emulator", *words)
+    emulator = at.start(stack, "hydro_sim", "emulator", "--link", at.port, "--bench", at.bench, *known)
     end = time.monotonic() + PORT_WITHIN
     while not port.exists():
         if not emulator.running or time.monotonic() > end:

@@ -39,12 +39,7 @@ def parser() -> argparse.ArgumentParser:
         "file, as --bench (default: shipped; with --bench: analytic)",
     )
     what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
-    what.add_argument(
-        "--box",
-        "--box-bench",
-        metavar="FILE",
-        help="bench.yaml that the box believes in (default: the nominal bench)",
-    )
+    what.add_argument("--box", metavar="FILE", help="bench.yaml that the box believes in (default: the nominal bench)")
     what.add_argument(
         "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box (default: 15 5, the paper's)"
     )
