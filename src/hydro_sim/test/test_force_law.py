@@ -48,21 +48,16 @@ def test_put_into_the_model_the_law_gives_the_wanted_force_rate(
 
 
 @pytest.mark.parametrize("frequency", [0.5, 1.0, 1.5, 2.0])
-def test_tracking_error_is_what_the_age_of_the_velocity_predicts(ideal: Bench, frequency: float) -> None:
+def test_tracking_error_is_what_the_age_of_the_velocity_predicts(bench: Bench, frequency: float) -> None:
     """A velocity that is `age` late leaves h(v) - h(v late) uncancelled; to first order that alone makes the error.
 
     In the frequency domain, with the load m s^2 + b s + k_s and oil stiffness c: e = f_r - f_l,
     s f_h = s f_r + K_p e + K_i e/s - c s x (1 - exp(-s age)); one more half sample, because the current is held.
     """
-    run = simulate(
-        AnalyticPlant(ideal, noise=0.0),
-        ideal,
-        Schedule(
-            reference=ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=frequency),
-            gains=(90.0, 15.0),
-            seconds=6.0,
-        ),
-    )[-4000:]
+    ideal = replace(bench, load_cell_bandwidth=None)
+    sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=frequency)
+    schedule = Schedule(reference=sine, gains=(90.0, 15.0), seconds=6.0)
+    run = simulate(AnalyticPlant(ideal, noise=0.0), ideal, schedule)[-4000:]
     error = run["reference_force"] - run["load_force"]
     s = 2j * np.pi * frequency
     oil = -hydraulics.velocity_term(ideal.constants()[0], 0.04, 1.0)
