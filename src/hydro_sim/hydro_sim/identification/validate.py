@@ -94,16 +94,6 @@ def noise_floor(scored: list[Scored]) -> FloatArray | None:
     return np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if len(differences) == len(scored) else None
 
 
-def omitted_terms(bench: Bench) -> str:
-    """A sentence that names the bench file's effects and closures, which this model omits.
-
-    Elements with memory (spool, bristles, a dead time) cannot start from a measurement there. Closed-loop simulations
-    start at rest and leave nothing out: `hydro_sim.model.plant.AnalyticPlant`.
-    """
-    names = ", ".join(map(label, bench.terms))
-    return f"of the bench file's effects the analytic model's predictions leave out {names}" if names else ""
-
-
 RATES = (1, 3, 7)
 """Columns of x that the box computes from the readings 0, 1 and 4, and the coefficient of each."""
 DIFFERENTIATED = (0, 1, 4)
@@ -199,8 +189,8 @@ def main() -> None:
     model = learned_bench.read(options.model)
     scored = _scored(options.bags, options.noise_free)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    if omitted_terms(bench):
-        print(omitted_terms(bench), file=sys.stderr)
+    if names := ", ".join(map(label, bench.terms)):  # what has a memory cannot start from a measurement
+        print(f"of the bench file's effects the analytic model's predictions leave out {names}", file=sys.stderr)
     runs = [item.run for item in scored]
     learned, analytic = BenchPrediction(model, runs), AnalyticModel(bench)
     both: tuple[Started, Started] = (
