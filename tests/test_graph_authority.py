@@ -60,14 +60,11 @@ def test_a_second_filter_and_trainer_are_told_and_leave_the_first_alone(
     graph.arm()
     graph.probe.forget()
     said = io.StringIO()
-    other = start("hydro_filter filter", output=said)
-    graph.drive(PATIENCE, until=lambda: "answers already" in said.getvalue())
-    graph.drive(1.0)
-    assert "answers already" in said.getvalue() and graph.probe.node.count_publishers(CORRECTION) == 1
-    other.stop()
-    with trainer(*words) as process:  # last: while it ends nobody drives
-        graph.drive(PATIENCE, until=lambda: told in process.text)
+    with trainer(*words) as process:  # while it ends nobody drives
+        start("hydro_filter filter", output=said)
+        graph.drive(PATIENCE, until=lambda: "answers already" in said.getvalue() and told in process.text)
         graph.drive(3.0)
+        assert "answers already" in said.getvalue() and graph.probe.node.count_publishers(CORRECTION) == 1
         assert told in process.text and process.process.poll() is None
     assert all(state.flags & Flag.ARMED for _, state in graph.probe.heard[STATE]), graph.text[-40:]
 
