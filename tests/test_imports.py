@@ -21,7 +21,7 @@ LOADED = {"hydro_sim": {"hydro_firmware"}}
 """Packages of ours that are loaded as a shared library, which no import shows."""
 PACKAGES = sorted(path.parent for path in ROOT.glob("src/hydro_*/setup.py"))
 KEYS = {name: f"python3-{name}" for name in (
-    "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas",
+    "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas", "psutil",
     "pytest", "scipy", "serial", "torch", "tqdm", "websockets", "yaml",
 )} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
