@@ -250,16 +250,16 @@ def held_out(
     problem: Problem,
     unseen: Problem,
     claims: Sequence[Claim],
-    models: Sequence[SegmentModel],
     known: Known | None = None,
 ) -> dict[str, Any]:
     """Errors of the baseline and of the corrected model as they stand in report.json under `fit`.
 
-    `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`. `known`:
-    what has been simulated of them already, added to.
+    `unseen`: the held-out recordings; noise and baseline are those of `problem`. `known`: what has been simulated of
+    them already, added to.
     """
+    models = unseen.models
     equations = equation_errors(unseen, claims)
-    if not models or not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
+    if not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
         why = "a forward simulation needs current, position and both pressures, and the moving mass"
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise

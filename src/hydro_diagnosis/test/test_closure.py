@@ -56,7 +56,7 @@ def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_o
     assert share_closed(named, held(a=1.0, b=1.6)) > 0.9
     for later, taken in ((1.6, False), (float("nan"), False), (1.5, True)):
         monkeypatch.setattr(admission, "held_out", lambda *_, b=later: held(a=1.0, b=b))
-        assert (admitted(problem, problem, [closed], (), named) is not None) == taken
+        assert (admitted(problem, problem, [closed], named) is not None) == taken
 
 
 def test_the_threshold_pays_for_the_number_of_columns_and_a_coefficient_has_the_unit_that_is_left() -> None:

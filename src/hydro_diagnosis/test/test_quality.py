@@ -154,7 +154,7 @@ def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
     assert ({"bulk_modulus", "dead_volume:a", "moving_mass", "sensor_lag:pressure_a"} <= labels) == shown
     assert {"sensor_lag:load_force", "friction_coulomb", "valve_deadband"} <= labels
     remains: Any = SimpleNamespace(problem=case.problem, holdout=None, assessment=SimpleNamespace(remainder=(1,)),
-                                   models=(), proof={}, simulated={})  # fmt: skip
+                                   proof={}, simulated={})  # fmt: skip
     naming.model_remainder(remains, [], lambda text: None)
     assert bool(tried) == shown
 

@@ -19,7 +19,6 @@ from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import by_claim, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.validation import Known, held_out
 from hydro_sim.model.laws import Law
@@ -64,18 +63,17 @@ def admitted(
     problem: Problem,
     holdout: Problem,
     candidates: Iterable[ClosureFit],
-    models: Sequence[SegmentModel],
     named: Mapping[str, Any],
     known: Known | None = None,
 ) -> Admitted | None:
     """Return the first candidate that makes no held-out channel worse than the names alone do, or None.
 
-    `holdout`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
+    `holdout`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
     what has been simulated already.
     """
     errors: dict[str, float | None] = {}
     for closed in candidates:
-        held = held_out(problem, holdout, closed.fit.claims, models, known)
+        held = held_out(problem, holdout, closed.fit.claims, known)
         share = share_closed(named, held) if harmless(named, held) else None
         errors[closed.form] = share
         if share is not None and share > LEAST_SHARE:

@@ -28,7 +28,6 @@ from hydro_diagnosis.estimation.intervals import (
 )
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.localisation import locate_claims
@@ -48,10 +47,8 @@ class StageResult:
     assessment: Assessment
     bounds: list[Interval]
     """Intervals of the claims' parameters."""
-    models: list[SegmentModel]
-    """Held-out recordings."""
     holdout: Problem
-    """The same, weighed for the claims."""
+    """The held-out recordings, weighed for the claims."""
     simulated: Known
     """Simulations of the held-out recordings so far."""
     proof: dict[str, Any]
@@ -78,13 +75,12 @@ def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
     problem = outcome.problem
     progress(stage_bar.JUDGING)
     assessment, bounds = _assess(problem, outcome)
-    models = [SegmentModel(segment, problem.bench) for segment in held]
     progress(stage_bar.CHECKING)
     holdout = problem.on(held).weighed(assessment.fit.claims)
     simulated: Known = {}
-    proof = held_out(problem, holdout, assessment.fit.claims, models, simulated)
+    proof = held_out(problem, holdout, assessment.fit.claims, simulated)
     found = StageResult(
-        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, models=models, holdout=holdout,
+        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout,
         simulated=simulated, proof=proof,
     )  # fmt: skip
     if assessment.verdict == "explained" and (worse := made_worse(proof)):
@@ -142,7 +138,7 @@ def _withdraw(found: StageResult, kept: Fit, worse: str = "") -> StageResult:
         holdout=holdout,
         assessment=assessment,
         bounds=intervals(problem, assessment.fit),
-        proof=held_out(problem, holdout, assessment.fit.claims, found.models, found.simulated),
+        proof=held_out(problem, holdout, assessment.fit.claims, found.simulated),
         withdrawn=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder) if worse else "",
     )
     return replace(bare, next_recording=_next_recording(bare))
@@ -175,7 +171,7 @@ def model_remainder(names: StageResult, library: Sequence[Effect], progress: Pro
     progress(stage_bar.MODELLING)
     problem, holdout = names.problem, names.holdout
     candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment, library))
-    found = admitted(problem, holdout, candidates, names.models, names.proof, names.simulated)
+    found = admitted(problem, holdout, candidates, names.proof, names.simulated)
     bounds = intervals(found.closed.problem, found.closed.fit) if found else []
     if not found or not all_exclude_neutral(found.closed.fit.claims, bounds):
         return names

@@ -217,7 +217,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
         steps=_steps(search),
         **{**case.facts, "data_quality": [*case.facts["data_quality"], *notes]},
     )
-    return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.models)
+    return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.holdout.models)
 
 
 def interrupted_report(case: Case, search: Search, begun: float) -> Report:
