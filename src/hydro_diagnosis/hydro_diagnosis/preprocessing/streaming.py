@@ -94,15 +94,6 @@ NOTES = 5
 """Notes on the quality of single stretches that are passed on."""
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """Some samples of a recording."""
-
-    start: float
-    """s since the start of the recording."""
-    table: RawTable
-
-
 def read_bag_within(
     path: Path,
     bench: Bench,
@@ -122,9 +113,8 @@ def read_bag_within(
         if len(head) <= WHOLE:
             table = _joined(path, head)
             return checked(inspected(replace(table, notes=(*notes, *table.notes))), bench)
-        first = head[0].table
-        inspected(first)
-        del head, stretches, first
+        inspected(head[0])
+        del head, stretches
         found = _telling(path.name, bench, lambda: _stretches(path, columns, notes))
         return replace(found, quality=(*(f"{path.name}: {note}" for note in dict.fromkeys(notes)), *found.quality))
     except RecordingError as error:
@@ -144,30 +134,26 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
     return _telling(table.name, bench, lambda: _slices(table, rows))
 
 
-def _slices(table: RawTable, rows: int) -> Iterator[Stretch]:
+def _slices(table: RawTable, rows: int) -> Iterator[RawTable]:
     """Views of a table, `STRETCH` rows each; its notes come with the first."""
     for begin in range(0, len(table.time), rows):
         part = slice(begin, begin + rows)
         columns = {name: values[part] for name, values in table.columns.items()}
         sample = None if table.sample is None else table.sample[part]
-        notes = table.notes if begin == 0 else ()
-        start = float(table.time[begin] - table.time[0])
-        yield Stretch(start, RawTable(table.name, table.time[part], sample, columns, notes))
+        yield RawTable(table.name, table.time[part], sample, columns, table.notes if begin == 0 else ())
 
 
-def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Iterator[Stretch]:
+def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Iterator[RawTable]:
     """The recording in stretches; samples are numbered on from one to the next."""
-    first = last = number = None
+    last = number = None
     for states in _pieces(path, notes):
-        first = float(states["time"][0]) if first is None else first
         counter = states["sequence"] if last is None else np.concatenate([last, states["sequence"]])
         steps = np.diff(counter).view(np.int32).astype(np.float64)
         samples = np.concatenate([[0.0], np.cumsum(steps)]) if number is None else number + np.cumsum(steps)
         number, last = float(samples[-1]), states["sequence"][-1:].copy()
         fields = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
         table = RawTable(path.name, states["time"].copy(), samples, fields)
-        turned = table if columns is None else mapped(path, table, columns)
-        yield Stretch(float(states["time"][0]) - first, turned)
+        yield table if columns is None else mapped(path, table, columns)
 
 
 def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
@@ -183,10 +169,9 @@ def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
         yield np.concatenate(parts)
 
 
-def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
-    if not stretches:
+def _joined(path: Path, tables: list[RawTable]) -> RawTable:
+    if not tables:
         raise InputError(f"{path}: the recording is empty")
-    tables = [one.table for one in stretches]
     columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
     numbers = [table.sample for table in tables if table.sample is not None]
     samples = np.concatenate(numbers) if len(numbers) == len(tables) else None
@@ -205,21 +190,22 @@ class _Window:
     """s since the start of the recording."""
 
 
-def _surveyed(stretches: Iterator[Stretch], bench: Bench) -> tuple[list[_Window], Visits, list[str], float]:
+def _surveyed(stretches: Iterator[RawTable], bench: Bench) -> tuple[list[_Window], Visits, list[str], float]:
     """Every window with the states that it visits, notes, and the recording's length [s]; the samples are released."""
-    windows, visits, notes, reasons, idle, end = [], Visits(bench), [], [], 0, 0.0
-    for number, stretch in enumerate(stretches):
-        end = stretch.start + float(stretch.table.time[-1] - stretch.table.time[0])
+    windows, visits, notes, reasons, idle, origin, end = [], Visits(bench), [], [], 0, 0.0, 0.0
+    for number, table in enumerate(stretches):
+        origin = origin if number else float(table.time[0])
+        start, end = (float(table.time[at]) - origin for at in (0, -1))
         try:
-            recording = checked(stretch.table, bench)
+            recording = checked(table, bench)
         except UnusableRecordingError as error:
             idle += 1
             reasons.append(error)
             continue
-        notes += [f"{note} (from {stretch.start:.0f} s on)" for note in recording.quality]
+        notes += [f"{note} (from {start:.0f} s on)" for note in recording.quality]
         for index, segment in enumerate(recording.segments):
             for begin, window in _cut(segment):
-                windows.append(_Window(number, index, begin, stretch.start + window.start))
+                windows.append(_Window(number, index, begin, start + window.start))
                 visits.add(window)
     if not windows:
         raise reasons[0] if reasons else UnusableRecordingError("no window of the recording is long enough")
@@ -234,7 +220,7 @@ def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
         yield begin, segment.cut(begin, begin + length)
 
 
-def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
+def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
     """The informative windows, found in a first pass and read again in a second."""
     windows, visits, notes, seconds = _surveyed(stretches(), bench)
     early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
@@ -244,8 +230,8 @@ def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stre
     for k in sorted(chosen):
         by_stretch.setdefault(windows[k].stretch, []).append(windows[k])
     segments = []
-    for number, stretch in enumerate(stretches()):
-        found = checked(stretch.table, bench).segments if number in by_stretch else ()
+    for number, table in enumerate(stretches()):
+        found = checked(table, bench).segments if number in by_stretch else ()
         for window in by_stretch.get(number, []):
             segment = found[window.segment]
             kept = segment.cut(window.begin, window.begin + round(WINDOW / segment.step))
