@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,24 +41,8 @@ from tests.graph_probe import Probe
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 SHAKE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=8.0)
 _LASTS = 2.0  # s that an attack lasts, if the plant stays armed
-_AFTER = 0.1  # s from the disarm in which the force error still counts
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What one attack came to."""
-
-    attack: str
-    safe_after: float | None
-    """s from when the stranger's messages can arrive to the first sample that is not armed; None: it stayed armed."""
-    error: float
-    """N, largest |f_r - f_l| of the armed plant's own reference from then until 0.1 s after the disarm."""
-    before: float
-    """N, largest |f_r - f_l| in the second before."""
-    current: float
-    """A, largest change of the valve's current by corrections meanwhile."""
-    foreign: int
-    """Armed samples with gains that are neither the holder's nor the box's base gains."""
+AFTER = 0.1
+"""s from the disarm in which the force error still counts."""
 
 
 Strike = Callable[[Any, Any], Callable[[], bool]]
@@ -107,7 +90,7 @@ class Defended:
 
     def valve_closed_at(self) -> float:
         """When the valve current went to 0 for good: by the stamp of the first such sample of those heard, s."""
-        states = [state for _, state in self.probe.heard[STATE]]
+        states = self.probe.states
         assert not states[-1].flags & Flag.ARMED and states[-1].valve_current == 0.0, "it is closed"
         driven = max(n for n, s in enumerate(states) if s.flags & Flag.ARMED or s.valve_current != 0.0)
         return seconds(states[driven + 1].header.stamp)
@@ -132,11 +115,15 @@ class Defended:
                 besides()
             self.probe._executor.spin_once(timeout_sec=0.001)
 
-    def attack(self, name: str, strike: Strike) -> Outcome:
-        """Arm, track, let a stranger strike, and see what comes of it."""
+    def attack(self, strike: Strike) -> tuple[float, float, list[tuple[float, BenchState]]]:
+        """Arm, track, and let a stranger strike.
+
+        Returns the largest force error [N] in the second before; when the stranger's messages could arrive first [s];
+        the plant's samples from then on, with their times [s].
+        """
         self.arm()
         probe = self.probe
-        before = _error([state for _, state in probe.heard[STATE][-1000:]])
+        before = error(probe.states[-1000:])
         probe.forget()
         began: list[float] = []
         with stranger() as node:
@@ -147,25 +134,12 @@ class Defended:
                     began.append(time.time())
 
             self.drive(_LASTS, besides, lambda: not self.own_flags() & Flag.ARMED)
-            self.drive(2 * _AFTER, besides)
-        begin = began[0] if began else time.time()
-        states = [state for _, state in probe.heard[STATE] if state.header.frame_id == "bench"]
-        own = [(seconds(state.header.stamp), state) for state in states]
-        safe = next((when for when, state in own if not state.flags & Flag.ARMED), None)
-        meant = [state for when, state in own if safe is None or when <= safe + _AFTER]
-        moved = max((abs(state.valve_current - state.nominal_valve_current) for state in meant), default=0.0)
-        gains = [(round(state.proportional_gain, 3), round(state.integral_gain, 3)) for state in meant]
-        return Outcome(
-            attack=name,
-            safe_after=None if safe is None else max(safe - begin, 0.0),
-            error=_error(meant),
-            before=before,
-            current=moved,
-            foreign=sum(pair not in ((90.0, 15.0), (15.0, 5.0)) for pair in gains),
-        )
+            self.drive(2 * AFTER, besides)
+        own = [(seconds(state.header.stamp), state) for state in probe.states if state.header.frame_id == "bench"]
+        return before, began[0] if began else time.time(), own
 
 
-def _error(states: list[BenchState]) -> float:
+def error(states: list[BenchState]) -> float:
     """Largest |f_r - f_l| [N] of the reference that the holder has chosen."""
     return max((abs(state.reference_force - state.load_force) for state in states), default=0.0)
 
