@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, values_key
+from hydro_diagnosis.effects.memory import Indices
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.model.memory import Indices
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN

@@ -15,7 +15,7 @@ claim that is kept must pay beside all others.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
@@ -33,43 +33,29 @@ VAGUE = 0.5
 """Half-width of a shape parameter's 95 % interval, over its size or range, from which it is not identified."""
 
 
-class HeldOutBlocks:
-    """Columns of candidates beside a fit, and how well any set of them predicts blocks that it was not fitted to.
+def held_out_deviance(problem: Problem, found: Fit, more: FloatArray | None = None) -> float:
+    """-2 log likelihood, up to a constant, of blocks that the parameters were not fitted to.
 
-    `problem`: the least-squares problem. `found`: the present fit; its parameters are estimated again with each set.
-    `columns`: by candidate: derivatives of the residual, shape (n, numbers).
+    Those of `found` are estimated again, beside those of a candidate: `more`, its columns of the Jacobian.
     """
-
-    def __init__(self, problem: Problem, found: Fit, columns: Sequence[FloatArray] = ()) -> None:
-        layout, table = problem.layout, [np.column_stack([found.residual, found.jacobian]), *columns]
-        edges = np.cumsum([one.shape[1] for one in table])
-        self._standing = list(range(1, int(edges[0])))
-        self._places = [list(range(int(a), int(b))) for a, b in pairwise(edges)]
-        everything, group = np.column_stack(table), layout.channel * FOLDS + layout.folds()
-        order = np.argsort(group, kind="stable")
-        parts = np.split(everything[order], np.cumsum(np.bincount(group, minlength=len(CHANNELS) * FOLDS))[:-1])
-        products = np.stack([one.T @ one for one in parts]).reshape(len(CHANNELS), FOLDS, *[everything.shape[1]] * 2)
-        self._products = products.swapaxes(0, 1)  # by fold and channel
-        squares = np.einsum("fcii->i", self._products)
-        self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), SHORTEST)
-        self._products = self._products / (self._scale[:, None] * self._scale)
-        weight = 1.0 / problem.variances(found.residual)
-        self._weighted = np.einsum("fcij,c->fij", self._products, weight)
-        self._count = layout.count
-
-    def deviance(self, chosen: Sequence[int] = ()) -> float:
-        """-2 log likelihood of the held-out blocks with these candidates, up to a constant."""
-        at = [*self._standing, *(place for one in chosen for place in self._places[one])]
-        squares, together = np.zeros(len(CHANNELS)), self._weighted.sum(axis=0)
-        for k in range(FOLDS):
-            fitted = together - self._weighted[k]
-            theta = -np.linalg.lstsq(fitted[np.ix_(at, at)], fitted[at, 0], rcond=1e-10)[0] if at else np.zeros(0)
-            full = np.concatenate([[1.0], theta])
-            rows = [0, *at]
-            squares += np.einsum("i,cij,j->c", full, self._products[k][np.ix_(range(len(CHANNELS)), rows, rows)], full)
-        squares *= self._scale[0] ** 2
-        variance = np.maximum(squares / np.maximum(self._count, 1.0), 1.0)
-        return float(np.sum(self._count * np.log(variance) + squares / variance))
+    layout = problem.layout
+    everything = np.column_stack([found.residual, found.jacobian, *(() if more is None else (more,))])
+    group = layout.channel * FOLDS + layout.folds()
+    sorted_rows = everything[np.argsort(group, kind="stable")]
+    parts = np.split(sorted_rows, np.cumsum(np.bincount(group, minlength=len(CHANNELS) * FOLDS))[:-1])
+    products = np.stack([one.T @ one for one in parts]).reshape(len(CHANNELS), FOLDS, *[everything.shape[1]] * 2)
+    products = products.swapaxes(0, 1)  # by fold and channel
+    scale = np.maximum(np.sqrt(np.maximum(np.einsum("fcii->i", products), 0.0)), SHORTEST)
+    products = products / (scale[:, None] * scale)
+    weighted = np.einsum("fcij,c->fij", products, 1.0 / problem.variances(found.residual))
+    squares, together = np.zeros(len(CHANNELS)), weighted.sum(axis=0)
+    for own, fitted in zip(products, together - weighted, strict=True):
+        theta = -np.linalg.lstsq(fitted[1:, 1:], fitted[1:, 0], rcond=1e-10)[0] if len(fitted) > 1 else np.zeros(0)
+        full = np.concatenate([[1.0], theta])
+        squares += np.einsum("i,cij,j->c", full, own, full)
+    squares *= scale[0] ** 2
+    variance = np.maximum(squares / np.maximum(layout.count, 1.0), 1.0)
+    return float(np.sum(layout.count * np.log(variance) + squares / variance))
 
 
 def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
@@ -182,7 +168,7 @@ def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
 
 def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
     """Return by how much the held-out deviance falls from one fit to another."""
-    return HeldOutBlocks(problem, before).deviance() - HeldOutBlocks(problem, after).deviance()
+    return held_out_deviance(problem, before) - held_out_deviance(problem, after)
 
 
 def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:

@@ -20,11 +20,11 @@ import numpy as np
 
 from hydro_diagnosis.closure.evidence import (
     THRESHOLD,
-    HeldOutBlocks,
     barred_equations,
     equals_ruled_out,
     equivalent_causes,
     has_identified_shapes,
+    held_out_deviance,
     held_out_gain,
     within_form_error,
     without_idle_terms,
@@ -40,7 +40,7 @@ from hydro_diagnosis.closure.forward_selection import (
     select_laws,
     with_reversal_velocity,
 )
-from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Prospect, Screen, laws, shown, tables, ways_beside
+from hydro_diagnosis.closure.screen import CHANCE, PROMISING, Prospect, Screen, laws, tables, ways_beside
 from hydro_diagnosis.effects.base import LOAD, MOTION, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -168,12 +168,12 @@ def _by_table(below: ClosureFit, closed: frozenset[str]) -> ClosureFit:
 def _grown_by_table(problem: Problem, base: Fit, terms: Sequence[Claim]) -> Fit:
     """Return the fit with the significant tables."""
     current, taken, ways = base, 0, ways_beside(problem, base)
-    tried = [(one, _columns(problem, base, ways, one)) for one in terms]
+    tried = [(one, _columns(problem, ways, one)) for one in terms]
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     while taken < room and tried and problem.noticeable(current.residual) and not problem.budget.exhausted:
-        before = HeldOutBlocks(problem, current).deviance()
+        before = held_out_deviance(problem, current)
         there_is = before - float(np.sum(problem.layout.count))  # a residual that is noise alone leaves one each
-        gains = [before - HeldOutBlocks(problem, current, [columns]).deviance((0,)) for _, columns in tried]
+        gains = [before - held_out_deviance(problem, current, columns) for _, columns in tried]
         best = int(np.argmax(gains))
         if gains[best] < max(THRESHOLD, LEAST * there_is):
             break
@@ -189,11 +189,11 @@ def _grown_by_table(problem: Problem, base: Fit, terms: Sequence[Claim]) -> Fit:
     return current
 
 
-def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
+def _columns(problem: Problem, ways: Sequence[Responses], claim: Claim) -> FloatArray:
     """Responses of the residual to a table's values at neutral, in spans; shape (n, values)."""
     probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.amplitudes]
     columns = np.zeros((len(problem.layout.channel), len(probes)))
-    for channel, responses in shown(problem, base, ways, probes).items():
+    for channel, responses in problem.joined([way.of(probes) for way in ways], len(probes)).items():
         columns[problem.layout.channel == channel] = responses.T
     return columns
 

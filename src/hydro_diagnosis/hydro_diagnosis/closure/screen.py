@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.effects.closure import Closure, SnubberClosure, closure
+from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.effects.kernels import held_lag
 from hydro_diagnosis.estimation.fit import SHORTEST, Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Layout, Problem
@@ -119,15 +119,6 @@ def _nothing(effect: Closure) -> list[Claim]:
 def ways_beside(problem: Problem, base: Fit) -> list[Responses]:
     """Ways of each segment, under the claims of a fit."""
     return [Responses(model, problem.blocks, (*problem.baseline, *base.claims)) for model in problem.models]
-
-
-def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequence[Claim]) -> dict[int, FloatArray]:
-    """`Problem.joined` responses to terms of one law beside a fit, of which the `ways` are."""
-    if not isinstance(terms[0].effect, SnubberClosure):
-        return problem.joined([way.of(terms) for way in ways], len(terms))
-    changes = np.stack([problem.residual((*base.claims, one)) - base.residual for one in terms])
-    channel = problem.layout.channel
-    return {int(k): changes[:, channel == k] for k in np.unique(channel)}
 
 
 def column_gains(own: FloatArray, cross: FloatArray, square: FloatArray, weight: FloatArray, count: FloatArray,
@@ -272,7 +263,8 @@ class Screen:
         for _, same in groupby(self.terms, key=lambda one: one.effect.label):
             probes = [_probed(one) for one in same]
             self._laws.append(slice(at, at + len(probes)))
-            self._responses.add(np.arange(at, at + len(probes)), shown(problem, base, ways, probes))
+            shown = problem.joined([way.of(probes) for way in ways], len(probes))
+            self._responses.add(np.arange(at, at + len(probes)), shown)
             at += len(probes)
             problem.budget.spend(problem.samples * len(probes))
         self._responses.finish()

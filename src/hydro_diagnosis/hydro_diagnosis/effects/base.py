@@ -16,6 +16,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
 
 FloatArray = npt.NDArray[np.float64]
@@ -78,43 +79,6 @@ class FitParameter:
     def span(self) -> float:
         """The natural step of this parameter."""
         return max(abs(probe - self.neutral) for probe in self.probes) or abs(self.neutral)
-
-
-class Memory:
-    """Elements with a past, either over a whole record or one step at a time."""
-
-    beside: Mapping[str, FloatArray]
-    """Signals that a reading may depend on besides its own, by the names of `hydro_sim.model.laws.Signals`."""
-
-    def lag(
-        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
-        falling: float | None = None,
-    ) -> FloatArray:  # fmt: skip
-        """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where.
-
-        `falling`: the time constant [s] while the signal is below what lags, if it is another.
-        """
-        raise NotImplementedError
-
-    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        """Second-order low-pass, `bandwidth` in Hz."""
-        raise NotImplementedError
-
-    def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
-        """A slow signal s plus `first` [s] times s' plus `second` [s^2] times s''."""
-        raise NotImplementedError
-
-    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
-        """First-order lag of a signal, its rises by another time constant [s] than its falls."""
-        raise NotImplementedError
-
-    def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
-        """Position [m] of what is dragged through a gap of `width` [m] (the play operator)."""
-        raise NotImplementedError
-
-    def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-        """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
-        raise NotImplementedError
 
 
 @dataclass
@@ -193,8 +157,6 @@ class Effect:
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
     lagged: ClassVar[str] = ""
     """Channel whose readings it low-passes; empty if none."""
-    asymmetric: ClassVar[bool] = False
-    """Whether it lags rises otherwise than falls: other channels cannot be delayed alike."""
     breaks_superposition: ClassVar[bool] = False
     """Whether the responses to other effects do not superpose behind it."""
     memoryless: ClassVar[bool] = False

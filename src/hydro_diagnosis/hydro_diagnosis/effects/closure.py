@@ -24,12 +24,12 @@ from hydro_diagnosis.effects.base import (
     FitParameter,
     FloatArray,
     Kinematics,
-    Memory,
     Oil,
     Pair,
     Values,
 )
-from hydro_diagnosis.effects.kernels import along, held_lag, limited, splined
+from hydro_diagnosis.effects.kernels import limited, splined
+from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
@@ -249,17 +249,14 @@ class ValveClosure(Closure):
     stage = 2
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
-        at, path = Signals(current=spool), np.ascontiguousarray(spool).ravel()
-        if self.element is not None and self.element.kind == "path":
-            at = at.but(memory=along(path, 1.0 / values["path"], np.ones_like(path)).reshape(spool.shape))
-        elif self.element is not None and self.element.kind == "slow":
-            warm = held_lag(self._driver(at).ravel(), substep, values.get("time", SETTLING), 0.0)[1]
-            at = at.but(memory=warm.reshape(spool.shape))
+        path = np.ascontiguousarray(spool).ravel()
+        at = Signals(current=path)
+        if self.element is not None and self.element.kind in ("path", "slow"):
+            at = self._remembering(at, Memory(substep), values)
         elif self.element is not None:
             rising, falling = (values.get(name, values.get("time", 0.0)) for name in ("rising", "falling"))
-            late = limited(path, substep, values.get("rate", WIDEST), rising, falling)
-            at = at.but(memory=late.reshape(spool.shape))
-        return spool + self.given(at, values)
+            at = at.but(memory=limited(path, substep, values.get("rate", WIDEST), rising, falling))
+        return spool + self.given(at, values).reshape(spool.shape)
 
 
 _INVERSIONS = 6
@@ -339,29 +336,6 @@ class PlaceClosure(SensorClosure):
         return signal
 
 
-class SnubberClosure(SensorClosure):
-    """A pressure sensor that follows rises and falls at different rates."""
-
-    asymmetric = True
-    breaks_superposition = True
-
-    @property
-    def lagged(self) -> str:  # type: ignore[override]
-        return self.law.where
-
-    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel != self.law.where:
-            return signal
-        late = memory.asymmetric_lag(signal, values["rising"], values["falling"])
-        return signal + values["coefficient"] * (late - signal)
-
-    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel != self.law.where:
-            return reading
-        led = memory.lead(reading, 1.0, 0.0) - reading  # the slope, times 1 s
-        return reading + values["coefficient"] * led * np.where(led > 0.0, values["rising"], values["falling"])
-
-
 def closure(
     law: Law | Table, bench: Bench, limits: tuple[float, float] = (0.0, 1.0), probes: tuple[float, ...] = ()
 ) -> Closure:
@@ -374,8 +348,6 @@ def closure(
     kind = placed.get(law.where) or acting.get(law.equation, FlowClosure)
     kind = GaugeClosure if law.where.startswith("pressure") else kind
     kind = DraggedClosure if kind is LoadClosure and "acceleration" in law.uses else kind
-    if law.equation == "sensor" and law.element is not None and law.element.kind == "turn":
-        kind = SnubberClosure
     options = {"equation": law.equation, "form": law.form}
     return kind(options, law=law, limits=limits, probes=probes, numbers=bench)
 

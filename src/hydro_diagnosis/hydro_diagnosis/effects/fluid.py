@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Memory, Pair, Values, changed
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Pair, Values, changed
+from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
 
 _COEFFICIENT = FitParameter(name="coefficient", unit="m3/s/Pa", low=0.0, high=1e-10, probes=(1e-13,), smallest=1e-15)

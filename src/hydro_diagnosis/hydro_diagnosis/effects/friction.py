@@ -11,7 +11,8 @@ from math import isnan
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import MOTION, Effect, FitParameter, FloatArray, Kinematics, Memory, Values, changed
+from hydro_diagnosis.effects.base import MOTION, Effect, FitParameter, FloatArray, Kinematics, Values, changed
+from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
 
 STROKE = 0.08

@@ -50,31 +50,6 @@ def limited(signal, step, rate, rising, falling):
     return mean
 
 
-@njit
-def asymmetric_lag(signal, step, rising, falling):
-    """Lag w' = (s - w) / T of a signal that is straight between samples, shape (n,).
-
-    It begins at the signal. T is `rising` [s] while s is above w, `falling` while it is below: that of its middle is
-    taken for each of the parts of a sample, in which the lag is exact.
-    """
-    parts = 8
-    out = np.empty(len(signal))
-    now = signal[0]
-    out[0] = now
-    part = step / parts
-    up, down = np.exp(-part / rising), np.exp(-part / falling)
-    for k in range(1, len(signal)):
-        slope, begin = (signal[k] - signal[k - 1]) / step, signal[k - 1]
-        for _ in range(parts):
-            rises = begin + 0.5 * slope * part > now
-            time = rising if rises else falling
-            behind = (now - begin + slope * time) * (up if rises else down) - slope * time
-            begin += slope * part
-            now = begin + behind
-        out[k] = now
-    return out
-
-
 def held_lag(
     signal: FloatArray, step: float, time: float, start: float, falling: float | None = None
 ) -> tuple[FloatArray, FloatArray]:
@@ -164,19 +139,6 @@ def _softplus(over):
 
 
 def substep_mean(signal: FloatArray) -> FloatArray:
-    """Mean over the last axis: from shape (..., substeps) to (...)."""
-    if signal.shape[-1] == 1:
-        return signal[..., 0]
-    found = np.empty(signal.shape[:-1])
-    _mean(found.reshape(-1), np.ascontiguousarray(signal).reshape(-1, signal.shape[-1]))
-    return found
-
-
-@njit
-def _mean(found, signal):
-    count = signal.shape[1]
-    for k in range(len(found)):
-        total = signal[k, 0]
-        for s in range(1, count):
-            total += signal[k, s]
-        found[k] = total / count
+    """Mean over the last axis, which is short: from shape (..., substeps) to (...)."""
+    first, *others = np.moveaxis(signal, -1, 0)
+    return np.asarray(sum(others, first) / signal.shape[-1])

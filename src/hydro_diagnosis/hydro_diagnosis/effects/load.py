@@ -7,17 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import (
-    LOAD,
-    MOTION,
-    Effect,
-    FitParameter,
-    FloatArray,
-    Kinematics,
-    Memory,
-    Values,
-)
+from hydro_diagnosis.effects.base import LOAD, MOTION, Effect, FitParameter, FloatArray, Kinematics, Values
 from hydro_diagnosis.effects.bench_values import RATIO, TrueValue, times
+from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
 
 

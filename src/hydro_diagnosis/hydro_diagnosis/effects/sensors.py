@@ -13,10 +13,10 @@ from hydro_diagnosis.effects.base import (
     Effect,
     FitParameter,
     FloatArray,
-    Memory,
     Values,
     changed,
 )
+from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
 
 TOUCHES = {

@@ -46,6 +46,7 @@ class ValveDeadbandLopsided(_Valve):
     """Overlaps of different width: the same as an even overlap and a shifted null, in one cause."""
 
     id = "valve_deadband"
+    says = "The valve does not open between -{half_width_negative:.3g} mA and {half_width:.3g} mA: its edges overlap."
     parameters = tuple(
         FitParameter(name=name, unit="A", low=0.0, high=0.02, probes=(1e-4, 5e-4), smallest=5e-6)
         for name in ("half_width", "half_width_negative")
@@ -53,12 +54,6 @@ class ValveDeadbandLopsided(_Valve):
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         return current - np.clip(current, -values["half_width_negative"], values["half_width"])
-
-    def sentence(self, values: Values) -> str:
-        return (
-            f"The valve does not open between {-values['half_width_negative'] * 1e3:.3g} mA and "
-            f"{values['half_width'] * 1e3:.3g} mA: its edges overlap."
-        )
 
 
 class ValveDeadbandSoft(_Valve):

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Memory, Oil, Openings, Pair, acting
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Openings, Pair, acting
+from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench

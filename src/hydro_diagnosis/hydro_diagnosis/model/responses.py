@@ -4,7 +4,7 @@
 Many terms are carried at a time: the way is linear. What a term of one equation does by way of another is left out. Of
 terms that just add (`Effect.additive`) these responses are exact, as long as no claim stands between the equation and
 the sensors; of others they rank, and fit none. The error of a pressure gauge also goes through flows, stiffness and
-hydraulic balance, which are computed from its readings; only a snubber, which is no small change, has no response here.
+hydraulic balance, which are computed from its readings.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from hydro_diagnosis.effects.closure import (
     PlaceClosure,
     ValveClosure,
 )
+from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.segment_model import BLOCKS, OBSERVER_MEMORY, SLOPE_STEP, SegmentModel
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
@@ -72,7 +72,7 @@ class Responses:
         self.model, self.claims = model.placed(claims), claims
         self.bench = self.model.bench(claims)
         self._channels = {name for block in blocks for name in BLOCKS[block]}
-        self._memory = RecordMemory(model.step, self.model.beside)
+        self._memory = Memory(model.step, self.model.beside)
         self._gain = model.step / OBSERVER_MEMORY
         self._nothing = np.zeros_like(model.time)
 

@@ -35,9 +35,9 @@ from hydro_diagnosis.effects.base import (
     acting,
 )
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
+from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
-from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.smoothing import (
     KINEMATIC_WIDTH,
     STRIDE,
@@ -107,7 +107,7 @@ class SegmentModel:
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
         self.beside = self._beside()
         """Signals that a sensor's reading may depend on besides its own, shape (n,) each."""
-        self.memory = RecordMemory(segment.step, self.beside)
+        self.memory = Memory(segment.step, self.beside)
         self._cache, self._placed = BoundedCache(CACHE_SIZE), BoundedCache(PLACES)
 
     def _beside(self) -> dict[str, FloatArray]:
@@ -382,9 +382,10 @@ class SegmentModel:
     def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated, without the arc."""
         required = self.required_force(claims)
-        if "hydraulic_force" in self.channels:
-            return self._cell_force - self._shown_force(required, claims)
-        return self.measured_force(claims) - self.kept_finish(required)
+        if "hydraulic_force" not in self.channels or not acting(claims, "measure"):
+            return self.measured_force(claims) - self.kept_finish(required)
+        shown = self.reading("hydraulic_force", self.finish(required), claims, smoothed=True)
+        return self.measured_force(claims) - self.kept(shown)
 
     def measured_force(self, claims: Sequence[Claim]) -> FloatArray:
         """Hydraulic force [N] of the cell, or else of the pressures, decimated."""
@@ -397,12 +398,6 @@ class SegmentModel:
     @cached_property
     def _cell_force(self) -> FloatArray:
         return self.kept_smooth(self.channels["hydraulic_force"])
-
-    def _shown_force(self, required: FloatArray, claims: Sequence[Claim]) -> FloatArray:
-        """Reading [N] of the cell at the rod for a force, decimated."""
-        if not acting(claims, "measure"):
-            return self.kept_finish(required)
-        return self.kept(self.reading("hydraulic_force", self.finish(required), claims, smoothed=True))
 
     @cached_property
     def _lines_arc(self) -> FloatArray:
@@ -422,7 +417,7 @@ class SegmentModel:
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
         bench = self.bench(claims)
-        late = [one for one in claims if one.effect.lagged.startswith("pressure") and not one.effect.asymmetric]
+        late = [one for one in claims if one.effect.lagged.startswith("pressure")]
         others = [claim for claim in claims if claim not in late]
 
         def delayed(signal: FloatArray, but: str) -> FloatArray:

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, acting
+from hydro_diagnosis.effects.memory import ColumnMemory, Indices, Memory, StepMemory, WindowMemory
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.memory import ColumnMemory, Indices, RecordMemory, StepMemory, WindowMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
@@ -165,7 +165,7 @@ class Plant:
         claims = [claim for claim in claims if not claim.effect.places]
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         spool = chambers.spool_position(current, model.step / substeps, claims)
-        memory = model.memory = RecordMemory(model.step, model.beside)
+        memory = model.memory = Memory(model.step, model.beside)
         model.chamber_run(claims)
         model.required_force(claims)
         for claim in claims:

@@ -342,9 +342,7 @@ class Search:
         changed = False
         for claim in outcome.fit.judged:
             problem = outcome.problem
-            if claim not in outcome.fit.claims:
-                continue
-            if any(claim.effect.id in one.effect.needs for one in outcome.fit.claims):
+            if claim not in outcome.fit.removable:
                 continue
             label, base = claim.effect.label, without_one(problem, outcome.fit, claim)
             present = outcome.fit.score
@@ -394,11 +392,7 @@ class Search:
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
         while outcome.fit.judged:
-            smaller = [
-                self._without(outcome, claim)
-                for claim in outcome.fit.judged
-                if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
-            ]
+            smaller = [self._without(outcome, claim) for claim in outcome.fit.removable]
             best = min(smaller, key=lambda one: one.score)
             if best.score - outcome.fit.score > self.settings.threshold:
                 return changed

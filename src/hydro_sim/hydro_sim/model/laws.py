@@ -227,7 +227,7 @@ class Law:
     @property
     def reverses(self) -> bool:
         """Whether it follows the sign of the velocity."""
-        return "sign(v)" in self.text or "where v" in self.text
+        return re.search(r"\b(sign_v|turn)\b", self.formula) is not None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -223,11 +223,5 @@ _SENSORS: tuple[Law, ...] = (
           f"p_{chamber} * p_{chamber}", 1e-9, f"The pressure sensor of chamber {chamber.upper()} reads a curve instead "
           "of a line: typical of a membrane that is bent too far.", where=f"pressure_{chamber}")
       for chamber in "ab"),
-    *(Law("sensor", f"snubber of pressure_{chamber}", "-",
-          f"(w - p_{chamber}), w' = (p_{chamber} - w) / (rising or falling)", f"w - p_{chamber}", 1.0,
-          f"The pressure sensor of chamber {chamber.upper()} follows rises and falls at different rates: typical of a "
-          "snubber with a check valve; 1: all of it.", Element("turn", f"pressure_{chamber}"),
-          _turns(5e-4, 2e-3, 1e-2), f"pressure_{chamber}")
-      for chamber in "ab"),
 )  # fmt: skip
 LAWS = (*_FORCES, *_FLOWS, *_VALVE, *_SENSORS)

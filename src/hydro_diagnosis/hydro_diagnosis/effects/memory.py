@@ -15,13 +15,16 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import FloatArray, Memory
-from hydro_diagnosis.effects.kernels import along, asymmetric_lag, held_lag
+from hydro_bridge.signals import FloatArray
+from hydro_diagnosis.effects.kernels import along, held_lag
 from hydro_sim.jit import njit
 
 
-class RecordMemory(Memory):
-    """Memory over a record that is sampled every `step` seconds; it starts in equilibrium with the first sample."""
+class Memory:
+    """Memory over a record that is sampled every `step` seconds; it starts in equilibrium with the first sample.
+
+    `beside`: signals that a reading may depend on besides its own, by the names of `hydro_sim.model.laws.Signals`.
+    """
 
     def __init__(self, step: float, beside: Mapping[str, FloatArray] | None = None) -> None:
         self.step = step
@@ -33,36 +36,39 @@ class RecordMemory(Memory):
         self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
         falling: float | None = None,
     ) -> FloatArray:  # fmt: skip
-        """See `Memory.lag`; the signal is held between samples, the outcome is the mean over each sample."""
+        """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where.
+
+        The signal is held between samples, the outcome is the mean over each sample. `falling`: the time constant [s]
+        while the signal is below what lags, if it is another.
+        """
         begin = float(signal[0]) if start is None else start
         self.traces[key], mean = held_lag(signal, self.step, time_constant, begin, falling)
         return mean
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        """See `Memory.low_pass`; the signal is a straight line between samples."""
+        """Second-order low-pass, `bandwidth` in Hz; the signal is a straight line between samples."""
         numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
         state = np.multiply.outer(np.cumsum((numerator - denominator)[::-1])[::-1][1:], signal[0])
         passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
         return np.asarray(passed, dtype=np.float64)
 
     def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
-        """See `Memory.lead`; derivatives are taken over some 10 samples, so that noise stays below the signal's own."""
+        """A slow signal s plus `first` [s] times s' plus `second` [s^2] times s''.
+
+        Derivatives are taken over some 10 samples, so that noise stays below the signal's own.
+        """
         smoothed = gaussian_filter1d(signal, 4.0, mode="nearest")
         slope = np.gradient(smoothed, self.step)
         bend = np.gradient(slope, self.step)
         return np.asarray(signal + first * slope + second * bend)
 
-    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
-        """See `Memory.asymmetric_lag`; the signal is a straight line between samples."""
-        return np.asarray(asymmetric_lag(np.ascontiguousarray(signal), self.step, rising, falling))
-
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
-        """See `Memory.play`; it starts in the middle of the gap."""
+        """Position [m] of what is dragged through a gap of `width` [m], from its middle (the play operator)."""
         self.traces[key] = _play(position, width / 2.0)
         return self.traces[key]
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-        """See `Memory.bristle`."""
+        """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
         self.traces[key] = along(np.ascontiguousarray(position), stiffness, np.ascontiguousarray(limit))
         self.traces[key + ".x"] = position
         return self.traces[key]
@@ -71,12 +77,11 @@ class RecordMemory(Memory):
 class StepMemory(Memory):
     """Memory of many windows that advance together, one `step` at a time; `tick` closes a step.
 
-    Sensors are applied to the whole outcome: what only they need is not here.
+    Sensors are applied to the whole outcome: what only they need stays a record's.
     """
 
     def __init__(self, step: float, states: dict[str, FloatArray]) -> None:
-        self.step = step
-        self.beside: Mapping[str, FloatArray] = {}
+        super().__init__(step)
         self._states = states
         """As a record left every element."""
         self._next: dict[str, FloatArray] = {}
@@ -89,20 +94,17 @@ class StepMemory(Memory):
         self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
         falling: float | None = None,
     ) -> FloatArray:  # fmt: skip
-        """See `Memory.lag`."""
         state = self._states.setdefault(key, signal if start is None else np.full_like(signal, start))
         time = time_constant if falling is None else np.where(signal > state, time_constant, falling)
         self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time))
         return state
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
-        """See `Memory.play`."""
         dragged = self._states.setdefault(key, position)
         self._next[key] = np.clip(dragged, position - width / 2.0, position + width / 2.0)
         return self._next[key]
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-        """See `Memory.bristle`."""
         where = self._states.setdefault(key + ".x", position)
         force = self._states.setdefault(key, np.zeros_like(position))
         self._next[key], self._next[key + ".x"] = _bent(force, position - where, stiffness, limit), position
@@ -155,22 +157,15 @@ Indices = npt.NDArray[np.int64]
 """Samples at which windows begin."""
 
 
-class ColumnMemory(RecordMemory):
-    """A record memory whose time runs down the first axis, one column per window."""
+class ColumnMemory(Memory):
+    """A record's memory whose time runs down the first axis, one column per window."""
 
     def lag(
         self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
         falling: float | None = None,
     ) -> FloatArray:  # fmt: skip
-        """See `RecordMemory`."""
         single = super().lag
         return np.apply_along_axis(lambda column: single(key, column, time_constant, start, falling), 0, signal)
-
-    def asymmetric_lag(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
-        """See `RecordMemory`."""
-        return np.apply_along_axis(
-            lambda column: super(ColumnMemory, self).asymmetric_lag(column, rising, falling), 0, signal
-        )
 
 
 class WindowMemory(ColumnMemory):
@@ -189,7 +184,6 @@ class WindowMemory(ColumnMemory):
         return self._along[key][self._at]
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-        """See `RecordMemory`."""
         force, where = (self._along[name][self._at[0]] for name in (key, key + ".x"))
         course = np.empty_like(position)
         for k, now in enumerate(position):
