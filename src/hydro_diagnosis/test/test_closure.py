@@ -9,17 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure import admission
 from hydro_diagnosis.closure.admission import admitted, share_closed, without_harmful_names
-from hydro_diagnosis.closure.evidence import within_form_error, without_idle_terms
-from hydro_diagnosis.closure.forward_selection import ClosureFit, ForwardSelection, _exchanged
-from hydro_diagnosis.closure.model_selection import closures, merged, renamed, starting_points, together
-from hydro_diagnosis.closure.screen import Screen, laws, threshold
+from hydro_diagnosis.closure.forward_selection import ClosureFit
+from hydro_diagnosis.closure.model_selection import closures, merged, renamed, together
+from hydro_diagnosis.closure.screen import Screen, laws
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -28,7 +26,6 @@ from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.grammar.composition import divided
 from tests.segments import frame, problem_in, problem_of, record
 
 BENCH = Bench.nominal()
@@ -43,12 +40,6 @@ def held(**errors: float) -> dict[str, object]:
     return {"holdout": {name: {"rmse_after": one, "noise_floor": 1.0} for name, one in errors.items()}}
 
 
-def test_share_closed_counts_what_stands_above_the_noise() -> None:
-    assert share_closed(held(a=3.0, b=1.0), held(a=1.0, b=0.9)) == pytest.approx(1.0)
-    assert share_closed(held(a=3.0, b=1.0), held(a=3.0, b=1.0)) == pytest.approx(0.0)
-    assert share_closed(held(a=3.0, b=1.0), held(a=3.0, b=2.0)) == pytest.approx(1.0 - 11.0 / 8.0)
-
-
 def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_others(
     problem: Problem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -57,13 +48,6 @@ def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_o
     for later, taken in ((1.6, False), (float("nan"), False), (1.5, True)):
         monkeypatch.setattr(admission, "held_out", lambda *_, b=later: held(a=1.0, b=b))
         assert (admitted(problem, problem, [closed], named) is not None) == taken
-
-
-def test_the_threshold_pays_for_the_number_of_columns_and_a_coefficient_has_the_unit_that_is_left() -> None:
-    assert threshold(153) == pytest.approx(30.0, abs=0.1), "the best of n columns of noise gains some 2 ln n"
-    assert threshold(3000) - threshold(30) == pytest.approx(2.0 * np.log(100.0))
-    assert divided("N", "m/s", "-") == "N s/m" and divided("m3/s", "Pa", "A") == "m3/s/Pa/A"
-    assert divided("m3/s", "m3/s", "-") == "-" and divided("-", "A2", "-") == "1/A2"
 
 
 def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_bench(tmp_path: Path) -> None:
@@ -126,20 +110,6 @@ def values_of(found: Fit) -> dict[str, Mapping[str, float]]:
     return {claim.effect.label: claim.values for claim in found.claims}
 
 
-def test_a_name_is_exchanged_for_one_that_does_as_well_with_fewer_numbers() -> None:
-    """A motor that saturates behind a weaker valve: an overlap that opens softly beside the same law fits as well."""
-    rounded = entry("actuation", "rounded gain", coefficient=-1.0, level=0.015)
-    problem = problem_of(effects=(WEAKER,), closures=(rounded,))
-    law = closure(grammar.ALL["actuation", "rounded gain"], problem.bench)
-    overlap = Claim(NAMES["valve_deadband:soft"], {"half_width": 3.7e-4, "softness": 4.4e-3})
-    found = fit(problem, [overlap, Claim(law, {"coefficient": -0.9, "level": 0.013})], iterations=24)
-    screen = Screen(problem, fit(problem, ()), laws(problem))
-    better = _exchanged(problem, found, ForwardSelection(screen), list(NAMES.values()))
-    assert not problem.noticeable(found.residual) and better.score < found.score
-    assert set(values_of(better)) == {"valve_gain", "closure:actuation:rounded gain"}
-    assert values_of(better)["valve_gain"]["ratio"] == pytest.approx(0.94, abs=2e-3)
-
-
 def test_edges_that_pass_less_are_a_weaker_valve() -> None:
     """A law that does what a cause of the table does gives way to it where several laws stand."""
     problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC,))
@@ -173,17 +143,6 @@ LIKELY = [NAMES[label] for label in ("valve_offset", "valve_gain", "leakage_inte
                                      "bulk_modulus")]  # fmt: skip
 
 
-def test_the_name_beside_which_a_law_leaves_nothing_opens() -> None:
-    problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
-    nothing = fit(problem, ())
-    screen = Screen(problem, nothing, laws(problem))
-    alone = screen.gains(nothing)[1]
-    weighed, first = next(starting_points(problem, nothing, screen, LIKELY, alone))
-    assert [claim.effect.label for claim in first.claims] == ["valve_offset"]
-    assert weighed.noticeable(first.residual)
-    assert not list(starting_points(problem, nothing, screen, LIKELY, 1.0))  # next to nothing is left
-
-
 @pytest.mark.study
 def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name() -> None:
     problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
@@ -212,21 +171,7 @@ def test_a_name_that_the_held_out_recordings_do_not_have_goes() -> None:
     assert set(values_of(without_harmful_names(closed, problem_of(closures=(QUADRATIC, RING))).fit)) == {FORM}
 
 
-def test_where_nothing_remains_all_names_stay() -> None:
-    problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC,))
-    closed = closed_by(problem, {"valve_gain": {"ratio": 0.95}}, ("motion", "quadratic drag"))
-    assert not closed.problem.noticeable(closed.fit.residual)
-    assert without_harmful_names(closed, problem_of(closures=(QUADRATIC,))) is closed
-
-
 LEAK = "closure:pressure:leak along the stroke"
-
-
-@pytest.fixture(scope="module")
-def rubbed() -> Problem:
-    """A bench with 600 N s2/m2 of quadratic drag and 8 N of dry friction."""
-    drag = entry("motion", "quadratic drag", coefficient=600.0)
-    return problem_in(record(replace(BENCH, closures=(drag,), effects=(DRY,)), 3))
 
 
 def test_a_large_law_of_the_forces_hides_none_of_the_flows() -> None:
@@ -234,11 +179,10 @@ def test_a_large_law_of_the_forces_hides_none_of_the_flows() -> None:
     drag = entry("motion", "quadratic drag", coefficient=5000.0)
     leak = entry("pressure", "leak along the stroke", coefficient=1.5e-14)
     gain = {"id": "load_cell_gain", "cell": "load_force", "parameters": {"ratio": 1.003}}
-    states = record(replace(BENCH, closures=(drag, leak), effects=(gain,)), 3)
-    problem = problem_in(states)
+    problem = problem_in(record(replace(BENCH, closures=(drag, leak), effects=(gain,)), 3))
     names = [NAMES[label] for label in ("friction_viscous", "load_cell_gain:load_force")]
     _, found = together(problem, names, [closure(law, BENCH) for law in grammar.LAWS])
-    values = {claim.effect.label: claim.values for claim in found.claims}
+    values = values_of(found)
     assert set(values) == {FORM, LEAK, "load_cell_gain:load_force"}
     assert values[FORM]["coefficient"] == pytest.approx(5000.0, rel=0.002)
     assert values[LEAK]["coefficient"] == pytest.approx(1.5e-14, rel=0.05)
@@ -246,31 +190,16 @@ def test_a_large_law_of_the_forces_hides_none_of_the_flows() -> None:
     assert not problem.noticeable(found.residual)
 
 
-def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(rubbed: Problem) -> None:
+def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law() -> None:
+    drag = entry("motion", "quadratic drag", coefficient=600.0)
+    rubbed = problem_in(record(replace(BENCH, closures=(drag,), effects=(DRY,)), 3))
     nothing = fit(rubbed, ())
     names = [NAMES[label] for label in ("friction_viscous", "friction_coulomb", "moving_mass")]
     law = next(closures(rubbed, assess(rubbed, nothing, nothing), names))
-    values = {claim.effect.label: claim.values for claim in law.fit.claims}
+    values = values_of(law.fit)
     assert set(values) == {FORM, "friction_coulomb"}
     assert values["friction_coulomb"]["force"] == pytest.approx(8.0, rel=0.05)
     assert values[FORM]["coefficient"] == pytest.approx(600.0, rel=0.02)
     assert law.form == "law" and not law.problem.noticeable(law.fit.residual)
     # dry friction leaves its sign in doubt: there, not in the judgement
     assert rubbed.uncertainty != law.problem.uncertainty
-
-
-def test_names_that_do_nothing_beside_a_law_are_dropped(rubbed: Problem) -> None:
-    drag = closure(grammar.ALL["motion", "quadratic drag"], BENCH)
-    truth = (Claim(drag, {"coefficient": 600.0}), Claim(NAMES["friction_coulomb"], {"force": 8.0}))
-    idle = Claim(NAMES["friction_viscous"], {"coefficient": 1.0})
-    rubbed = rubbed.weighed(truth)
-    found = without_idle_terms(rubbed, fit(rubbed, (*truth, idle)))
-    assert {claim.effect.label for claim in found.claims} == {FORM, "friction_coulomb"}
-    assert within_form_error(rubbed, found, found)  # nothing is no more than the law's form may be off by
-    assert not within_form_error(rubbed, fit(rubbed, truth[:1]), found)
-
-
-def test_laws_of_flows_are_no_kin_of_laws_of_forces() -> None:
-    for law in (*grammar.LAWS, *grammar.TABLES):
-        of_flows = law.equation.startswith(("actuation", "pressure")) or law.where.startswith("pressure")
-        assert closure(law, BENCH).family == ("closure of flows" if of_flows else "closure of forces")

@@ -210,7 +210,8 @@ def claimed(law: Law | Table) -> Claim:
     placed = isinstance(law, Law) and any(number.over for number in law.numbers)
     below = "below a pressure" in law.form or law.form.endswith("below a limit")
     start = starts[-2 if below else 1 if placed else -2]  # a threshold that this motion passes
-    passed = {"threshold": 9.5e6} if law.form.endswith(("a pressure of B", "of pressure_b, below a limit")) else {}
+    high = any(one in law.form for one in ("a pressure of B", "of pressure_b, below a limit"))
+    passed = {"threshold": 9.5e6} if high else {}
     return Claim(effect, {**start, **passed, **sizes})
 
 
