@@ -198,8 +198,6 @@ STRUCTURE = "metric"
 ARRAYS = ("gains", "table")
 ANOTHER = "another"
 """Header entry, and prefix of the tensors, of a file's second metric."""
-NETWORK = ("w3", "b3")
-"""Last layer of the network that some files have on top of the table; the shipped ones' was zero."""
 UNFIT = 10.0
 """%, held-out samples that do not decay, beyond which the filter refuses a metric: sound ones have up to 3.2."""
 
@@ -302,8 +300,6 @@ class ScheduledMetric:
             raise WeightsError(
                 f"{path} has structure {header.get('structure')!r}, not a metric's: `learn_metric` makes one"
             )
-        if any(np.any(tensors.get(prefix + name, 0.0)) for name in NETWORK for prefix in ("", f"{ANOTHER}.")):
-            raise WeightsError(f"{path} has a network on top of its table: make it again with `learn_metric`")
         try:
             made, other = made_for(header), header.get(ANOTHER)
             another = None if other is None else cls._of(tensors, other, made, f"{ANOTHER}.")
@@ -316,14 +312,14 @@ class ScheduledMetric:
         cls, tensors: weights.Tensors, header: Mapping[str, Any], made: MadeFor | None, prefix: str = ""
     ) -> ScheduledMetric:
         arrays = {name: np.asarray(tensors[prefix + name], np.float64) for name in ARRAYS}
-        coordinates = tuple(str(name) for name in header.get("coordinates", LOOP_FIELDS))
+        coordinates = tuple(str(name) for name in header["coordinates"])
         entries = len(coordinates) * (len(coordinates) + 1) // 2
         width_of(entries)
-        thresholds, c_1 = Thresholds(**header["thresholds"]), float(header.get("velocity_compensation", 1.0))
+        thresholds, c_1 = Thresholds(**header["thresholds"]), float(header["velocity_compensation"])
         _check(arrays, entries, float(header["floor"]), thresholds, c_1)
         return cls(
             floor=float(header["floor"]), thresholds=thresholds, coordinates=coordinates,
-            training=dict(header.get("training", {})), made=made, velocity_compensation=c_1, another=None, **arrays,
+            training=dict(header["training"]), made=made, velocity_compensation=c_1, another=None, **arrays,
         )  # fmt: skip
 
 

@@ -46,17 +46,21 @@ def made(bench: Bench, model: Bench, metric: ScheduledMetric) -> LoopFilter:
 
 
 def run(
-    bench: Bench, plant: AnalyticPlant, one: LoopFilter | None, seconds: float, gains: tuple[float, float]
-) -> Iterator[tuple[Sample, CorrectionStatus, Box]]:
+    bench: Bench, plant: AnalyticPlant, one: LoopFilter | None, seconds: float, gains: tuple[float, float],
+    c_1: float = C_1,
+) -> Iterator[tuple[Sample, CorrectionStatus, Box]]:  # fmt: skip
     """Box, plant and filter under the compensated law; K_p drawn from `gains` a hundred times a second."""
-    box, x, delta_u, rng = Box(bench), plant.reset(3), 0.0, np.random.default_rng(3)
+    law = replace(LAW, velocity_compensation=c_1, velocity_compensation_max=1.0)
+    shaped = vars(replace(SHAPED, velocity_compensation=c_1))
+    box, x, delta_u = Box(bench, replace(BoxConfig(), compensated=law)), plant.reset(3), 0.0
+    rng = np.random.default_rng(3)
     box.receive(Command(law=Law.COMPENSATED), 0.0)
     if one is not None:
         one.reset()
     for k in range(round(seconds / SAMPLE_PERIOD)):
         if k % 10 == 0:
             delta_kp = rng.uniform(*gains) - LAW.base_kp
-        command = Command(arm=True, reference=SINE, delta_kp=delta_kp, delta_u=delta_u, **vars(SHAPED))
+        command = Command(arm=True, reference=SINE, delta_kp=delta_kp, delta_u=delta_u, **shaped)
         box.receive(command, k * SAMPLE_PERIOD)
         sample = Sample.of(box.tick(x, k * SAMPLE_PERIOD), law_state(box.state[0]))
         result = None if one is None else one.correct(sample)
@@ -131,17 +135,19 @@ def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Ben
         lyapunov(free + np.outer(push, feedback), np.ones(len(push)), 0.3)
 
 
-def test_a_file_keeps_both_and_one_of_before_holds_for_the_papers_law(
+def test_a_file_keeps_both_and_the_shipped_one_holds_for_the_papers_law(
     tmp_path: Path, bench: Bench, model: Bench, metric: ScheduledMetric
 ) -> None:
+    metric = replace(metric, training={"command": "learn_metric"})
     metric.save(tmp_path / "both.safetensors")
     both = ScheduledMetric.load(tmp_path / "both.safetensors")
     assert [one.velocity_compensation for one in both.certificates] == [1.0, C_1]
     for ours, theirs in zip(both.certificates, metric.certificates, strict=True):
         np.testing.assert_array_equal(ours.table, theirs.table)
         np.testing.assert_array_equal(ours.gains, theirs.gains)
-    old = loop_filter(ScheduledMetric.load(), model, bench)
-    assert old.unknown(compensated=True) and not old.unknown(compensated=False)
+        assert (ours.thresholds, ours.training) == (theirs.thresholds, theirs.training)
+    shipped = loop_filter(ScheduledMetric.load(), model, bench)
+    assert shipped.unknown(compensated=True) and not shipped.unknown(compensated=False)
     alone = loop_filter(both.certificates[1], model, bench)
     assert alone.unknown(compensated=False) and not alone.unknown(compensated=True)
 
@@ -162,6 +168,14 @@ def test_under_the_law_gains_pass_and_a_c_1_without_certificate_is_corrected(ben
     sample = done[-1][0]
     foreign = sample._replace(law=sample.law._replace(velocity_compensation=1.0), proportional_gain=300.0)
     assert made.correct(foreign).status is CorrectionStatus.MODIFIED
+
+
+def test_gains_that_would_trip_at_another_c_1_do_not_behind_the_filter(
+    bench: Bench, model: Bench, made: LoopFilter
+) -> None:
+    for one, held in ((None, False), (made, True)):
+        *_, (sample, _, _) = run(bench, AnalyticPlant(model), one, 1.5, (150.0, 300.0), c_1=1.0)
+        assert sample.armed is held
 
 
 def test_a_stiffer_spring_is_told_under_the_law(bench: Bench, made: LoopFilter) -> None:

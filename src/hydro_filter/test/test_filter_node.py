@@ -11,7 +11,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 
@@ -22,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.messages import LAW_STATES, STATES, pack_law_state
+from hydro_bridge.ros.messages import STATES, pack_law_state
 from hydro_bridge.ros.topics import (
     BOX,
     CORRECTION,
@@ -32,24 +31,15 @@ from hydro_bridge.ros.topics import (
     create_publisher,
     create_subscription,
 )
-from hydro_bridge.signals import (
-    PLANT_FIELDS,
-    STATE_FIELDS,
-    Command,
-    CorrectionStatus,
-    Flag,
-    FloatArray,
-    Law,
-    ReferenceSignal,
-    Waveform,
-)
+from hydro_bridge.serial.protocol import LawState
+from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, CorrectionStatus, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.sample import Sample
 from hydro_msgs.msg import BoxInfo, Correction
 from hydro_msgs.msg import LawState as LawStateMessage
-from hydro_sim.box.box import Box, BoxConfig, law_state
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.excitation import Segment
 from hydro_sim.files.learned_bench import digest as digest_of
@@ -117,49 +107,27 @@ def started(start: Callable[..., Companion]) -> Iterator[Callable[..., Source]]:
 
 
 @pytest.fixture(scope="module")
-def still() -> FloatArray:
-    return AnalyticPlant(Bench.nominal(), noise=0.0).reset(0)
-
-
-def samples(still: FloatArray, count: int) -> list[Sample]:
-    """Some that pass, some to be modified, some at the valve's limit."""
-    rng = np.random.default_rng(1)
-    gains, errors, currents = rng.uniform(-40, 90, count), rng.normal(0, 100, count), rng.uniform(-0.06, 0.06, count)
-    return [Sample(still, float(u), float(e), float(k)) for k, e, u in zip(gains, errors, currents, strict=True)]
+def unstable() -> Sample:
+    """A bench at rest, far from its reference, under a gain that the filter corrects."""
+    return Sample(AnalyticPlant(Bench.nominal(), noise=0.0).reset(0), 0.0, 100.0, -40.0)
 
 
 # an old state in a test on a busy machine is not the node's fault: only the tests about age keep the 5 ms
 PATIENT = ("--state-age-max", "0.1")
 
 
-def test_every_state_gets_exactly_one_correction(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*PATIENT)
-    first = 2**32 - 100  # the sequence wraps under way
-    for k, sample in enumerate(samples(still, 300)):
-        source.publish((first + k) % 2**32, sample)
-        source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
-    source.wait(lambda: len(source.diagnostics) > 1)  # time for a second answer to anything
-    assert [message.sequence for message in source.corrections] == [(first + k) % 2**32 for k in range(300)]
-    assert all(message.active == (message.delta_u != 0.0) for message in source.corrections)
-    assert {message.status for message in source.corrections} >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
-    source.publish(200, samples(still, 1)[0]._replace(reference_force=math.nan))
-    source.wait(lambda: source.diagnostics[-1].level == DiagnosticStatus.WARN)
-    assert source.corrections[-1].status == CorrectionStatus.NAN and "1 nan" in source.diagnostics[-1].message
-
-
-def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[..., Source], still: FloatArray) -> None:
+def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[..., Source], unstable: Sample) -> None:
     source = started()
-    sample = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0)
     for k in range(40):
-        source.publish(k, sample, age=0.05)
+        source.publish(k, unstable, age=0.05)
     source.wait(lambda: len(source.corrections) >= 40)
     assert [message.sequence for message in source.corrections] == list(range(40))
     assert {(message.status, message.delta_u) for message in source.corrections} == {(CorrectionStatus.STALE, 0.0)}
 
 
-def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
+def test_bypass_is_loud(started: Callable[..., Source], unstable: Sample) -> None:
     source = started("--bypass", *PATIENT)
-    source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
+    source.publish(0, unstable)
     source.wait(lambda: bool(source.corrections))
     assert source.corrections[0].status == CorrectionStatus.BYPASSED
     assert source.corrections[0].delta_u == 0.0
@@ -175,64 +143,6 @@ def beside_the_law(started: Callable[..., Source], model: Bench, metric: Schedul
     of.write_text(yaml.safe_dump(model.to_mapping()))
     replace(metric, made=MadeFor(box=Bench.nominal().digest, model=digest_of(of))).save(file)
     return started("--metric", str(file), "--model", str(of), *PATIENT)
-
-
-def shaken(model: Bench, answer: Callable[[Sample, bytes], float]) -> tuple[list[Sample], bool]:
-    """The compensated law at C_1 = 1 on a bench, K_p 150 to 300 drawn a hundred times a second; whether it tripped."""
-    usual = BoxConfig()
-    law = replace(usual.compensated, velocity_compensation=1.0, velocity_compensation_max=1.0)
-    box, plant, rng = (
-        Box(Bench.nominal(), replace(usual, compensated=law)),
-        AnalyticPlant(model),
-        np.random.default_rng(1),
-    )
-    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
-    x, delta_u = plant.reset(1), 0.0
-    box.receive(Command(law=Law.COMPENSATED), 0.0)
-    samples = []
-    for k in range(1500):
-        if k % 10 == 0:
-            delta_kp = rng.uniform(150.0, 300.0) - law.base_kp
-        command = Command(arm=True, law=Law.COMPENSATED, reference=signal, delta_kp=delta_kp, delta_u=delta_u)
-        box.receive(command, 1e-3 * k)
-        record = box.tick(x, 1e-3 * k)
-        samples.append(Sample.of(record, law_state(box.state[0])))
-        if int(record["flags"]) & Flag.TRIPPED:
-            return samples, True
-        delta_u = answer(samples[-1], pack_law_state(0, k, law_state(box.state[0])))
-        x = plant.step(samples[-1].valve_current)
-    return samples, False
-
-
-def test_under_the_compensated_law_it_corrects_and_gains_that_would_trip_do_not(
-    beside_the_law: Source, model: Bench, metric: ScheduledMetric
-) -> None:
-    source, core = beside_the_law, loop_filter(metric, model, Bench.nominal())
-    laws = create_publisher(source.node, LAW_STATE)
-    source.wait(lambda: laws.get_subscription_count() > 0)
-    assert shaken(model, lambda sample, told: 0.0)[1], "without a filter the box trips"
-    expected: list[float] = []
-
-    def answer(sample: Sample, told: bytes) -> float:
-        """The law before its sample, or behind it: the sample waits for it."""
-        sequence = LAW_STATES.unpack(told).sequence
-        if sequence % 2:
-            laws.publish(told)
-            source.publish(sequence, sample)
-        else:
-            source.publish(sequence, sample)
-            laws.publish(told)
-        source.wait(lambda: len(source.corrections) > sequence, timeout=5.0)
-        expected.append(core.correct(sample).delta_u)
-        return source.corrections[-1].delta_u
-
-    assert not shaken(model, answer)[1]
-    told = f"K_p 15 to 400 1/s at C_1 = {BoxConfig().compensated.velocity_compensation:g}"
-    source.wait(lambda: told in dict_of(source.diagnostics[-1])["certified"])
-    assert [message.sequence for message in source.corrections] == list(range(1500))
-    statuses = {message.status for message in source.corrections}
-    assert CorrectionStatus.MODIFIED in statuses and CorrectionStatus.BYPASSED not in statuses
-    assert [message.delta_u for message in source.corrections] == pytest.approx(expected, abs=1e-9)
 
 
 def test_new_files_are_taken_over_while_disarmed_and_not_before(
@@ -272,19 +182,36 @@ def test_new_files_are_taken_over_while_disarmed_and_not_before(
     assert dict_of(source.diagnostics[-1])["model"] == taken
 
 
-def test_a_sample_whose_law_does_not_come_is_stale(beside_the_law: Source, still: FloatArray) -> None:
-    source = beside_the_law
+def test_under_the_compensated_law_a_sample_waits_for_its_law_and_is_stale_if_it_does_not_come(
+    beside_the_law: Source, model: Bench, metric: ScheduledMetric, unstable: Sample
+) -> None:
+    """At C_1 = 1 and a gain that is not certified there; the law before its sample, or behind it."""
+    source, core = beside_the_law, loop_filter(metric, model, Bench.nominal())
     laws = create_publisher(source.node, LAW_STATE)
     source.wait(lambda: laws.get_subscription_count() > 0)
-    sample = samples(still, 1)[0]._replace(proportional_gain=90.0, nominal_current=0.0)
+    law = LawState(Law.COMPENSATED, 100.0, 0.0, (1.0, 0.0, 0.0, 0.0), 1.0, 1.0)
+    sample = unstable._replace(proportional_gain=300.0, law=law)
+    expected: list[tuple[int, CorrectionStatus, float]] = []
+    laws.publish(pack_law_state(0, 2**32 - 1, law))
+    told = len(source.diagnostics)
+    source.wait(lambda: len(source.diagnostics) > told + 1)  # by then it has heard of the law
     for sequence in range(10):
-        if sequence != 5:
-            laws.publish(LawStateMessage(sequence=sequence, law=1, velocity_compensation=0.3, valve_gain_scale=1.0))
-        source.publish(sequence, sample)
-        if sequence != 5:
-            source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
-    statuses = [message.status for message in source.corrections]
-    assert statuses[5] == CorrectionStatus.STALE and statuses.count(CorrectionStatus.STALE) == 1
+        if sequence == 5:
+            source.publish(sequence, sample)
+            core.skip()
+            expected.append((sequence, CorrectionStatus.STALE, 0.0))
+            continue
+        turns = [lambda k=sequence: laws.publish(pack_law_state(0, k, law)),
+                 lambda k=sequence: source.publish(k, sample)]  # fmt: skip
+        for turn in turns if sequence % 2 else turns[::-1]:
+            turn()
+        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
+        result = core.correct(sample)
+        expected.append((sequence, result.status, pytest.approx(result.delta_u, abs=1e-9)))
+    assert [(one.sequence, one.status, one.delta_u) for one in source.corrections] == expected
+    assert CorrectionStatus.MODIFIED in {status for _, status, _ in expected}
+    c_1 = BoxConfig().compensated.velocity_compensation
+    assert f"K_p 15 to 400 1/s at C_1 = {c_1:g}" in dict_of(source.diagnostics[-1])["certified"]
     laws.publish(LawStateMessage(sequence=10, law=7))
     source.publish(10, sample)
     source.wait(lambda: "law 7 is unknown" in source.diagnostics[-1].message)
@@ -306,8 +233,8 @@ def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(
     assert later.count(CorrectionStatus.PASS) == len(later)
 
 
-def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after_a_gap(
-    started: Callable[..., Source],
+def test_every_state_gets_one_correction_with_the_cores_numbers_and_a_gap_a_new_beginning(
+    started: Callable[..., Source], unstable: Sample
 ) -> None:
     """A run of the emulated bench's analytic kin under gains that have to be corrected, ten samples of it left out."""
     lenient = ("--innovation-limit", "10")  # the kin has no spool: not the learned bench
@@ -316,31 +243,35 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=4.0)
     schedule = Schedule(reference=signal, gains=(-5.0, 0.0), seconds=0.4)
     records = simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), schedule, seed=3)
-    seen = set()
+    seen, first = set(), 2**32 - 100  # the sequence wraps under way
     for k, record in enumerate(records):
         if 200 <= k < 210:
             continue
-        sample = Sample.of(record)
-        source.publish(k, sample)
+        sample, sequence = Sample.of(record), (first + k) % 2**32
+        source.publish(sequence, sample)
         source.wait(lambda wanted=k + 1 if k < 200 else k - 9: len(source.corrections) >= wanted, timeout=5.0)
         if k == 210:
             contraction_filter.skip()
         expected, message = contraction_filter.correct(sample), source.corrections[-1]
-        assert (message.sequence, message.status) == (k, expected.status)
+        assert (message.sequence, message.status) == (sequence, expected.status)
         assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
         assert message.certificate_before == pytest.approx(expected.before, rel=1e-9, abs=1e-12)
+        assert message.active == (message.delta_u != 0.0)
         seen.add(expected.status)
     assert seen >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
     source.wait(lambda: any("sha256" in dict_of(status).get("metric", "") for status in source.diagnostics))
     assert "learned_bench.yaml, sha256" in dict_of(source.diagnostics[-1])["model"]
+    assert len(source.corrections) == len(records) - 10, "no second answer to anything"
+    source.publish((first + len(records)) % 2**32, unstable._replace(reference_force=math.nan))
+    source.wait(lambda: source.diagnostics[-1].level == DiagnosticStatus.WARN)
+    assert source.corrections[-1].status == CorrectionStatus.NAN and "1 nan" in source.diagnostics[-1].message
 
 
 def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_again(
-    started: Callable[..., Source], still: FloatArray
+    started: Callable[..., Source], unstable: Sample
 ) -> None:
     source = started(*PATIENT)
     told = create_publisher(source.node, BOX)
-    bad = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
     digests = (Bench.nominal().digest, "0123456789ab", "", Bench.nominal().digest)
     wanted = (
         CorrectionStatus.MODIFIED,
@@ -354,7 +285,7 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
 
         def answered(status: CorrectionStatus = status) -> bool:
             nonlocal sequence
-            source.publish(sequence, bad)
+            source.publish(sequence, unstable)
             sequence += 1
             return bool(source.corrections) and source.corrections[-1].status == status
 
@@ -403,13 +334,13 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     source.node.destroy_publisher(latched)
 
 
-def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source], still: FloatArray) -> None:
+def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source], unstable: Sample) -> None:
     source = started(*PATIENT)
     rival = create_publisher(source.node, STATE)
     source.wait(lambda: "2 nodes publish /hydro/state" in source.diagnostics[-1].message)
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
     heard = len(source.corrections)
-    source.publish(1, samples(still, 1)[0])
+    source.publish(1, unstable)
     told = len(source.diagnostics)
     source.wait(lambda: len(source.diagnostics) > told + 1)
     assert len(source.corrections) == heard, "which of them is the plant's?"

@@ -45,7 +45,7 @@ def becoming(*changes: Mapping[str, Any], at: tuple[int, ...] = (CHANGE,)) -> Ch
     return ChangingPlant([modified_truth({}), *map(modified_truth, changes)], at)
 
 
-SPRINGS = [({"bench": {"spring_stiffness": 1e3 * k}}, ("load", "motion")) for k in (10.0, 14.0, 28.0, 30.0, 50.0)]
+SPRINGS = [({"bench": {"spring_stiffness": 1e3 * k}}, ("load", "motion")) for k in (10.0, 28.0, 50.0)]
 OTHERS = [
     ({"bench": {"supply_pressure": 10e6}}, ("chamber a", "chamber b")),
     ({"effects": {"valve_gain": {"ratio": 0.75}}}, ("chamber a", "chamber b")),
@@ -66,7 +66,7 @@ def test_a_bench_that_changes_is_told_within_a_second_by_the_equation_that_no_lo
 def test_under_a_mismatch_nothing_is_corrected_no_certificate_is_claimed_and_the_gains_are_narrow(
     contraction_filter: LoopFilter,
 ) -> None:
-    done = played(contraction_filter, becoming(SPRINGS[3][0]), 2.0)
+    done = played(contraction_filter, becoming(SPRINGS[1][0]), 2.0)
     first = int(mismatches(done)[0])
     assert all(result.status is CorrectionStatus.MISMATCH for result in done.results[first:])
     assert all(result.delta_u == 0.0 and np.isnan(result.before) for result in done.results[first:])
@@ -76,9 +76,8 @@ def test_under_a_mismatch_nothing_is_corrected_no_certificate_is_claimed_and_the
     assert ((after["flags"] & Flag.FILTER_STALE) != 0).all()
 
 
-@pytest.mark.parametrize("seconds", [8.0, pytest.param(30.0, marks=pytest.mark.study)])
-def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilter, seconds: float) -> None:
-    long = [(becoming(at=()), case, seconds) for case in ("wide-slow", "unstable-slow", "base")]
+def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilter) -> None:
+    long = [(becoming(at=()), case, 8.0) for case in ("wide-slow", "unstable-slow", "base")]
     short = [(becoming(at=()), "wide", 6.0), (make_plant(), "wide-slow", 6.0)]
     for seed, (plant, case, lasts) in enumerate(long + short):
         done = played(contraction_filter, plant, lasts, CASES[case].draw(seed, lasts), seed)
@@ -89,7 +88,7 @@ def test_a_mismatch_stays_until_the_bench_is_the_learned_one_again_for_seconds_o
     contraction_filter: LoopFilter,
 ) -> None:
     back = 2500
-    done = played(contraction_filter, becoming(SPRINGS[3][0], {}, at=(CHANGE, back)), 9.5)
+    done = played(contraction_filter, becoming(SPRINGS[1][0], {}, at=(CHANGE, back)), 9.5)
     told = mismatches(done)
     assert (np.diff(told) == 1).all() and told[-1] >= back + RETURN
     assert done.results[-1].status is not CorrectionStatus.MISMATCH
@@ -98,7 +97,7 @@ def test_a_mismatch_stays_until_the_bench_is_the_learned_one_again_for_seconds_o
 
 def test_missing_samples_neither_raise_an_alarm_nor_end_one(contraction_filter: LoopFilter) -> None:
     """Left out: a piece of 30 ms in every 200 ms, which nobody's spool and force would come through."""
-    for plant, broken in ((becoming(at=()), False), (becoming(SPRINGS[4][0]), True)):
+    for plant, broken in ((becoming(at=()), False), (becoming(SPRINGS[2][0]), True)):
         states = played(contraction_filter, plant, 4.0).states
         contraction_filter.reset()
         for k, record in enumerate(states):

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,14 +31,11 @@ from hydro_filter.model.parts import Loop
 from hydro_filter.model.sample import POSITION, VELOCITY
 from hydro_filter.model.terms import hidden_state_numbers
 from hydro_sim.box import force_law
-from hydro_sim.compiled import VARIABLE, read_compilations
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.grammar import LAWS
-from hydro_sim.model.laws import Law
-from tests.checks import ran
 
 Entry = dict[str, Any]
 LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
@@ -80,12 +75,12 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("law", [law for law in LAWS if law.element is not None], ids=lambda law: law.form)
-def test_a_closure_that_remembers_is_refused_in_a_sentence(law: Law) -> None:
-    numbers = {"coefficient": law.typical, **{one.name: one.probes[0] for one in law.numbers}}
-    closure = {"equation": law.equation, "form": law.form, "parameters": numbers}
-    with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
-        loop_of(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
+def test_a_closure_that_remembers_is_refused_in_a_sentence() -> None:
+    for law in (law for law in LAWS if law.element is not None):
+        numbers = {"coefficient": law.typical, **{one.name: one.probes[0] for one in law.numbers}}
+        closure = {"equation": law.equation, "form": law.form, "parameters": numbers}
+        with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
+            loop_of(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
 
 
 def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
@@ -107,19 +102,6 @@ def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
     file.write_text(yaml.safe_dump(of(LAG, LEAK).to_mapping()), encoding="utf-8")
     choice = FilterChoice(bench=bench, model=file)
     assert choice.uncompiled == "the model of a bench with valve_lag, leakage_internal"
-
-
-@pytest.mark.slow
-def test_the_filter_on_a_bench_file_as_set_up_compiles_it_compiles_nothing(tmp_path: Path) -> None:
-    """Neither a kernel, whatever the numbers, nor a model."""
-    code = (
-        "from dataclasses import replace; from hydro_filter import precompile; from hydro_sim.model.bench import Bench;"
-        "precompile.Bench = type('B', (), {'nominal': lambda: replace(Bench.nominal(), spring_stiffness=3e4)});"
-        "precompile._bench_file()"
-    )
-    environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
-    done = ran(sys.executable, "-c", code, env=environment, check=True)
-    assert read_compilations(tmp_path / "log") == [] and done.stderr == ""
 
 
 def test_bristles_bend_by_the_motion_that_was_measured() -> None:

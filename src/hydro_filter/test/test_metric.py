@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +29,6 @@ from hydro_filter.training.data import (
 )
 from hydro_filter.training.metric_learning import free_plant, refine, require_held_out
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.files import weights
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -166,34 +164,3 @@ def test_a_range_that_no_held_out_rollout_can_judge_is_refused(windows: Windows)
     require_held_out(kept, replace(MetricDesign(), gain_low=50.0, gain_high=70.0))
     with pytest.raises(ValueError, match="no held-out rollout has a gain of the certified range, K_p 75 to 77 1/s"):
         require_held_out(kept, replace(MetricDesign(), gain_low=75.0, gain_high=77.0))
-
-
-GAINS = (12.0, 47.3, 90.0, -20.0, 300.0)
-
-
-def test_it_is_symmetric_and_definite_whatever_the_table_holds() -> None:
-    rng, metric = np.random.default_rng(1), ScheduledMetric.load()
-    for size in (0.0, 1.0, 30.0):
-        wild = replace(metric, table=size * rng.standard_normal(metric.table.shape))
-        for gain in GAINS:
-            matrix = wild.matrix(gain)
-            np.testing.assert_array_equal(matrix, matrix.T)
-            smallest, largest = np.linalg.eigvalsh(matrix)[[0, -1]]
-            assert smallest > 0.5 * wild.floor - 1e-14 * largest
-
-
-def test_save_load_and_the_files_of_earlier_versions(tmp_path: Path) -> None:
-    given, path = replace(ScheduledMetric.load(), training={"command": "learn_metric"}), tmp_path / "m.safetensors"
-    given.save(path)
-    tensors, header = weights.load(path)
-    last = {"w3": np.zeros((64, 36)), "b3": np.zeros(36), "center": np.zeros(8)}
-    weights.save(path, {**tensors, **last}, {**header, "hidden": [64, 64]})
-    loaded = ScheduledMetric.load(path)
-    assert loaded.training == given.training
-    assert loaded.thresholds == given.thresholds
-    for gain in GAINS:
-        np.testing.assert_array_equal(loaded.matrix(gain), given.matrix(gain))
-    last["b3"][7] = 0.1
-    weights.save(path, {**tensors, **last}, header)
-    with pytest.raises(weights.WeightsError, match=r"has a network on top of its table.*make it again with `learn_met"):
-        ScheduledMetric.load(path)

@@ -40,7 +40,6 @@ def arguments() -> argparse.Namespace:
         help="force law that the metric is for; a learned bench has the paper's alone. Default: %(default)s",
     )  # fmt: skip
     result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
-    result.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
     result.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
     add_json_argument(result)
     asked = result.parse_args()

@@ -24,13 +24,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hydro_bridge.cli.console import Table, progress
-from hydro_bridge.settings import check, quantity
+from hydro_bridge.settings import check
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.controller.loop_filter import LoopFilterSettings
 from hydro_filter.metric import (
     MetricDesign,
     ScheduledMetric,
@@ -80,18 +81,11 @@ COLUMNS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class DecayRates:
-    """Rates at which a metric is to decay."""
-
-    rate: Annotated[float, quantity("1/s", 0.0, 10.0)] = 0.1
-    """lambda of the certified range."""
-    foreign_rate: Annotated[float, quantity("1/s", 0.0, 15.0)] = 8.0
-    """lambda of all other gains."""
-    margin: Annotated[float, quantity("1/s", 0.0, 5.0)] = 0.3
-    """On top of both where metrics are solved: what a state between the samples, or a bench that is not quite the
-    model, may take of the decay.
-    """
+RATE, FOREIGN_RATE = LoopFilterSettings().contraction_rate, LoopFilterSettings().foreign_rate
+"""lambda [1/s] of the certified range, and of all other gains."""
+MARGIN = 0.3
+"""1/s on top of both where metrics are solved: what a state between the samples, or a bench that is not quite the
+model, may take of the decay."""
 
 
 class Correction(NamedTuple):
@@ -137,17 +131,15 @@ def _samples(windows: Windows, feedback: FloatArray, gain: FloatArray) -> Sample
 
 
 def certificate_table(
-    metrics: dict[str, ScheduledMetric], ask: Callable[[ScheduledMetric], tuple[Samples, Samples]], rates: DecayRates
+    metrics: dict[str, ScheduledMetric], ask: Callable[[ScheduledMetric], tuple[Samples, Samples]]
 ) -> Table:
     """A row for each metric and kind of gains; `ask`: held-out samples of a metric, certified and foreign.
 
     Raises ValueError: no held-out run has gains of one of the two.
     """
-    table = Table(COLUMNS, title=f"Contraction at lambda = {rates.rate:g} and {rates.foreign_rate:g} 1/s, held out")
+    table = Table(COLUMNS, title=f"Contraction at lambda = {RATE:g} and {FOREIGN_RATE:g} 1/s, held out")
     for name, metric in metrics.items():
-        for kind, samples, rate in zip(
-            ("certified", "foreign"), ask(metric), (rates.rate, rates.foreign_rate), strict=True
-        ):
+        for kind, samples, rate in zip(("certified", "foreign"), ask(metric), (RATE, FOREIGN_RATE), strict=True):
             if not len(samples.gain):
                 low, high = metric.gains[0], metric.gains[-1]
                 raise ValueError(
@@ -272,9 +264,8 @@ class TrainingData:
 
 def learn(options: argparse.Namespace) -> None:
     """Solve the metric specified by the command line, and write it."""
-    data, rates = DataSettings(rollouts=options.rollouts, seed=options.seed), DecayRates(rate=options.contraction_rate)
-    for each in (data, rates):
-        check(each)
+    data = DataSettings(rollouts=options.rollouts, seed=options.seed)
+    check(data)
     out, began = Path(options.out), time.monotonic()
     model = learned_bench.load_model(options.model)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
@@ -294,7 +285,7 @@ def learn(options: argparse.Namespace) -> None:
     missing: list[str] = []
     for law in laws:
         try:
-            found.append(_certificate(model, bench, loop, law, rates, options))
+            found.append(_certificate(model, bench, loop, law, options))
         except ValueError as error:
             if len(laws) == 1:
                 raise
@@ -333,9 +324,8 @@ def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) 
 
 
 def _certificate(
-    model: Bench, bench: Bench, loop: Loop, data: DataSettings, rates: DecayRates,
-    options: argparse.Namespace,
-) -> tuple[ScheduledMetric, Table]:  # fmt: skip
+    model: Bench, bench: Bench, loop: Loop, data: DataSettings, options: argparse.Namespace
+) -> tuple[ScheduledMetric, Table]:
     """The metric for the law of `data`, and its certificate's table (raises ValueError where there is none)."""
     c_1 = data.velocity_compensation
     require_decay(loop, c_1)
@@ -351,7 +341,7 @@ def _certificate(
             "any gain without a certificate; a lower one, with fewer corrections, is the box's to set"
         )
     best = correction(loop, design)
-    metric = _refined(ScheduledMetric.designed(loop, design), material.training, best, rates, options.seed)
+    metric = _refined(ScheduledMetric.designed(loop, design), material.training, best, options.seed)
 
     def held_out(one: ScheduledMetric) -> tuple[Samples, Samples]:
         return certified_samples(material.held_out, one), foreign_samples(material.held_out, best)
@@ -359,12 +349,13 @@ def _certificate(
     sizes = noise_sizes(metric, loop, plant, clean)
     allowance = integral_allowance(loop, plant, bench, data)
     still, of = ScheduledMetric.designed(loop, design), "" if c_1 == 1.0 else f", C_1 = {c_1:g}"
-    table = certificate_table({f"still{of}": still, f"solved{of}": metric}, held_out, rates)
+    table = certificate_table({f"still{of}": still, f"solved{of}": metric}, held_out)
     violated, foreign = (row["violated"] for row in table.rows[-2:])
     facts = {
-        "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "rates": asdict(rates),
+        "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data),
+        "rates": {"rate": RATE, "foreign_rate": FOREIGN_RATE, "margin": MARGIN},
         "design": asdict(design), "model": model.digest, "violated": violated, "foreign_violated": foreign,
-        "where": where_violated(metric, held_out(metric)[0], rates.rate),
+        "where": where_violated(metric, held_out(metric)[0], RATE),
     }  # fmt: skip
     levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
     return replace(metric, thresholds=levels, training=facts), table
@@ -420,13 +411,10 @@ def correction(loop: Loop, design: MetricDesign) -> Correction:
     return Correction(best_correction(loop, design)[1], driven, float(push[driven]))
 
 
-def _refined(
-    metric: ScheduledMetric, windows: Windows, best: Correction, rates: DecayRates, seed: int
-) -> ScheduledMetric:
+def _refined(metric: ScheduledMetric, windows: Windows, best: Correction, seed: int) -> ScheduledMetric:
     """The table made to hold on samples of the rollouts."""
     foreign = foreign_samples(windows, best).closed.reshape(windows.transition.shape)
-    asked = rates.rate + rates.margin, rates.foreign_rate + rates.margin
-    rows = refined_rows(metric, windows, foreign, asked, seed)
+    rows = refined_rows(metric, windows, foreign, (RATE + MARGIN, FOREIGN_RATE + MARGIN), seed)
     return replace(
         metric,
         table=np.array(list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))),

@@ -42,21 +42,13 @@ from hydro_filter.controller.loop_filter import LoopFilterSettings, Result, loop
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.sample import Sample
 from hydro_sim.box.box import Box, BoxConfig
-from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import Plant
 
-CHANGES: dict[str, dict[str, float]] = {
-    "emulator": {},
-    "spring 10 kN/m": {"spring_stiffness": 1e4},
-    "spring 30 kN/m": {"spring_stiffness": 3e4},
-    "supply 12 MPa": {"supply_pressure": 12e6},
-}
-"""Emulated benches and their changes, while filter and box assume the nominal one."""
-
-PLANTS = (*CHANGES, "sim")
+PLANTS = ("emulator", "sim")
 
 
 @cache  # kept in this process, as filters are
@@ -64,7 +56,7 @@ def plant_named(name: str, model: str | None = None) -> Plant:
     """One of `PLANTS`; `model`: bench file of the learned simulation, the shipped one by default."""
     if name == "sim":
         return make_plant(model)
-    return TruthPlant(truth_from_mapping({"profile": "default", "bench": CHANGES[name]}))
+    return TruthPlant(profile("default"))
 
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force * 2.0 / 3.0, frequency=1.0)
@@ -268,8 +260,6 @@ class Task:
     metric: str | None = None
     model: str | None = None
     bench: str | None = None
-    rate: float | None = None
-    """lambda of the certified range [1/s]; None: the filter's default."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -291,14 +281,10 @@ class Outcome:
 
 @cache
 def make_filter(
-    chosen: str,
-    metric: str | None = None,
-    model: str | None = None,
-    bench: str | None = None,
-    rate: float | None = None,
+    chosen: str, metric: str | None = None, model: str | None = None, bench: str | None = None
 ) -> Corrector:
     """One of `FILTERS`, with further entries of a `Task`."""
-    settings = LoopFilterSettings(bypass=chosen == "none", **({} if rate is None else {"contraction_rate": rate}))
+    settings = LoopFilterSettings(bypass=chosen == "none")
     return loop_filter(ScheduledMetric.load(metric), load_model(model), _bench(bench), settings)
 
 
@@ -316,7 +302,7 @@ def simulate(task: Task) -> tuple[Run, Case]:
         bench=bench, reference=replace(case.reference, amplitude=amplitude), gains=case.draw(task.seed, task.seconds),
         box=BoxConfig().of_bench(bench), seed=task.seed,
     )  # fmt: skip
-    chosen = make_filter(task.filter, task.metric, task.model, task.bench, task.rate)
+    chosen = make_filter(task.filter, task.metric, task.model, task.bench)
     return run(trial, plant_named(task.plant, task.model), chosen), case
 
 

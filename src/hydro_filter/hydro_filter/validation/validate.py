@@ -9,18 +9,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hydro_bridge.bags.writer import code_version
 from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, number, writable, writable_folder
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.pages import Section, results_page
+from hydro_bridge.cli.console import Table, add_json_argument, command, number, writable_folder
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.validation.runs import (
     CASES,
@@ -45,7 +41,7 @@ def main() -> None:
     """Entry point."""
     options = arguments(sys.argv[1:])
     raise_if_mismatched(_choice(options).trouble())  # before the work
-    lines = list(product(options.plants, options.cases, options.filters))
+    lines = list(product(options.plants, options.cases, FILTERS))
     runs = {line: [f"{', '.join(line)}, seed {seed}" for seed in range(options.seeds)] for line in lines}
     tasks = {name: (task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
@@ -61,16 +57,15 @@ def main() -> None:
                 table.write_json(options.json)  # what is done stays, whatever comes
     table.show(options.json)
     print("\n" + "\n".join(f"{name}: {CASES[name].about}" for name in options.cases))
-    drawn = _draw(options) if options.plots else []
-    if options.html:
-        _write_page(options, table, drawn)
+    if options.plots:
+        _draw(options)
 
 
 def task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
     """One run as the words want it."""
     return Task(
         plant=plant, case=case, filter=chosen, seed=seed, seconds=options.seconds, metric=options.metric,
-        model=options.model, bench=options.bench, rate=options.contraction_rate,
+        model=options.model, bench=options.bench,
     )  # fmt: skip
 
 
@@ -81,18 +76,12 @@ def _choice(options: argparse.Namespace) -> FilterChoice:
     return FilterChoice(bench=bench, bench_file=file, metric=options.metric or LEARNED, model=model)
 
 
-def _draw(options: argparse.Namespace) -> list[tuple[str, Path]]:
-    """The tracking figure of the first seed of every case that was run with and without the filter: title, file."""
-    chosen = next((name for name in options.filters if name != "none"), None)
-    if chosen is None:
-        raise UserError("--plots compares a filter with none: name one in --filters")
-    drawn = []
+def _draw(options: argparse.Namespace) -> None:
+    """The tracking figure of the first seed of every case."""
     for plant, case in product(options.plants, options.cases):
-        without, filtered = (simulate(task(options, plant, case, name, 0))[0] for name in ("none", chosen))
-        path = Path(options.plots) / f"{plant}_{case}.png".replace(" ", "_").replace("/", "-")
+        without, filtered = (simulate(task(options, plant, case, name, 0))[0] for name in FILTERS)
+        path = Path(options.plots) / f"{plant}_{case}.png"
         draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
-        drawn.append((f"{plant}: {case}", path))
-    return drawn
 
 
 def draw_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
@@ -119,21 +108,6 @@ def draw_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
             legend(panel)
 
 
-def _write_page(options: argparse.Namespace, table: Table, drawn: Sequence[tuple[str, Path]]) -> None:
-    """The table and what was drawn, as one page."""
-    about = {
-        "metric": options.metric or "the shipped one",
-        "model": options.model or "the shipped one",
-        "bench": options.bench or "the nominal one",
-        "runs of each line": f"{options.seeds} of {options.seconds:g} s",
-        "code_version": code_version(),
-    }
-    told = " ".join(f"{name}: {CASES[name].about}." for name in options.cases)
-    pictures = [Section(heading=title, picture=path) for title, path in drawn]
-    sections = [Section(heading=table.title, text=told, table=table), *pictures]
-    write_whole(Path(options.html), results_page("Validation of the filter", about, sections).encode())
-
-
 def arguments(given: list[str]) -> argparse.Namespace:
     """Parse the command line."""
     listed = "\n".join(f"  {case.name:14} {case.about}" for case in CASES.values())
@@ -146,16 +120,12 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--bench", metavar="FILE", help="bench.yaml that box and filter believe; the nominal one by default"
     )
-    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=["emulator", "sim"], metavar="PLANT",
-                        help=f"of {', '.join(PLANTS)}; the changed ones are emulators")  # fmt: skip
+    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS), metavar="PLANT",
+                        help=f"of {', '.join(PLANTS)}")  # fmt: skip
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help="see below; all")
-    parser.add_argument("--filters", nargs="+", choices=FILTERS, default=["none", "learned"], metavar="FILTER",
-                        help=f"of {', '.join(FILTERS)}")  # fmt: skip
     parser.add_argument("--seeds", type=number(1), default=20, help="runs of each line")
     parser.add_argument("--seconds", type=number(1.0), default=18.0, help="s, of each run; the paper's episode")
-    parser.add_argument("--contraction-rate", type=float, help="lambda [1/s] of the certified range; default 0.1")
     jobs.add_arguments(parser)
     parser.add_argument("--plots", type=writable_folder, metavar="DIR", help="draw the tracking figures into DIR")
-    parser.add_argument("--html", type=writable, metavar="FILE", help="write table and figures as one page")
     add_json_argument(parser)
     return parser.parse_args(given)
