@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.cli import run
+from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
-from hydro_diagnosis.effects.base import FitParameter, FloatArray
+from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals, is_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, Budget, Problem
@@ -116,18 +115,14 @@ def test_a_search_that_ends_early_says_why(worn_out: Problem, settings: dict[str
     assert worn_out.noticeable(outcome.fit.residual)
 
 
-def test_budget_of_work_ends_it_with_the_best_answer_so_far(worn: list[Path], tmp_path: Path) -> None:
+def test_budget_of_work_ends_it_with_the_best_answer_so_far(worn: list[Path]) -> None:
     """Counted, not timed: twice the same. The soft spring is found by then, or is not, and the report is whole."""
-    reports = []
-    for k in range(2):
-        words = [*map(str, worn[:2]), "--holdout", str(worn[2]), "--quiet", "--seconds", "0.05"]
-        assert run([*words, "--out", str(tmp_path / str(k))]) == 0
-        report: dict[str, Any] = json.loads((tmp_path / str(k) / "report.json").read_text())
-        assert report.pop("seconds") > 0.0
-        reports.append(report)
-    assert reports[0] == reports[1]
-    assert any("budget of work (0.05 s" in note for note in reports[0]["data_quality"])
-    assert reports[0]["verdict"] in ("explained", "partly_explained", "unknown")
+    reports = [diagnose(worn[:2], holdout=worn[2:], seconds=0.05).report for _ in range(2)]
+    assert all(report.seconds > 0.0 for report in reports)
+    first, again = (replace(report, seconds=0.0).to_json() for report in reports)
+    assert first == again
+    assert any("budget of work (0.05 s" in note for note in reports[0].data_quality)
+    assert reports[0].verdict in ("explained", "partly_explained", "unknown")
 
 
 def test_budget_grows_with_what_is_recorded_unless_it_is_chosen() -> None:
@@ -137,27 +132,23 @@ def test_budget_grows_with_what_is_recorded_unless_it_is_chosen() -> None:
     assert [budget.seconds for budget in budgets] == [60.0, 600.0, 5.0]
 
 
-def amplitudes(effect: Effect) -> list[FitParameter]:
-    return [one for one in effect.parameters if one.smallest > 0.0]
-
-
 def sized(effect: Effect, **values: float) -> Claim:
     return Claim(effect, {**{one.name: one.probes[0] for one in effect.parameters}, **values})
 
 
 def test_amplitude_at_a_bound_of_physics_or_too_small_to_matter_is_not_claimed() -> None:
-    for effect in (one for one in ADAPTED if amplitudes(one)):
-        for one in amplitudes(effect):
+    for effect in (one for one in ADAPTED if one.amplitudes):
+        for one in effect.amplitudes:
             for bound in {one.low, one.high} - {one.neutral}:
                 assert not is_significant(sized(effect, **{one.name: bound})), effect.label
-        small = {one.name: one.neutral + 0.9 * one.smallest for one in amplitudes(effect)}
+        small = {one.name: one.neutral + 0.9 * one.smallest for one in effect.amplitudes}
         assert not is_significant(sized(effect, **small)), effect.label
         assert is_significant(sized(effect)), effect.label
 
 
 def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none() -> None:
     """The stiffest bristles are dry friction, the quickest lag is none; seen claimed, with evidence of 1000 BIC."""
-    for effect in (one for one in ADAPTED if not amplitudes(one)):
+    for effect in (one for one in ADAPTED if not one.amplitudes):
         absent, first = {one.name: one.neutral for one in effect.parameters}, effect.parameters[0]
         for share, claimed in ((1.0, False), (0.97, False), (0.5, True)):
             sizes = {**absent, first.name: share * first.neutral}

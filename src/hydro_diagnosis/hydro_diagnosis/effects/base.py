@@ -141,7 +141,9 @@ class Effect:
     refers: ClassVar[str] = ""
     """Number of the bench file on which the parameters depend; empty if none."""
     says: ClassVar[str] = ""
-    """`sentence`: with its parameters by name, in the units of `display_unit`, and the `effect`."""
+    """`sentence`: with its parameters by name, in the units of `display_unit`, and the `effect`; `size` of the first
+    parameter, and whether that is `more` or less than nothing.
+    """
     stage: ClassVar[int] = 1
     """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
     family: ClassVar[str] = ""
@@ -187,7 +189,8 @@ class Effect:
         """Description of the effect for a person at the bench."""
         units = {one.name: one.unit for one in self.parameters}
         shown = {name: values[name] * _IN_SENTENCES.get(unit, display_unit(unit)[1]) for name, unit in units.items()}
-        said = self.says.format(effect=self, **shown)
+        first = next(iter(shown.values()))
+        said = self.says.format(effect=self, size=abs(first), more="more" if first > 0.0 else "less", **shown)
         return said[0].upper() + said[1:]
 
     def adapted(self, bench: Bench) -> Effect:

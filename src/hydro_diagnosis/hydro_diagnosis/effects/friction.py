@@ -69,6 +69,7 @@ class FrictionViscous(_Motion):
     """b + db instead of b."""
 
     id = "friction_viscous"
+    says = "The viscous friction is {size:.3g} N s/m {more} than the bench file says."
     refers = "viscous_friction"
 
     @property
@@ -78,10 +79,6 @@ class FrictionViscous(_Motion):
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, viscous_friction=bench.viscous_friction + values["coefficient"])
-
-    def sentence(self, values: Values) -> str:
-        more = "more" if values["coefficient"] > 0 else "less"
-        return f"The viscous friction is {abs(values['coefficient']):.3g} N s/m {more} than the bench file says."
 
 
 class FrictionStribeck(_Motion):
@@ -172,6 +169,7 @@ class MovingMass(_Motion):
     """m + dm instead of m."""
 
     id = "moving_mass"
+    says = "The moving mass is {size:.3g} kg {more} than the bench file says."
     refers = "moving_mass"
 
     @property
@@ -181,10 +179,6 @@ class MovingMass(_Motion):
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, moving_mass=bench.moving_mass + values["mass"])
-
-    def sentence(self, values: Values) -> str:
-        more = "more" if values["mass"] > 0 else "less"
-        return f"The moving mass is {abs(values['mass']):.3g} kg {more} than the bench file says."
 
 
 _COEFFICIENT = FitParameter(

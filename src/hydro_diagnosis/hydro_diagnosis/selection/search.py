@@ -11,11 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import permutations
-from typing import Annotated
 
 import numpy as np
 
-from hydro_bridge.settings import quantity
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.estimation.fit import (
     FORM_ERROR,
@@ -36,17 +34,17 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 class SearchSettings:
     """Effort of a search, and its thresholds of a claim."""
 
-    threshold: Annotated[float, quantity("-", 0.0, 1000.0)] = 20.0
+    threshold: float = 20.0
     """Evidence in units of BIC that a claim needs beyond its parameters' price: a choice, held against recordings
     with nothing missing (`benchmarks.null_simulations`).
     """
-    most: Annotated[int, quantity("-", 0, 100)] = 6
+    most: int = 6
     """Claims at most."""
-    patience: Annotated[int, quantity("-", 1, 100)] = 100
+    patience: int = 100
     """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
-    restarts: Annotated[int, quantity("-", 1, 10)] = 3
+    restarts: int = 3
     """First claims that are tried, one search each, as long as something remains unexplained."""
-    effort: Annotated[int, quantity("-", 100, 1000000)] = 9000
+    effort: int = 9000
     """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before
     the search begins again: some 3 ms each for 60 s of data.
     """
