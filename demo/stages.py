@@ -76,7 +76,7 @@ def pretrain(plan: Plan, name: str, bench: Path) -> None:
         if (run / "curve.json").exists():
             continue
         where = ["--resume", str(run)] if (run / "config.yaml").exists() else ["--out", str(run)]
-        simulated = ["--bench", str(bench), "--box", str(plan.believed), "--configuration", plan.configuration]
+        simulated = ["--model", str(bench), "--box", str(plan.believed), "--configuration", plan.configuration]
         how = ["--episodes", str(plan.episodes), "--seed", str(seed)]
         arguments = where if where[0] == "--resume" else [*where, *simulated, *how]
         commands[run.name] = (["hydro_policy", "pretrain", *arguments, "--json", str(run / "curve.json")],)

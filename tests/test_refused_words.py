@@ -76,7 +76,7 @@ WRONG: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "hydro_policy pretrain": (
         ("--out @new --box @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
-        ("--out @new --bench @own.yaml --box @own.yaml --filter learned", FOREIGN),
+        ("--out @new --model @own.yaml --box @own.yaml --filter learned", FOREIGN),
     ),
     "hydro_policy trainer": (
         ("--runs @new --plant emulator --bench @own.yaml --configuration wide", FOREIGN),
@@ -126,10 +126,7 @@ REFUSED = {
         ("--metric /nowhere.safetensors", "cannot be read as weights"),
         ("--site @", "bench.yaml is not there: `ros2 run hydro_policy commission` has not got that far"),
     ),
-    "hydro_policy pretrain": (
-        ("--out @new --model nowhere.safetensors", "nowhere.safetensors"),
-        ("--out @new --bench b.yaml --model c.yaml", "which of them is simulated?"),
-    ),
+    "hydro_policy pretrain": (("--out @new --model nowhere.safetensors", "nowhere.safetensors"),),
     "hydro_policy trainer": (
         ("--runs @new --resume /nowhere", "holds no run to resume"),
         ("--runs @new --ros-args -p sac.discont:=0.9", "no parameter sac.discont; is sac.discount meant?"),
@@ -218,6 +215,6 @@ def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path)
     bench = str(files / "own.yaml")
     assert SimulationSetup(model="shipped").trouble() == ""
     assert SimulationSetup(model="shipped", filter="learned").trouble() == ""
-    assert SimulationSetup(model="analytic", bench=bench).trouble() == "", "the plant may be another than believed"
+    assert SimulationSetup(model=bench).trouble() == "", "the plant may be another than believed"
     assert SimulationSetup(model=str(files / "own_model.yaml"), box=bench).trouble() == ""
     requested_filter(OWN.replace("@", f"{files}/").split(), files / "own.yaml")

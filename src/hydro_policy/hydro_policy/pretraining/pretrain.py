@@ -35,10 +35,9 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--model",
         metavar="shipped|analytic|FILE",
-        help="the learned bench that comes with hydro_sim, the analytic one, or a bench "
-        "file, as --bench (default: shipped; with --bench: analytic)",
+        help="the learned bench that comes with hydro_sim, the nominal one, or a bench file, a diagnosis' "
+        "corrected.yaml for instance (default: shipped)",
     )
-    what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
     what.add_argument("--box", metavar="FILE", help="bench.yaml that the box believes in (default: the nominal bench)")
     what.add_argument(
         "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box (default: 15 5, the paper's)"

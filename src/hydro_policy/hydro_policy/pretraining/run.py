@@ -42,7 +42,6 @@ from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
 from hydro_sim.files import learned_bench
-from hydro_sim.files.learned_bench import is_bench_file
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.plotting import BLUE, figure, legend
@@ -56,9 +55,7 @@ class SimulationSetup:
     """Simulated bench, model and filter; together with config.yaml all that `--resume` needs."""
 
     model: str
-    """shipped, analytic, or a bench file."""
-    bench: str | None = None
-    """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
+    """shipped, analytic (the nominal bench), or a bench file."""
     box: str | None = None
     """bench.yaml that the box believes in; None: the nominal bench."""
     base_gains: list[float] | None = None
@@ -72,7 +69,7 @@ class SimulationSetup:
     def simulated(self) -> Bench:
         """The bench that is simulated."""
         if self.model == "analytic":
-            return Bench.load(self.bench) if self.bench else Bench.nominal()
+            return Bench.nominal()
         return learned_bench.read(None if self.model == "shipped" else self.model)
 
     def believed(self) -> Bench:
@@ -95,7 +92,7 @@ class SimulationSetup:
     def trouble(self) -> str:
         """Return why bench, model and filter do not belong together, in one sentence; empty if they do."""
         box = BoxIdentity.of_file(self.box)
-        remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --bench FILE --box FILE"
+        remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --model FILE --box FILE"
         wrong = learned_bench.box_mismatch(None, box, remedy) if self.model == "shipped" else ""
         if wrong or self.filter != "learned":
             return wrong
@@ -117,15 +114,10 @@ class SimulationSetup:
 
 def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
     """Return the simulation set-up of the command line."""
-    model = options.model or ("analytic" if options.bench else "shipped")
-    if options.bench and is_bench_file(model):
-        raise UserError("--model names a bench file, and so does --bench: which of them is simulated?")
-    if options.bench and model != "analytic":
-        raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
-    files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
+    model = options.model or "shipped"
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
     chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
-    return SimulationSetup(model=model, **chosen, **files)
+    return SimulationSetup(model=model, box=options.box and os.path.abspath(options.box), **chosen)
 
 
 def load_simulation_setup(folder: Path) -> SimulationSetup:
