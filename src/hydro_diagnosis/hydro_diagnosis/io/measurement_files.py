@@ -1,20 +1,199 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MDF, the format of dSPACE ControlDesk, INCA and CANape, and TDMS, that of LabVIEW and DIAdem.
+"""MATLAB files of any version, HDF5 of any writer, MDF and TDMS.
 
-The packages that read them (asammdf, npTDMS) are installed for them alone.
+MDF is the format of dSPACE ControlDesk, INCA and CANape, TDMS that of LabVIEW and DIAdem; the packages that read these
+two (asammdf, npTDMS) are installed for them alone. ControlDesk exports .mat files, too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from nptdms import TdmsFile
+from scipy.io import loadmat
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.io.columns import Columns, named_like_time, runs_forward, unique
+from hydro_diagnosis.io.columns import (
+    Columns,
+    assign_clocks_of_equal_length,
+    known,
+    named_like_time,
+    runs_forward,
+    unique,
+)
 from hydro_diagnosis.recording import InputError
+
+
+@contextmanager
+def _read_as(kind: str) -> Iterator[None]:
+    """Raise ValueError for whatever a reader stumbles over in a damaged file, but OSError as it is."""
+    try:
+        yield
+    except OSError:
+        raise
+    except Exception as error:
+        raise ValueError(f"not {kind} that can be read ({error})") from None
+
+
+def matlab_columns(path: Path) -> Columns:
+    """Numbers of a .mat file; structs and cells are taken apart by dots, matrices into `name.0`, `name.1`.
+
+    Where texts beside a matrix name its columns, `name.text`.
+
+    Raises ValueError, OSError if it cannot be read.
+    """
+    with _read_as("a MATLAB file"):
+        content = loadmat(str(path), simplify_cells=True)
+    variables = {key: value for key, value in content.items() if not key.startswith("__")}
+    captures = [value for value in variables.values() if _is_capture(value)]
+    if len(captures) == 1 == len(variables):
+        return _capture(captures[0])
+    return leaves_as_columns((name, value, "") for name, value in _leaves(variables))
+
+
+def leaves_as_columns(leaves: Iterator[tuple[str, Any, str]]) -> Columns:
+    """Arrays, numbers and the rest by name and unit as columns, single numbers and others."""
+    found = Columns()
+    for name, value, unit in leaves:
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub" or array.ndim > 2 or array.size == 0:
+            found.other.append(name)
+        elif array.size == 1:
+            found.constants[name] = float(array.reshape(()))
+        else:
+            columns = split(name, array.astype(np.float64))
+            found.series.update(columns)
+            found.units.update(dict.fromkeys(columns, unit) if unit else {})
+    assign_clocks_of_equal_length(found)
+    return found
+
+
+def split(name: str, array: FloatArray) -> dict[str, FloatArray]:
+    """A matrix as columns `name.0`, `name.1`, ..., time along its longer side."""
+    if array.ndim == 1:
+        return {name: array}
+    upright = array if array.shape[0] >= array.shape[1] else array.T
+    if upright.shape[1] == 1:
+        return {name: upright[:, 0]}
+    return {f"{name}.{k}": upright[:, k] for k in range(upright.shape[1])}
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Structs and cells taken apart: `out.signals.0.values`, `log.data.pA [bar]`."""
+    if isinstance(value, Mapping):
+        parts = [(str(key), _by_texts(one, value)) for key, one in value.items()]
+    elif isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.dtype == object):
+        parts = [(str(k), one) for k, one in enumerate(value)]
+    else:
+        yield name, value
+        return
+    for key, one in parts:
+        yield from _leaves(one, f"{name}.{key}" if name else key)
+
+
+def _by_texts(array: Any, beside: Mapping[str, Any]) -> Any:
+    """An array by the texts beside it, one a column, names or units: `colheaders`, `label`; else the array itself."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
+        return array
+    columns = list(split("", array).values())
+    keys = beside if len(columns) > 1 else [key for key in beside if key.lower() in ("label", "name", "title")]
+    texts = [one for key in keys if len(one := _texts(beside[key])) == len(columns)]
+    units = next((one for one in texts if len(one) > 1 and all(map(known, one))), [""] * len(columns))
+    names = next((one for one in texts if one is not units and all(one) and len(set(one)) == len(one)), [])
+    if not names and not any(units):
+        return array
+    ends = [f" [{unit}]" if unit else "" for unit in units]
+    return {f"{name}{end}": one for name, end, one in zip(names or map(str, count()), ends, columns, strict=False)}
+
+
+def _texts(value: Any) -> list[str]:
+    """A text, or an array or a list of texts, as a list; empty for anything else."""
+    entries = [value] if isinstance(value, str) else list(value) if isinstance(value, (list, np.ndarray)) else []
+    return [one.strip() for one in entries] if all(isinstance(one, str) for one in entries) else []
+
+
+def _is_capture(value: Any) -> bool:
+    """Return whether a struct is what ControlDesk exports: axes X and signals Y, each with Name and Data."""
+    if not isinstance(value, Mapping) or not {"X", "Y"} <= set(value):
+        return False
+    return all({"Name", "Data"} <= set(one) for one in (*_listed(value["X"]), *_listed(value["Y"])))
+
+
+def _capture(content: Mapping[str, Any]) -> Columns:
+    """Signals of a ControlDesk export by their names; `XIndex` counts its axes from 1."""
+    found = Columns()
+    axes = [_add(axis, "time", found) for axis in _listed(content["X"])]
+    for signal in _listed(content["Y"]):
+        name = _add(signal, str(signal["Name"]), found)
+        index = int(signal.get("XIndex", 1)) - 1
+        found.clocks[name] = axes[index if 0 <= index < len(axes) else 0]
+    if any(len(found.series[name]) != len(found.series[clock]) for name, clock in found.clocks.items()):
+        raise ValueError("a signal and its axis have different lengths")
+    if len(axes) <= 1:
+        found.clocks.clear()
+    return found
+
+
+def _add(entry: Mapping[str, Any], name: str, found: Columns) -> str:
+    return found.add(name, np.asarray(entry["Data"], dtype=np.float64).reshape(-1), str(entry.get("Unit", "")))
+
+
+def _listed(value: Any) -> list[Mapping[str, Any]]:
+    entries = [value] if isinstance(value, Mapping) else list(np.atleast_1d(np.asarray(value, dtype=object)))
+    return [entry for entry in entries if isinstance(entry, Mapping)]
+
+
+_UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string")
+
+
+def is_hdf5(path: Path) -> bool:
+    """Return whether a file is HDF5, whatever its name; a MATLAB 7.3 file is, behind a header of 512 bytes."""
+    return bool(h5py.is_hdf5(str(path)))
+
+
+def hdf5_columns(path: Path) -> Columns:
+    """Numbers of an HDF5 file, groups by dots, matrices and the fields of tables into `name.0` and `name.field`.
+
+    Raises ValueError, OSError if it cannot be read.
+    """
+    if not is_hdf5(path):
+        raise ValueError("not an HDF5 file that can be read")
+    with h5py.File(path, "r") as file:
+        return leaves_as_columns(_hdf5_leaves(file, ""))
+
+
+def _hdf5_leaves(group: h5py.Group, prefix: str) -> Iterator[tuple[str, Any, str]]:
+    for key, item in group.items():
+        if key.startswith("#"):  # where MATLAB keeps what its cells refer to
+            continue
+        name = f"{prefix}.{key}" if prefix else str(key)
+        if isinstance(item, h5py.Group):
+            yield from _hdf5_leaves(item, name)
+        elif isinstance(item, h5py.Dataset):
+            yield from _dataset(item, name)
+
+
+def _dataset(item: h5py.Dataset, name: str) -> Iterator[tuple[str, Any, str]]:
+    """One array, or the fields of a table; texts come as texts, which are no columns."""
+    unit = known(_text(next((item.attrs[key] for key in _UNIT_KEYS if key in item.attrs), "")))
+    if item.dtype.names:
+        yield from ((f"{name}.{field}", item[field], "") for field in item.dtype.names)
+    elif _text(item.attrs.get("MATLAB_class", "")) in ("char", "cell") or item.dtype.kind not in "fiub":
+        yield name, "", ""
+    else:
+        yield name, np.asarray(item[()]), unit
+
+
+def _text(value: Any) -> str:
+    value = value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+
 
 NEEDED = "asammdf==8.8.28"
 """Package that reads MDF."""
@@ -31,13 +210,8 @@ def mdf_columns(path: Path) -> Columns:
         raise InputError(
             f"an MDF file is read by asammdf, which is not installed: `python -m pip install {NEEDED}`"
         ) from None
-    try:
-        with MDF(str(path)) as file:
-            return _channels(file)
-    except OSError:
-        raise
-    except Exception as error:  # of a damaged file the reader stumbles over anything
-        raise ValueError(f"not an MDF file that can be read ({error})") from None
+    with _read_as("an MDF file"), MDF(str(path)) as file:
+        return _channels(file)
 
 
 def _channels(file: Any) -> Columns:
@@ -64,12 +238,8 @@ def tdms_columns(path: Path) -> Columns:
 
     Raises ValueError, OSError if it cannot be read.
     """
-    try:
+    with _read_as("a TDMS file"):
         file = TdmsFile.read(str(path))
-    except OSError:
-        raise
-    except Exception as error:  # of a damaged file the reader stumbles over anything
-        raise ValueError(f"not a TDMS file that can be read ({error})") from None
     found = Columns()
     series, groups = found.series, file.groups()
     for group in groups:

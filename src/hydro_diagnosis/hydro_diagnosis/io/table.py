@@ -25,8 +25,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import UNITS, Columns, in_name
 from hydro_diagnosis.io.delimited import delimited_columns
-from hydro_diagnosis.io.matlab import hdf5_columns, is_hdf5, matlab_columns
-from hydro_diagnosis.io.measurement_files import mdf_columns, tdms_columns
+from hydro_diagnosis.io.measurement_files import hdf5_columns, is_hdf5, matlab_columns, mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
 from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, UnusableRecordingError, unreadable
 
