@@ -5,21 +5,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.metric import rest_loop
 from hydro_filter.model.coordinates import LOOP, PAPER_SCALES
 from hydro_filter.model.linearization import linearize
 from hydro_filter.model.loop import (
     SUBSTEPS,
-    effects_to_compile,
     loop_of,
     memories,
     rest_measurement,
@@ -84,24 +80,14 @@ def test_a_closure_that_remembers_is_refused_in_a_sentence() -> None:
 
 
 def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
-    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    bench: Bench, capfd: pytest.CaptureFixture[str]
 ) -> None:
     loop_of(of(LAG, LEAK), bench)
-    assert effects_to_compile(of(LAG, LEAK)) == ""
     capfd.readouterr()
     other = [{**one, "parameters": {**one["parameters"], name: value}} for one, name, value in (
         (LAG, "bandwidth", 90.0), (LEAK, "coefficient", 2e-13))]  # fmt: skip
-    assert effects_to_compile(of(*other)) == ""
     loop_of(of(*other), replace(bench, spring_stiffness=3e4))
     assert "compiling" not in capfd.readouterr().err
-    loop_of(load_model(), bench)
-    assert FilterChoice(bench=bench).uncompiled == ""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert effects_to_compile(of(LAG, LEAK)) == "valve_lag, leakage_internal"
-    file = tmp_path / "bench.yaml"
-    file.write_text(yaml.safe_dump(of(LAG, LEAK).to_mapping()), encoding="utf-8")
-    choice = FilterChoice(bench=bench, model=file)
-    assert choice.uncompiled == "the model of a bench with valve_lag, leakage_internal"
 
 
 def test_bristles_bend_by_the_motion_that_was_measured() -> None:

@@ -20,7 +20,6 @@ from hydro_bridge.settings import describe
 from hydro_filter.certificate import QpCounts
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped
-from hydro_filter.model.loop import effects_to_compile
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, STATES, Sample
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
@@ -114,12 +113,6 @@ class FilterChoice:
     def source(self) -> str:
         """Location of the bench file, as text."""
         return str(self.bench_file or "bench.yaml of hydro_sim")
-
-    @property
-    def uncompiled(self) -> str:
-        """Return what must be compiled before it can run, as text; empty if set-up or an earlier start did so."""
-        effects = effects_to_compile(learned_bench.read(self.files["model"]))
-        return effects and f"the model of a bench with {effects}"
 
     def make(self, settings: LoopFilterSettings) -> LoopFilter:
         """Create the filter.

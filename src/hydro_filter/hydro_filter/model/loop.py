@@ -49,7 +49,7 @@ from hydro_filter.model.terms import (
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
+from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.grammar import remembers, reverses, uses
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
@@ -238,13 +238,3 @@ def overlap_of(truth: Bench) -> Overlap:
             out += float(widths["half_width"])
             back += float(widths.get("half_width_negative", widths["half_width"]))
     return Overlap(closing, back, out)
-
-
-def effects_to_compile(truth: Bench) -> str:
-    """Return the names of the effects whose model is not compiled yet, as text; empty if it is."""
-    parts_needed: tuple[tuple[Bench, Part], ...] = (
-        (truth, ""), (without_disturbances(truth), ""), (without_disturbances(truth), "derivatives"),
-    )  # fmt: skip
-    if all(is_compiled(structure_of(bench, SUBSTEPS), part) for bench, part in parts_needed):
-        return ""
-    return ", ".join(map(catalogue.label, truth.terms)) or "no effects"

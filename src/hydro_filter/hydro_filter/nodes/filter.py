@@ -237,9 +237,8 @@ class FilterNode(Node):
         """Compile now, not at the first sample, and report it: until then nothing is corrected."""
         say = self.get_logger().info
         begin = time.monotonic()
-        if new := choice.uncompiled:
-            say(f"compiling {new}: new to this machine, some seconds, once; until then there are no corrections")
-        late = threading.Timer(PATIENCE, say, ["compiling the filter; this happens once and takes up to a minute"])
+        told = "compiling the filter: once, for up to a minute; until then there are no corrections"
+        late = threading.Timer(PATIENCE, say, [told])
         late.daemon = True
         late.start()
         before = endings.answer(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily

@@ -172,11 +172,6 @@ def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
     )
 
 
-def is_compiled(structure: Structure, part: Part = "") -> bool:
-    """Return whether `library` finds its code."""
-    return machine_code.library_path(_name(structure, part)).exists()
-
-
 def _name(structure: Structure, part: Part) -> str:
     return f"{structure} {part} {_sources_digest()}"
 
