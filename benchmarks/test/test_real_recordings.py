@@ -73,7 +73,7 @@ def test_claims_are_held_against_the_answer() -> None:
     assert wrong.agree == [] and "answer 20" in wrong.contradict[0]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.skipif(
     not (DATA / "emps").is_dir(),
     reason=f"no EMPS recordings in {DATA} (set HYDRO_REAL_RECORDINGS): they may not be passed on with this repository",

@@ -133,7 +133,7 @@ def test_both_boxes_pass_every_case(memory: Any, name: str) -> None:
     passes_every_case(BOXES[name](memory))
 
 
-@pytest.mark.parametrize("times", [0.2, 10.0])
+@pytest.mark.parametrize("times", [0.2, pytest.param(10.0, marks=pytest.mark.study)])
 def test_a_box_of_a_smaller_and_of_a_larger_bench_passes_every_case(memory: Any, times: float) -> None:
     extensive = ("piston_area", "valve_nominal_flow", "dead_volume_a", "dead_volume_b", "moving_mass",
                  "viscous_friction", "spring_stiffness")  # fmt: skip
@@ -322,7 +322,7 @@ def test_a_broken_box_fails_where_it_is_broken(broken: Callable[[str], InStep], 
     assert {result.case.id for result in found if result.outcome == FAIL} == BROKEN[name][1], found
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_box_whose_valve_is_not_connected_passes_all_but_the_sign(
     memory: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
