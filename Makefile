@@ -62,7 +62,7 @@ check: lint fast-tests  ## format, lint, types, import rules and the fast tests
 lint: environment
 	@.venv/bin/ruff format --check .
 	@.venv/bin/ruff check .
-	@.venv/bin/mypy $(CORES)
+	@.venv/bin/mypy $(CORES) benchmarks demo
 	@$(SOURCED) .venv/bin/lint-imports --no-logo
 	@.venv/bin/python -m setup.words
 

@@ -94,7 +94,8 @@ class Baselines:
     """
 
     def __init__(self, module: Any, batch: int, seed: int) -> None:
-        self._kind, self._batch, self._seed, self._model = module.SAC, batch, seed, None
+        self._kind, self._batch, self._seed = module.SAC, batch, seed
+        self._model: Any = None
         self._options = {"net_arch": {"pi": list(HIDDEN), "qf": list(HIDDEN)}}
         if module.__name__ == "stable_baselines3":
             self._options["activation_fn"] = nn.ReLU  # type: ignore[assignment]

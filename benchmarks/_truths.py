@@ -61,10 +61,12 @@ def _advance(plants, i, noise, current):
 
 
 def _rows(plants: Sequence[TruthPlant]) -> Truth:
-    records = [np.concatenate([getattr(plant, name) for plant in plants]) for name in Truth._fields[:4]]
+    records = {name: np.concatenate([getattr(plant, name) for plant in plants]) for name in Truth._fields[:4]}
     count = len(plants)
-    felt = np.zeros((count, SAMPLES_PER_STEP)), np.zeros(count, np.int64)
-    return Truth(*records, np.zeros((count, 8)), np.zeros((3, 8)), *felt)
+    return Truth(
+        **records, x=np.zeros((count, 8)), work=np.zeros((3, 8)), felt=np.zeros((count, SAMPLES_PER_STEP)),
+        count=np.zeros(count, np.int64),
+    )  # fmt: skip
 
 
 def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:

@@ -186,7 +186,7 @@ def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
         loss.backward()
         optimiser.step()
         averaged.update_parameters(model)
-    linear = [part for part in averaged.module if isinstance(part, torch.nn.Linear)]
+    linear = [part for part in averaged.module.children() if isinstance(part, torch.nn.Linear)]
     layers = tuple(
         (part.weight.detach().numpy().T.astype(float), part.bias.detach().numpy().astype(float)) for part in linear
     )

@@ -77,8 +77,10 @@ def rows_of(name: str, true: FloatArray, rng: np.random.Generator) -> dict[int, 
 def drawn(kind: str, worn: str, begin: int, seed: int) -> list[Series]:
     """The numbers of a bench of a kind, by way of the tables; only the worn one where one is worn."""
     rng = np.random.default_rng(seed)
-    found = [{"diagnosis": {"begin": round(86400e6 * day), "verdict": "explained", "causes": []}, "parameters": []}
-             for day in range(DAYS)]  # fmt: skip
+    diagnosis = {"verdict": "explained", "causes": []}
+    found: list[dict[str, Any]] = [
+        {"diagnosis": {"begin": round(86400e6 * day), **diagnosis}, "parameters": []} for day in range(DAYS)
+    ]
     for name, (sd, new) in NUMBERS.items():
         if kind in CALM or name == worn:
             true = new + sd * (scatter(kind, rng) + (wear(kind, begin) if kind in SPAN else 0.0))

@@ -103,6 +103,23 @@ def mdf(folder: Path, states: StateArray) -> Path:
     return path
 
 
+def matlab_73(folder: Path, states: StateArray) -> Path:
+    """As `save -v7.3` writes it: HDF5 behind a header of 512 bytes, rows and columns exchanged, a struct as a group."""
+    time, channels = raw(states)
+    path = folder / "recording73.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        group = file.create_group("log")
+        group.attrs["MATLAB_class"] = np.bytes_("struct")
+        for name, values in {"t": time, **channels}.items():
+            item = group.create_dataset(name, data=values[None, :])
+            item.attrs["MATLAB_class"] = np.bytes_("double")
+        text = file.create_dataset("note", data=np.frombuffer("kalt".encode("utf-16-le"), np.uint16)[:, None])
+        text.attrs["MATLAB_class"] = np.bytes_("char")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return path
+
+
 def matlab_capture(folder: Path, states: StateArray) -> Path:
     """As ControlDesk writes .mat files: a struct of axes X and signals Y."""
     time, channels = raw(states)
@@ -189,6 +206,7 @@ FORMATS: dict[str, tuple[Write, str]] = {
     "CSV, UTF-16": (plain_csv, ""),
     "CSV in blocks": (blocks_csv, ""),
     "MDF 4": (mdf, ""),
+    "MAT 7.3": (matlab_73, ""),
     "ControlDesk MAT": (matlab_capture, ""),
     "HDF5": (hdf5, ""),
     "TDMS": (tdms, ""),

@@ -91,6 +91,17 @@ def test_options_are_known_to_their_commands() -> None:
     assert unknown == []
 
 
+def test_launch_files_give_their_executables_options_that_these_take() -> None:
+    for path in ROOT.glob("src/*/launch/*.launch.py"):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        words = [{word.arg: getattr(word.value, "value", "") for word in node.keywords}
+                 for node in nodes if isinstance(node, ast.Call)]  # fmt: skip
+        known = {option for call in words if "executable" in call
+                 for option in parser_of(call["package"], call["executable"])._option_string_actions}  # fmt: skip
+        given = {str(node.value) for node in nodes if isinstance(node, ast.Constant)}
+        assert {word for word in given if re.fullmatch(r"--[a-z-]+", word)} <= known, path.name
+
+
 def test_python_blocks_import_what_is_there() -> None:
     lost = []
     for path in PAGES:

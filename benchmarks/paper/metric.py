@@ -266,8 +266,8 @@ def windows(rollout: Rollout, model: NetworkModel, bench: Bench, seed: int) -> S
     law, limit = ForceLaw(), bench.valve_current_max
     seen = {int(k): _normalized(Sample.of(rollout.states[k]), model, law, limit) for k in np.unique(places)}
     rows = np.array([[seen[int(k)] for k in row] for row in places])
-    parts = [torch.from_numpy(rows[:, :, n]) for n in range(4)]
-    return Samples(*parts, torch.full((WINDOWS, 1), rollout.label == STABLE))
+    z, rate, v, closed = (torch.from_numpy(rows[:, :, n]) for n in range(4))
+    return Samples(z, rate, v, closed, torch.full((WINDOWS, 1), rollout.label == STABLE))
 
 
 def _normalized(sample: Sample, model: NetworkModel, law: ForceLaw, limit: float) -> FloatArray:

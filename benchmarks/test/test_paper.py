@@ -87,6 +87,6 @@ def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> N
     made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
     paper = PaperFilter(metric_of(made, model), model)
     rows = metric._normalized(sample, model, paper.law, paper.law.current_max)
-    parts = [torch.from_numpy(row)[None, None] for row in rows]
-    grown, _ = metric.growth(made, metric.Samples(*parts, torch.tensor([[True]])))
+    z, rate, v, closed = (torch.from_numpy(row)[None, None] for row in rows)
+    grown, _ = metric.growth(made, metric.Samples(z, rate, v, closed, torch.tensor([[True]])))
     assert -paper.certificate(sample)[1] == pytest.approx(float(grown.detach()), rel=1e-9)

@@ -43,6 +43,8 @@ class Fault:
     """s until it is taken back."""
     safe_within: float | None = None
     """s within which the plant is disarmed with no current, or at base gains; None: it may go on."""
+    stays_armed: bool = False
+    """Whether it must not disarm the plant."""
 
 
 def _nothing() -> None:
@@ -60,9 +62,11 @@ def _order(orders: tuple[str, ...], soak: Any) -> Iterator[Callable[[], None]]:
 @contextmanager
 def _signal(name: str, number: int, soak: Any) -> Iterator[Callable[[], None]]:
     soak.crew.signal(name, number)
-    yield _nothing
-    if number == signal.SIGSTOP:
-        soak.crew.signal(name, signal.SIGCONT)
+    try:
+        yield _nothing
+    finally:
+        if number == signal.SIGSTOP:
+            soak.crew.signal(name, signal.SIGCONT)
 
 
 @contextmanager
@@ -120,7 +124,7 @@ _SAFE_WITHIN = {
 FAULTS = (
     Fault(cause="unplug", strike=partial(_order, ("unplug 1.5",)), safe_within=_WATCHDOG),
     Fault(cause="stall of commands", strike=partial(_order, ("mute 1",)), safe_within=_WATCHDOG),
-    Fault(cause="corrupt bytes", strike=partial(_order, ("hostile 100",))),
+    Fault(cause="corrupt bytes", strike=partial(_order, ("hostile 100",)), stays_armed=True),
     Fault(cause="corrupt bytes alone", strike=partial(_order, ("hostile 100", "mute 1")), safe_within=_WATCHDOG),
     Fault(cause="replayed frames", strike=partial(_order, ("replay 400",))),
     *(
@@ -141,4 +145,4 @@ FAULTS = (
     Fault(cause="full disk: trainer", strike=partial(_full_disk, ("trainer", LEARNER)), lasts=8.0),
     Fault(cause="CPU hogged", strike=_busy, lasts=4.0),
 )
-"""All of them. No clock is set: that needs rights over the whole machine (test_link.py steps one that is injected)."""
+"""All of them. No clock is set: that needs rights over the whole machine (test_link.py steps the link's own)."""

@@ -84,6 +84,10 @@ class Outcome:
     began: float
     """s of the monotonic clock."""
     safe_within: float | None
+    stays_armed: bool = False
+    """Whether the fault must not disarm the plant."""
+    disarmed: int = 0
+    """Samples that were not armed."""
     safe_after: float | None = None
     """s until disarmed with no current, or at base gains; None: it went on."""
     force: float = 0.0
@@ -99,11 +103,14 @@ class Outcome:
         until = records
         if len(good):
             until, self.safe_after = records[: good[0] + 1], max(float(records["time"][good[0]]) - self.began, 0.0)
+        self.disarmed = int((~armed(records)).sum())
         self.force = float(np.abs(until["force"]).max(initial=0.0))
         self.current = float(np.abs(until["current"]).max(initial=0.0))
 
     def violations(self, slack: float = 1.0) -> list[str]:
         """What was unsafe; `slack` times later is still in time."""
+        if self.stays_armed and self.disarmed:
+            return [f"{self.cause}: disarmed for {self.disarmed} samples"]
         if self.safe_within is None:
             return []
         if self.safe_after is None:

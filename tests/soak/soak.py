@@ -59,7 +59,7 @@ class Soak:
 
     def _strike(self, fault: Fault) -> None:
         """One fault, and what comes of it; it lasts until the plant is safe, at most as long as that may take."""
-        outcome = Outcome(fault.cause, time.monotonic(), fault.safe_within)
+        outcome = Outcome(fault.cause, time.monotonic(), fault.safe_within, fault.stays_armed)
         self.outcomes.append(outcome)
         end = outcome.began + fault.lasts
         with fault.strike(self) as again:
@@ -80,10 +80,12 @@ class Soak:
 
     def close(self) -> None:
         """End everything, then look at what is left."""
-        self.carried = self.wire.report()
+        try:
+            self.carried = self.wire.report()
+        finally:  # a wire that died leaves no armed graph behind
+            self.broken += [f"left behind: {process}" for process in self.crew.end()]
         if count := self.carried["forged"]:
             self.broken.append(f"{count} states that answer a command which nobody sent")
-        self.broken += [f"left behind: {process}" for process in self.crew.end()]
         text = self.crew.text
         if count := text.count(_TRACEBACK):
             self.broken.append(f"{count} tracebacks: {text[text.index(_TRACEBACK) :][:1500]}")

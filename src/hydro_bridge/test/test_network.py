@@ -45,7 +45,7 @@ def bridge(**environment: str) -> Iterator[subprocess.Popen[bytes]]:
 
 def sockets(pid: int) -> set[tuple[str, int]]:
     """(address, port) of each internet socket that the process has."""
-    found = psutil.Process(pid).net_connections("inet")
+    found = [one for one in psutil.net_connections("inet") if one.pid == pid]
     assert {one.family for one in found} <= {socket.AF_INET}, "nothing of ours speaks IPv6"
     return {(one.laddr.ip, one.laddr.port) for one in found if one.laddr}
 

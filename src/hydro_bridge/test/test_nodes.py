@@ -72,12 +72,12 @@ def steered(cable, small_box, probe, start):
     """A bridge that is armed, its box, and the diagnostics."""
 
     class Steered:
-        box, told = small_box(), told_by(probe)
+        box, told, output = small_box(), told_by(probe), io.StringIO()
 
         def armed(self) -> bool:
             return bool(self.box.flags & Flag.ARMED)
 
-    bridged(cable.path, probe, start, "--ros-args", "-p", "guard.gains_timeout:=2.0")
+    bridged(cable.path, probe, start, "--ros-args", "-p", "guard.gains_timeout:=2.0", output=Steered.output)
     probe.take()
     assert probe.ask(True).success
     return Steered()
@@ -118,6 +118,7 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
 
     probe.wait(lambda: min(counted()) >= 5)  # these topics keep the last message alone: one may replace another
     assert max(counted()) <= 10
+    probe.wait(lambda: "of /hydro/gains from nodes without authority (probe)" in steered.output.getvalue())
 
 
 def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from hydro_bridge.process.realtime import KILLED_AT, RUN_MAX
+from hydro_bridge.process.realtime import KILLED_AT, RUN_MAX, Pacer
 from tests.checks import ran
 
 pytest.importorskip("rclpy")
@@ -88,3 +88,18 @@ def test_a_compiled_loop_that_spins_is_killed() -> None:
     status, out, _, seconds = run(COMPILED)
     assert "spins" in out and status == -signal.SIGKILL
     assert seconds < 10 * KILLED_AT
+
+
+def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:
+    pacer = Pacer(1e-3, give_up=2.0)  # longer than a busy machine keeps a thread waiting
+    start = pacer.deadline_ns
+    time.sleep(0.02)
+    for _ in range(30):
+        pacer.wait()
+    assert pacer.deadline_ns == start + 30_000_000 and pacer.skipped == 0.0 and pacer.late >= 15
+    pacer = Pacer(1e-3, give_up=0.05)
+    time.sleep(0.1)
+    before = time.monotonic_ns()
+    pacer.wait()
+    assert pacer.skipped >= 0.09
+    assert before - 1_000_000 <= pacer.deadline_ns <= time.monotonic_ns() + 1_000_000

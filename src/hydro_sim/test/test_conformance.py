@@ -21,10 +21,12 @@ from hydro_bridge.conformance.command import (
     PASS,
     Result,
     chosen,
+    read,
     run,
     shipped,
 )
 from hydro_bridge.conformance.host import Host, UnreadableError
+from hydro_bridge.errors import UserError
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, box_details, box_info
 from hydro_sim.emulator.firmware import FirmwareLink, FirmwareMachine
@@ -181,6 +183,11 @@ def test_without_moving_nothing_arms_and_the_piston_rests(memory: Any) -> None:
     assert {case for case, (outcome, _) in found.items() if outcome == LEFT_OUT} == moved
     assert all(outcome == PASS for case, (outcome, _) in found.items() if case not in moved)
     assert abs(float(line.machine.plant.chain[0]["clean"][6]) - before) < 1e-5
+
+
+def test_a_case_that_arms_and_does_not_say_so_is_refused() -> None:
+    with pytest.raises(UserError, match="is not marked as moving"):
+        read([{"id": "x", "says": "y", "steps": [{"commands": {"samples": 1, "arm": True}}]}])
 
 
 BROKEN: dict[str, tuple[str, set[str], str, str]] = {

@@ -84,7 +84,11 @@ _NEEDED = {
     ),
     POLICY_TOPIC: frozenset({"weights"}),
 }
-_OBJECTS = (AUTHORITY_TOPIC, DIAGNOSTICS_TOPIC, LOG_TOPIC)
+_OBJECTS = {
+    AUTHORITY_TOPIC: "hydro_msgs/msg/Authority",
+    DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
+    LOG_TOPIC: "rcl_interfaces/msg/Log",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,12 +207,15 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
             else:
                 reading.foreign.add(topic)
         elif topic in _OBJECTS:
+            if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
+                reading.foreign.add(topic)
+                continue
             try:
                 for logged, message in decoder.objects(scan, channel, block, part):
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
                     time = float(reading.clock.at(stamp.sec + 1e-9 * stamp.nanosec, logged))
                     reading.take_object(topic, time, message)
-            except AttributeError:  # fields of another version or type
+            except AttributeError:  # fields of another version
                 reading.foreign.add(topic)
     for mark in windows_of(windows, Path(path), reading.begin):
         reading.marks.add(reading.begin + mark.time, mark.kind, mark.text)
