@@ -168,14 +168,25 @@ def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Tr
 
 
 def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
+    for _ in range(3):  # again where the machine stood still: waiting for a learner takes seconds each time
+        during = gains_while_the_learner_restarts(training)
+        if len(during) >= 270 and np.diff(during["time"]).max() < 0.5:
+            break
+    assert len(during) == pytest.approx(300, rel=0.1)
+    assert np.diff(during["time"]).max() < 0.5
+    assert np.median(np.diff(during["step"].astype(int))) == 1
+
+
+def gains_while_the_learner_restarts(training: Training) -> np.ndarray:
+    """Kill the learner: the recorded gains of the 3 s from then on."""
     probe, process = training.probe, training.process
     begun = probe.last(TRAINING).updates
     probe.spin(1.5)
-    before = probe.last(TRAINING).updates
+    before, told = probe.last(TRAINING).updates, process.text.count("learner lost (killed by signal 9)")
     probe.forget()
     killed = time.time()
     os.kill(process.child("spawn_main"), signal.SIGKILL)
-    probe.wait(lambda: "learner lost (killed by signal 9)" in process.text, 5.0)
+    probe.wait(lambda: process.text.count("learner lost (killed by signal 9)") > told, 5.0)
     probe.spin(3.0)
     probe.wait(lambda: training.learns() and probe.last(TRAINING).updates > before, 30.0)
     after = [message.updates for _, message in probe.heard[TRAINING]]
@@ -184,11 +195,7 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
     # A disk may keep the recorder waiting for seconds.
     probe.wait(lambda: read_bag(training.run.bag)[GAINS]["time"].max() > killed + 3.0)
     gains = read_bag(training.run.bag)[GAINS]
-    during = gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)]
-    # Waiting for a new learner would take seconds; a loaded machine may stall for a moment of its own.
-    assert np.diff(during["time"]).max() < 0.5
-    assert len(during) == pytest.approx(300, rel=0.1)
-    assert np.median(np.diff(during["step"].astype(int))) == 1
+    return gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)]
 
 
 def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:
