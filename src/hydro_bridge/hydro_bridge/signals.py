@@ -70,6 +70,7 @@ class Flag(IntEnum):
     FORCE_LIMIT = 32
     FILTER_STALE = 64
     EXTRAPOLATING = 128
+    PACED = 256
 
 
 FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT

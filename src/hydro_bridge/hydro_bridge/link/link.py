@@ -3,6 +3,9 @@
 
 One thread runs `run`: it opens the port, negotiates, passes on each new sample and ensures that a command follows each
 sample. Other threads set the guard's inputs (under `lock`) and may `send` at once. CLOSED -> OPEN -> CONNECTED.
+
+An emulator that goes by its own clock says so (CLOCK): stamps and ages are then in its time. Where it waits, that
+thread sends one command for each sample, with the sample's time, once the graph has answered (`pace`).
 """
 
 from __future__ import annotations
@@ -13,11 +16,13 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from functools import partial
 from math import isclose
 
 from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
 from hydro_bridge.process.realtime import Latency
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings, narrowed
+from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import (
     VERSION,
@@ -25,6 +30,7 @@ from hydro_bridge.serial.protocol import (
     BoxDetails,
     BoxInfo,
     BoxLaw,
+    ClockFrame,
     Details,
     Frame,
     Hello,
@@ -151,9 +157,11 @@ class Link:
         Opened and closed by `run`.
     guard
         Asked for every command; its limits are narrowed to those of the box on connecting.
+    pace
+        Knows whose answers each sample of an emulator waits for.
     on_state
-        Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE filled
-        in; the sample's `law_state` is None before version 3.
+        Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE and PACED
+        filled in; the sample's `law_state` is None before version 3.
     log
         Called with a sentence when something changes.
     warn
@@ -170,8 +178,12 @@ class Link:
         log: Callable[[str], None],
         warn: Callable[[str], None] | None = None,
         on_box: Callable[[BoxInfo], None] | None = None,
+        pace: Pace | None = None,
     ) -> None:
         self.port, self.guard = port, guard
+        self.pace = pace or Pace(PaceSettings(), log)
+        self.emulated: ClockFrame | None = None
+        """What an emulator says of its clock; None: the box runs in real time."""
         self.lock = threading.Lock()
         self._news = threading.Condition()
         self.counts = LinkCounts()
@@ -202,6 +214,23 @@ class Link:
         """Version and HELLO of a box of version 2 or more, until its DETAILS arrive, and its LAW if it offers one."""
         self._told: BoxDetails | None = None
         """DETAILS of such a box, until its LAW arrives."""
+        self._clock_told: ClockFrame | None = None  # of the box that greets
+        self._box_us = self._offset_us = 0  # time of the last sample; what keeps it from going back
+        self._met = False
+
+    @property
+    def real_time(self) -> bool:
+        """Whether stamps are ROS time, and commands age by the host's clock."""
+        return self.emulated is None
+
+    @property
+    def paced(self) -> bool:
+        """Whether each sample waits for the answers to the last one."""
+        return self.emulated is not None and self.emulated.waits
+
+    def now(self) -> float:
+        """Time [s] by which commands and leases age: the host's monotonic clock, or the emulator's own."""
+        return time.monotonic() if self.emulated is None else 1e-6 * self._box_us
 
     def run(self) -> None:
         """Keep the line open until `stop`; body of the serial thread."""
@@ -229,22 +258,32 @@ class Link:
         """Disarm, and end `run`."""
         with self.lock:
             self.guard.set_arm(False)
-        self.send()
+        self._send()
         self._stopping.set()
 
     def send(self, corrects: int | None = None) -> None:
-        """Send the command that the guard allows now; `corrects` is the sample whose correction has just arrived."""
+        """Send the command that the guard allows now; `corrects` is the sample whose correction has just arrived.
+
+        Where each sample waits for its answers, they decide when: only a command that corrects nothing goes at once.
+        """
+        if not self.paced:
+            self._send(corrects)
+        elif corrects is None:
+            self.pace.release()
+
+    def _send(self, corrects: int | None = None) -> None:
         with self.lock:
             if corrects is not None:
                 self._corrected = True
             if self.state is not LinkState.CONNECTED:
                 return
-            now = time.monotonic()
+            now = self.now()
             self._sequence = (self._sequence + 1) & 0xFFFFFFFF
             command = self.guard.command(now)
             if command.law is not Law.PAPER and self.law is None:
                 command = Command()  # this box would add the changes to the paper's gains
-            frame = encode_command(self._sequence, int(1e6 * now), command, self.version)
+            time_us = int(1e6 * now) if self.emulated is None else self._box_us - self._offset_us
+            frame = encode_command(self._sequence, time_us, command, self.version)
             try:
                 if not self.port.write(frame):
                     return
@@ -261,10 +300,14 @@ class Link:
             if arm and self.flags & Flag.TRIPPED:
                 return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
-        with self._news:
-            confirmed = self._news.wait_for(
-                lambda: self.state is not LinkState.CONNECTED or bool(self.flags & Flag.ARMED) == arm, timeout
-            )
+        def done() -> bool:
+            return self.state is not LinkState.CONNECTED or bool(self.flags & Flag.ARMED) == arm
+
+        if self.paced:
+            confirmed = self.pace.confirm(done)
+        else:
+            with self._news:
+                confirmed = self._news.wait_for(done, timeout)
         if self.state is not LinkState.CONNECTED:
             return "the box has gone while it was to be armed: it is not armed" if arm else ""
         if confirmed:
@@ -283,11 +326,11 @@ class Link:
                 self.port.write(encode_hello(0, int(1e6 * now), version_max=self._spoken))
                 next_hello = now + _HELLO_PERIOD
             if data:
-                last_byte = now
                 for frame in self._decoder.feed(data):
                     self._take(frame, now)
-            elif now - last_byte > self.port.settings.silence_max:
-                raise PortLostError(f"{self.port.settings.path}: no byte for {self.port.settings.silence_max:g} s")
+                last_byte = time.monotonic()
+            elif now - last_byte > (limit := (self.pace if self.paced else self.port).settings.silence_max):
+                raise PortLostError(f"{self.port.settings.path}: no byte for {limit:g} s")
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
                 self._complain(_foreign(self._decoder.foreign_version))
 
@@ -295,6 +338,8 @@ class Link:
         if isinstance(frame, State):
             if self.state is LinkState.CONNECTED:
                 self._take_state(frame, now)
+        elif isinstance(frame, ClockFrame):
+            self._clock_told = frame
         elif isinstance(frame, Hello) and frame.info is not None:
             self._take_hello(frame, frame.info)
         elif isinstance(frame, Details):
@@ -309,17 +354,26 @@ class Link:
         if self.counts.restarts > restarts:
             self._restarted()
             return
+        if self.paced and not self._met:
+            self.pace.meet()
+            self._met = True
         missed, self._corrected = not self._corrected, False
         with self.lock:
+            self._box_us = frame.time_us + self._offset_us
             self.report.state_arrived(frame.sequence, frame.last_command, now)
             self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
         self._note_refused(frame)
-        stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
-        self._note_flags(frame.flags | stale)
-        self._on_state(frame, self._stamp(frame), int(self.flags))
-        if missed:  # no correction for the previous sample: a command is sent regardless
+        stale = 0 if self.guard.correction_fresh(self.now()) else Flag.FILTER_STALE
+        paced = 0 if self.real_time else Flag.PACED
+        self._note_flags(frame.flags | stale | paced)
+        publish = partial(self._on_state, frame, self._stamp(frame), int(self.flags))
+        publish()
+        if self.paced:
+            self.pace.wait(frame.sequence, publish)
+            self._send()
+        elif missed:  # no correction for the previous sample: a command is sent regardless
             self.report.heartbeats += 1
-            self.send()
+            self._send()
 
     def _note_refused(self, frame: State) -> None:
         """Report once per connection that the box refuses references; its counts are on /diagnostics."""
@@ -328,7 +382,9 @@ class Link:
             self._warn("the box refused a reference and keeps the one before")
 
     def _stamp(self, frame: State) -> int:
-        """Return the ROS time [ns] at which the sample was taken."""
+        """Return the time [ns] at which the sample was taken: ROS time, or the emulator's own."""
+        if self.emulated is not None:
+            return 1000 * self._box_us
         step = self.host_clock.look()
         if step:
             self._warn(clock_step_message(step))
@@ -368,6 +424,7 @@ class Link:
         with self.lock:
             self.box, self.details, self.law = info, details, law
             self.version, self.state = version, LinkState.CONNECTED
+            self._follow_clock()
             self.guard.settings = narrowed(self._wanted_limits, info)
             self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
@@ -380,6 +437,16 @@ class Link:
             self._log(sentence)
         self._on_box(info)
 
+    def _follow_clock(self) -> None:
+        """Go by the clock of the box that has greeted: the host's, or an emulator's own, which never goes back."""
+        before, self.emulated, self._clock_told = self.emulated, self._clock_told, None
+        if self.emulated is None:
+            return
+        self._offset_us = max(0, self._box_us - self.emulated.time_us) if before else 0
+        self._box_us = self.emulated.time_us + self._offset_us
+        if before is None:
+            self._log("it is emulated: time is its own" + (", and waits for answers" if self.emulated.waits else ""))
+
     def _note_flags(self, flags: int) -> None:
         changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags
         if changed:
@@ -391,7 +458,7 @@ class Link:
         self._warn("the box was restarted, by itself or by its power: it stays disarmed until it is armed again")
         with self.lock:
             self.guard.set_arm(False)
-            self.state, self._greeted, self._told = LinkState.OPEN, None, None
+            self.state, self._greeted, self._told, self._clock_told = LinkState.OPEN, None, None, None
         with self._news:
             self._news.notify_all()
         self._disarm_and_forget()
@@ -404,7 +471,7 @@ class Link:
         with self._news:
             self._news.notify_all()
         self._decoder.reset()
-        self._greeted = self._told = None
+        self._greeted = self._told = self._clock_told = None
         self._disarm_and_forget()
 
     def _disarm_and_forget(self) -> None:

@@ -21,6 +21,7 @@ from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import differences, known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
+from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, no_port
 from hydro_bridge.serial.protocol import BoxInfo, State
 from hydro_bridge.settings import describe
@@ -51,6 +52,7 @@ class BridgeSide(Link):
             "state in to correction out": report.turnaround.sentence(),
             "command out to confirmation in": report.round_trip.sentence(),
             "low latency mode": self.port.low_latency,
+            "each sample waits for": self.pace.waits if self.paced else "nobody: real time",
         }
         if self.state is not LinkState.CONNECTED:
             return Status(level=Level.ERROR, message=f"no box: the port is {self.state.value}", values=values)
@@ -68,7 +70,8 @@ class BridgeNode(PlantNode):
         guard = CommandGuard(settings=declare_parameters(self, usual, "guard."))
         port = Port(declare_parameters(self, settings))
         logger, self._bench = self.get_logger(), bench
-        self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box)
+        pace = Pace(declare_parameters(self, PaceSettings(), "pace."), logger.info)
+        self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box, pace)
         self.connect(self.link)
         self.get_logger().info(f"this node runs under {request_realtime(realtime=realtime)}")
 

@@ -5,7 +5,8 @@
 
     /hydro/gains, /hydro/law, /hydro/correction, /hydro/reference ──> guard ─┐
     /hydro/claim, /hydro/arm ─────────────────────────────────────> gate     ├─ PlantSide (serial line, simulation)
-    /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law <── publish_… ──┘
+    /hydro/answered ──────────────────────────────────────────────> pace ────┤
+    /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law, /clock <─ publish_… ──┘
 
 The gate accepts commands of the holder only, with its session's epoch, from a single publisher. While two nodes publish
 one of these topics the status is ERROR, nothing can be armed, and an armed plant is disarmed::
@@ -18,12 +19,14 @@ What a person has disarmed only a person arms again, as long as the same node ho
 
 A publisher is matched with the subscription before its messages can arrive. A second publisher is therefore known by
 the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
+
+Where the plant goes by its own clock (`PlantSide.paced`), times are the plant's, and what the plant says about a sample
+(the authority that ends with a trip, /clock, its law) is published before the sample.
 """
 
 from __future__ import annotations
 
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -33,6 +36,7 @@ from typing import Any, Protocol
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
 from hydro_bridge.ros.diagnostics import (
@@ -54,11 +58,13 @@ from hydro_bridge.ros.messages import (
     subscribe,
 )
 from hydro_bridge.ros.topics import (
+    ANSWERED,
     ARM_SERVICE,
     AUTHORITY,
     BOX,
     BOX_LAW,
     CLAIM_SERVICE,
+    CLOCK,
     COMMANDS,
     CORRECTION,
     GAINS,
@@ -72,10 +78,11 @@ from hydro_bridge.ros.topics import (
 from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
+from hydro_bridge.safety.pace import Pace
 from hydro_bridge.serial.protocol import BoxLaw, LawState
-from hydro_bridge.signals import Flag, Law, ReferenceSignal, flag_names
+from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, flag_names
+from hydro_msgs.msg import Answered, Gains, LawCommand
 from hydro_msgs.msg import Authority as AuthorityMessage
-from hydro_msgs.msg import Gains, LawCommand
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import Claim
 
@@ -87,7 +94,15 @@ class PlantSide(Protocol):
     """Plant behind a plant node; it runs in its own thread."""
 
     guard: CommandGuard
+    pace: Pace
     flags: int
+
+    @property
+    def real_time(self) -> bool:
+        """Whether stamps are ROS time, and commands age by the host's clock."""
+
+    def now(self) -> float:
+        """Time [s] by which commands and leases age: the host's monotonic clock, or the plant's own."""
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
@@ -127,6 +142,7 @@ class Gate:
     def __init__(self, node: Node, plant: PlantSide, tripped: Callable[[], bool]) -> None:
         self.authority = Authority()
         self._node, self._plant, self._tripped = node, plant, tripped
+        self._following = threading.Lock()
         self._armed, self._crowd = False, ""
         self._disarmed_by_hand = 0  # claim of the holder at that time; 0: no person has
         self._heard: dict[str, Subscription] = {}
@@ -152,8 +168,8 @@ class Gate:
             self.authority.refused[topic] += 1
             self._give_up(topic)
             return False
-        self._follow()
-        now = time.monotonic()
+        self.follow()
+        now = self._plant.now()
         admitted = self.authority.admits(topic, epoch, now)
         if admitted and topic != CORRECTION:  # the filter continues without the holder
             self.authority.renew(now)
@@ -169,10 +185,10 @@ class Gate:
         return {"authority": self.authority.holder or "nobody", **refused}
 
     def _on_claim(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
-        self._follow()
+        self.follow()
         held = self.authority.claim
         if request.act == Claim.Request.TAKE:
-            trouble = self.authority.take(request.name, request.claim, time.monotonic())
+            trouble = self.authority.take(request.name, request.claim, self._plant.now())
             done = "taken"
         elif request.act == Claim.Request.ARM:
             trouble, done = (
@@ -187,6 +203,7 @@ class Gate:
         else:
             trouble, done = f"act {request.act} is not known", ""
         if self.authority.claim != held:
+            self._plant.pace.claimed()
             self._begin_anew(succeeds=bool(held))
             self._node.get_logger().info(f"{self.authority.holder or 'nobody'} commands this plant")
             self._tell()
@@ -207,7 +224,7 @@ class Gate:
         if by_hand:
             self._disarmed_by_hand = self.authority.claim
         trouble = self._plant.arm(False)
-        self._follow()
+        self.follow()
         return trouble
 
     def _arm(self, claim: int, epoch: int, whom: str) -> str:
@@ -222,14 +239,14 @@ class Gate:
         trouble = self.crowd() or self._plant.arm(True)
         if not trouble:
             self._disarmed_by_hand = 0
-        self._follow()
+        self.follow()
         return trouble
 
     def _take_back(self, claim: int, heir: str) -> str:
         if not claim or claim != self.authority.claim:
             return f"{self.authority.holder or 'nobody'} commands this plant now"
         trouble = self._disarm(by_hand=False)
-        self.authority.give(claim, time.monotonic(), heir)
+        self.authority.give(claim, self._plant.now(), heir)
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
@@ -239,27 +256,28 @@ class Gate:
         with self._plant.lock:
             self._plant.guard.set_reference(ReferenceSignal())
             self._plant.guard.release_law()
-        self._follow()
+        self.follow()
 
     def _look(self) -> None:
-        self._follow()
+        self.follow()
         before, self._crowd = self._crowd, self.crowd()
         if before and not self._crowd:
             self._tell()  # corrects any false message about the authority
         if self._armed:
             if self._crowd:
                 self._give_up(STATE)
-        elif self.authority.lapse(time.monotonic()):
+        elif self.authority.lapse(self._plant.now()):
             self._begin_anew(succeeds=False)
             self._node.get_logger().info("nobody commands this plant: its commander has stopped sending")
             self._tell()
 
-    def _follow(self) -> None:
+    def follow(self) -> None:
         """End the session on a disarm, whoever requested it, and on a trip."""
-        before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
-        if before and not self._armed:
-            self.authority.end(time.monotonic())
-            self._tell()
+        with self._following:
+            before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
+            if before and not self._armed:
+                self.authority.end(self._plant.now())
+                self._tell()
 
     def _give_up(self, topic: str) -> None:
         if not self._plant.guard.armed:
@@ -268,7 +286,7 @@ class Gate:
         with self._plant.lock:
             self._plant.guard.give_up(why)
         self._plant.send()
-        self._follow()
+        self.follow()
 
     def _tell(self) -> None:
         """Publish the holder, and the epoch that commands must carry now."""
@@ -318,12 +336,15 @@ class PlantNode(Node):
         self._law_publisher = create_publisher(self, LAW_STATE)
         self._box_publisher = create_publisher(self, BOX)
         self._box_law_publisher = create_publisher(self, BOX_LAW)
+        self._clock_publisher = create_publisher(self, CLOCK)
+        self._clock_message = ClockMessage()
+        self._peers: set[str] = set()  # in the graph at the last look
         self._flags, self._tripped = 0, False
         self._beside_another = False
 
-    def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
-        """Accept commands for `side`, and report its status; `clock` is the guard's [s]."""
-        self.side, self._now = side, clock
+    def connect(self, side: PlantSide) -> None:
+        """Accept commands for `side`, and report its status."""
+        self.side = side
         limits = side.guard.settings
         only = "" if limits.relies_on == "nothing" else f"; the bench bears them behind this filter: {limits.relies_on}"
         self.get_logger().info(
@@ -343,7 +364,9 @@ class PlantNode(Node):
         law = create_subscription(self, LAW, self._on_law)
         for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference), (LAW, law)):
             self.gate.listen(topic, heard)  # no callback runs before the node is spun
+        self._answers = create_subscription(self, ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(1.0, self._look_for_peers, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = DiagnosticsPublisher(self, self._status)
 
     def begin(self) -> None:
@@ -352,13 +375,20 @@ class PlantNode(Node):
 
     def close(self) -> None:
         """Disarm, and end the plant's thread."""
+        self.side.pace.close()
         self.side.stop()
         if self._thread.is_alive():
             self._thread.join(2.0)
 
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
         """Publish one sample; `values` in STATE_FIELDS order. Call from the plant's thread only."""
-        self._flags = flags
+        changed, self._flags = flags ^ self._flags, flags
+        if not self.side.real_time:
+            if changed & (Flag.ARMED | Flag.TRIPPED):
+                self.gate.follow()
+            if sequence % SAMPLES_PER_STEP == 0:
+                self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
+                self._clock_publisher.publish(self._clock_message)
         self._publisher.publish(STATES.pack(stamp_ns, sequence, *values, flags))
 
     def publish_law_state(self, stamp_ns: int, sequence: int, state: LawState | None) -> None:
@@ -377,42 +407,54 @@ class PlantNode(Node):
         self._box_law_publisher.publish(law_to_message(law, now))
         self._box_publisher.publish(box_to_message(box, now))
 
-    def gained(self) -> None:
-        """Hook, called when gains have been accepted."""
-
     def _on_gains(self, message: Gains) -> None:
-        if not self.gate.admits(GAINS, message.epoch):
-            return
-        with self.side.lock:
-            self.side.guard.set_gains(message.delta_kp, message.delta_ki, self._now())
-        self.gained()
+        if self.gate.admits(GAINS, message.epoch):
+            with self.side.lock:
+                self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
+        self.side.pace.commanded()
 
     def _on_law(self, message: LawCommand) -> None:
-        if not self.gate.admits(LAW, message.epoch):
-            return
+        if self.gate.admits(LAW, message.epoch):
+            self._take_law(message)
+        self.side.pace.commanded()
+
+    def _take_law(self, message: LawCommand) -> None:
         wanted = law_command_from_message(message)
         if wanted is None:
             self.get_logger().warning(f"unknown force law {message.law}: refused", throttle_duration_sec=5.0)
             return
         with self.side.lock:
-            self.side.guard.set_law(wanted, self._now())
+            self.side.guard.set_law(wanted, self.side.now())
 
     def _on_correction(self, message: Any) -> None:
-        if not self.gate.admits(CORRECTION, message.epoch):
-            return
-        with self.side.lock:
-            self.side.guard.set_correction(message.delta_u, message.status, message.sequence, self._now())
-        self.side.send(message.sequence)
+        if self.gate.admits(CORRECTION, message.epoch):
+            with self.side.lock:
+                self.side.guard.set_correction(message.delta_u, message.status, message.sequence, self.side.now())
+            self.side.send(message.sequence)
+        if not self.side.real_time:
+            self.side.pace.corrected(message.sequence)
 
     def _on_reference(self, message: ReferenceMessage) -> None:
-        if not self.gate.admits(REFERENCE, message.epoch):
-            return
+        if self.gate.admits(REFERENCE, message.epoch):
+            self._take_reference(message)
+        self.side.pace.commanded()
+
+    def _take_reference(self, message: ReferenceMessage) -> None:
         signal = reference_from_message(message)
         if signal is None:
             self.get_logger().warning(f"reference refused, the last one is kept: unknown waveform {message.waveform}")
             return
         with self.side.lock:
             self.side.guard.set_reference(signal)
+
+    def _on_answered(self, message: Answered) -> None:
+        sequence = message.sequence if message.answers else None
+        self.side.pace.answered(message.node, sequence, message.window, message.commands)
+
+    def _look_for_peers(self) -> None:
+        """Forget peers that were not in the graph at two looks: a new one may not have its name there yet."""
+        before, self._peers = self._peers, {info.node_name for info in self.get_publishers_info_by_topic(ANSWERED)}
+        self.side.pace.keep(before | self._peers)
 
     def _status(self) -> Status:
         side, status = self.side, self.side.status()

@@ -24,15 +24,42 @@ from hydro_bridge.bags.recording import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter, code_version, sequence_of
 from hydro_bridge.cli.console import command, writable_folder
+from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
+from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox
+from hydro_bridge.safety.pace import RECORDS
 from hydro_bridge.serial.stream import SequenceTracker
+from hydro_bridge.signals import Flag
 
 _QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
 _PERIOD = 0.05  # s between two fetches
 _FLUSH_PERIOD = 0.5  # s: longest loss through `kill -9`; at worst twice that on a slow disk
 _NICE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
+
+
+class PlantClock:
+    """Log times of a plant that goes by its own clock: the recording is as long as it was for the plant.
+
+    They begin at the first sample's arrival, and stand still between two samples.
+    """
+
+    def __init__(self) -> None:
+        self.paced = False
+        """Whether the last sample was of such a plant."""
+        self._offset = self._now = 0  # ns
+
+    def look(self, stamp: int, flags: int, arrived: int) -> None:
+        """Follow a sample: its stamp [ns], its flags, and when it arrived [ns]."""
+        before, self.paced = self.paced, bool(flags & Flag.PACED)
+        if self.paced and (not before or stamp + self._offset < self._now):
+            self._offset = max(arrived, self._now) - stamp
+        self._now = stamp + self._offset if self.paced else arrived
+
+    def log_time(self, arrived: int) -> int:
+        """Return the log time [ns] of a message that arrived at this time [ns]."""
+        return self._now if self.paced else arrived
 
 
 class RecorderNode(Node):
@@ -48,6 +75,7 @@ class RecorderNode(Node):
         self._writer, self._messages, self._bytes = make_writer(), dict.fromkeys(GRAPH, 0), 0
         self._tracker = SequenceTracker()
         """Of the samples of /hydro/state."""
+        self._newest = -1  # sample
         self.failed = False
         self.done: Future = Future()
         self._mailbox, self._heard = Mailbox("recorder"), dict[str, Subscription]()
@@ -58,6 +86,8 @@ class RecorderNode(Node):
         self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
+        self._answers, self._answered = Answers(self, RECORDS, self._heard[STATE], lambda: not self.failed), -1
+        self._plant_clock = PlantClock()
         self.get_logger().info(f"recording into {self._writer.folder}; {scheduling}")
 
     def close(self) -> None:
@@ -89,7 +119,7 @@ class RecorderNode(Node):
         self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
 
     def _fetch(self) -> None:
-        """Write what has arrived, by its time of arrival."""
+        """Write what has arrived, by its time of arrival, and tell a plant that waits for it."""
         arrived = [
             (time_ns, topic, data)
             for topic, subscription in self._heard.items()
@@ -97,9 +127,15 @@ class RecorderNode(Node):
         ]
         for time_ns, topic, data in sorted(arrived, key=itemgetter(0)):
             self._write(self._take, topic, data, time_ns)
+        if self._plant_clock.paced and self._newest != self._answered:
+            self._answers.answer(self._newest)
+            self._answered = self._newest
 
     def _take(self, topic: str, data: bytes, time_ns: int) -> None:
-        self._writer.write(topic, data, time_ns)
+        if topic == STATE and (state := STATES.unpack(data)) is not None:
+            self._newest = state.sequence
+            self._plant_clock.look(state.stamp, state.flags, time_ns)
+        self._writer.write(topic, data, self._plant_clock.log_time(time_ns))
         self._messages[topic] += 1
         self._bytes += len(data)
         if topic == STATE:

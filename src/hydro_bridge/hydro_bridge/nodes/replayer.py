@@ -22,8 +22,10 @@ from hydro_bridge.bags.recording import messages, read_bag
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.cli.console import command, number
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
+from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
+from hydro_bridge.signals import Flag
 from hydro_msgs.srv import Claim
 
 _STAMP = Struct("<iI")
@@ -99,6 +101,8 @@ class ReplayerNode(Node):
         self.done.set_result(None)
 
     def _publish(self, topic: str, data: bytes) -> None:
+        if topic == STATE and (state := STATES.unpack(data)) is not None and state.flags & Flag.PACED:
+            data = STATES.pack(*state[:-1], state.flags & ~Flag.PACED)  # it waits for nobody here
         self._publishers_by_topic[topic].publish(data)
         self._published += 1
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
+from typing import Any
 
-from rclpy.experimental import EventsExecutor
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.service import Service
@@ -17,6 +18,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from hydro_bridge.ros.messages import fill_law_command, reference_to_message
+from hydro_bridge.ros.node import executor_of
 from hydro_bridge.ros.topics import (
     AUTHORITY,
     CLAIM_SERVICE,
@@ -44,6 +46,9 @@ UNCONFIRMED = (
 class Commander:
     """A node's authority over the running plant. Use it only in the thread that spins the node.
 
+    Under the plant's clock (`collects`) what it publishes waits for `flush`, by which a node ends its answer to a
+    sample: the last gains, law and reference go out together, and how many there were is part of the answer.
+
     `node`: the commanding node, whose name is the holder's. `changed`: called when the authority has been granted (with
     an empty sentence) or lost (with the reason). `end`: ends the run, as Ctrl-C does; anybody may call it by /hydro/end
     while this node commands. None: nobody may.
@@ -66,6 +71,16 @@ class Commander:
         """Reason of the plant's last refusal of the authority; empty: granted, or not answered yet."""
         self._answer: Future | None = None
         self._asked = -inf
+        self.collects = False
+        """Whether commands wait for `flush`."""
+        self.requests = 0
+        """Requests to the plant that are not answered yet."""
+        self.settled: Callable[[], None] = lambda: None
+        """Called once an answer of the plant has been dealt with."""
+        self.stamp: Callable[[], Time] = lambda: node.get_clock().now().to_msg()
+        """Returns the stamp of the next message."""
+        self._collected: dict[str, Any] = {}  # messages by topic
+        self._sent = 0  # commands under the present claim
         self._reference: ReferenceSignal | None = None
         self._gains, self._law = Gains(), LawMessage()
         self._publishers: dict[str, Publisher] = {}  # that of a law from its first command on
@@ -82,16 +97,15 @@ class Commander:
         if waiting or now < self._asked + _AGAIN or not self._claims.service_is_ready():
             return
         self._asked, self._known = now, self.epoch
-        self._answer = self._ask(Claim.Request.TAKE)
-        self._answer.add_done_callback(self._on_taken)
+        self._answer = self._ask(Claim.Request.TAKE, then=self._on_taken)
 
     def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> Gains:
         """Publish gains [1/s], [1/s^2] if this node may; returns the message with its stamp."""
         message = self._gains
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = self.stamp()
         message.delta_kp, message.delta_ki, message.step, message.epoch = delta_kp, delta_ki, step, self.epoch
         if GAINS in self._publishers:
-            self._publishers[GAINS].publish(message)
+            self._send(GAINS, message)
         return message
 
     def law(self, command: LawCommand, step: int = 0) -> None:
@@ -101,21 +115,40 @@ class Commander:
         if LAW not in self._publishers:
             self._publishers[LAW] = create_publisher(self._node, LAW)
         message = fill_law_command(self._law, command)
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = self.stamp()
         message.step, message.epoch = step, self.epoch
-        self._publishers[LAW].publish(message)
+        self._send(LAW, message)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track; without the authority, as soon as it is granted."""
         self._reference = signal
         if REFERENCE in self._publishers:
-            self._publishers[REFERENCE].publish(reference_to_message(signal, self.epoch))
+            self._send(REFERENCE, reference_to_message(signal, self.epoch))
 
-    def arm(self, arm: bool) -> Future | None:
-        """Request arming or disarming if this node may and the plant is present; returns the plant's answer."""
+    def flush(self) -> int:
+        """Publish what has been collected; returns the number of commands under the present claim."""
+        collected, self._collected = self._collected, {}
+        for topic, message in collected.items():
+            if topic in self._publishers:
+                message.epoch = self.epoch
+                self._publishers[topic].publish(message)
+                self._sent += 1
+        return self._sent
+
+    def _send(self, topic: str, message: Any) -> None:
+        if self.collects:
+            self._collected[topic] = message
+        else:
+            self._publishers[topic].publish(message)
+
+    def arm(self, arm: bool, then: Callable[[Future], None] = lambda answer: None) -> Future | None:
+        """Request arming or disarming if this node may and the plant is present; returns the plant's answer.
+
+        `then`: called with the answer once it is there.
+        """
         if not (self.held and self._claims.service_is_ready()):
             return None
-        return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM)
+        return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM, then=then)
 
     def give(self, heir: str = "") -> Future | None:
         """Return the authority, which disarms; returns the plant's answer, or None without the authority.
@@ -124,7 +157,8 @@ class Commander:
         """
         if not (self.held and self._claims.service_is_ready()):
             return None
-        answer = self._ask(Claim.Request.GIVE, heir)
+        self._collected = {}  # of a session that has ended
+        answer = self._ask(Claim.Request.GIVE, whom=heir)
         self._lose("")
         return answer
 
@@ -132,17 +166,24 @@ class Commander:
         """Give the authority back while nobody else spins the node; return what to say if no disarming is confirmed."""
         if not self.held:
             return ""
-        answer, executor = self.give(heir), EventsExecutor()
+        answer = self.give(heir)
         if answer is not None:
-            executor.add_node(self._node)
-            executor.spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
-            executor.remove_node(self._node)
-        executor.shutdown()
+            executor_of(self._node).spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
         return "" if answer is not None and answer.done() and answer.result().success else UNCONFIRMED
 
-    def _ask(self, act: int, whom: str = "") -> Future:
+    def _ask(self, act: int, *, whom: str = "", then: Callable[[Future], None] = lambda answer: None) -> Future:
+        self.flush()  # what was decided before comes first
+
+        def answered(answer: Future) -> None:
+            self.requests -= 1
+            then(answer)
+            self.settled()
+
         request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim, whom=whom)
-        return self._claims.call_async(request)
+        answer = self._claims.call_async(request)
+        self.requests += 1
+        answer.add_done_callback(answered)
+        return answer
 
     def _on_taken(self, answer: Future) -> None:
         response = answer.result()
@@ -153,7 +194,7 @@ class Commander:
             if self.held:
                 self._lose(response.message)
         elif response.claim != self._claim:
-            self._claim, self.epoch = response.claim, response.epoch
+            self._claim, self.epoch, self._sent = response.claim, response.epoch, 0
             self._on_authority(self._said)  # the message about this claim may arrive before its answer
             self._begin()
         elif self.epoch == self._known:  # no other holder was announced meanwhile; a message may have been lost
@@ -171,7 +212,8 @@ class Commander:
             self._changed("")
 
     def _lose(self, why: str) -> None:
-        self._claim = self.epoch = 0
+        self._claim = self.epoch = self._sent = 0
+        self._collected = {}
         self._answer = self._reference = None
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)

@@ -175,6 +175,7 @@ class RecorderWatch:
             hint="it says once a second how many samples it has",
             within=WITHIN,
             missing=f"the recorder had no sample after {WITHIN:g} s: nothing is armed unrecorded",
+            by_wall_clock=True,
         )
 
     def _ready(self) -> bool:

@@ -21,6 +21,7 @@ from difflib import get_close_matches
 from importlib import resources
 from types import FrameType
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -182,6 +183,25 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
         rclpy.try_shutdown()
 
 
+_EXECUTORS: WeakKeyDictionary[Node, EventsExecutor] = WeakKeyDictionary()
+
+
+def executor_of(node: Node) -> EventsExecutor:
+    """Return the executor of a node, one for its life: messages that wait in it would be handled late by another."""
+    if node not in _EXECUTORS:
+        _EXECUTORS[node] = EventsExecutor()
+        _EXECUTORS[node].add_node(node)
+    return _EXECUTORS[node]
+
+
+def leave_graph(node: Node) -> None:
+    """Destroy a node and its executor."""
+    if (executor := _EXECUTORS.pop(node, None)) is not None:
+        executor.remove_node(node)
+        executor.shutdown()
+    node.destroy_node()
+
+
 def spin(node: Node, until: Future | None = None) -> bool:
     """Run the node's callbacks on an EventsExecutor until a signal or shutdown.
 
@@ -197,8 +217,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
     -------
     Whether a signal ended the spinning.
     """
-    executor = EventsExecutor()
-    executor.add_node(node)
+    executor = executor_of(node)
     ended: list[int] = []
 
     def hear(number: int, _: FrameType | None) -> None:
@@ -214,11 +233,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
                 # and gives Python no chance to take a signal.
                 executor.spin_until_future_complete(done, timeout_sec=_SLICE)
     finally:
-        try:
-            executor.remove_node(node)
-            executor.shutdown()
-        finally:  # last: a second signal must not leave the node with a deleted executor
-            endings.restore(before)
+        endings.restore(before)
     return bool(ended)
 
 
@@ -269,4 +284,4 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
             if node is not None:
                 with endings.undisturbed():
                     getattr(node, "close", lambda: None)()
-                    node.destroy_node()
+                    leave_graph(node)

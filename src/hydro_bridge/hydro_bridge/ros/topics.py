@@ -19,8 +19,10 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
 
 from hydro_msgs.msg import (
+    Answered,
     Authority,
     BenchState,
     BoxInfo,
@@ -49,7 +51,9 @@ DIAGNOSTICS = "/diagnostics"
 LOG = "/rosout"
 """ROS's own topic: log messages of every node, and its service calls (`hydro_bridge.ros.diagnostics`)."""
 CLOCK = "/clock"
-"""ROS's own topic, from a simulation off real time; not in GRAPH, since it is not recorded."""
+"""ROS's own topic, from a plant off real time; not in GRAPH, since it is not recorded."""
+ANSWERED = "/hydro/answered"
+"""Which samples a node has answered (`hydro_bridge.safety.pace`); not in GRAPH, since it is not recorded."""
 ARM_SERVICE = "/hydro/arm"
 CLAIM_SERVICE = "/hydro/claim"
 OVERRIDE_SERVICE = "/hydro/override"
@@ -85,18 +89,27 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     DIAGNOSTICS: (DiagnosticArray, _EVENTS),
     LOG: (Log, _qos(1000, reliable=True, latched=True)),
 }
-"""Type and quality of service of every topic."""
+"""Type and quality of service of every topic that is recorded."""
+
+_UNRECORDED: dict[str, tuple[type[Any], QoSProfile]] = {
+    ANSWERED: (Answered, _LATCHED),
+    CLOCK: (Clock, _EVENTS),
+}
+
+
+def _kind_of(topic: str) -> tuple[type[Any], QoSProfile]:
+    return GRAPH[topic] if topic in GRAPH else _UNRECORDED[topic]
 
 
 def create_publisher(node: Node, topic: str) -> Publisher:
-    """Publish a topic of `GRAPH`."""
-    kind, qos = GRAPH[topic]
+    """Publish a topic of the graph."""
+    kind, qos = _kind_of(topic)
     return node.create_publisher(kind, topic, qos)
 
 
 def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
-    """Subscribe to a topic of `GRAPH`."""
-    kind, qos = GRAPH[topic]
+    """Subscribe to a topic of the graph."""
+    kind, qos = _kind_of(topic)
     return node.create_subscription(kind, topic, callback, qos)
 
 
@@ -177,27 +190,28 @@ def _with_rclpy(name: str, rights: Rights) -> Rights:
 _ARMING = (ARM_SERVICE, CLAIM_SERVICE)
 """Services of a plant. Our own programs call the second, under their names; the first is open to all."""
 _PLANT = Rights(
-    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING
+    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS, CLOCK), subscribes=(*COMMANDS, ANSWERED),
+    answers=_ARMING,
 )
 
 _CONTROLLER = Rights(
-    publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS),
+    publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS, ANSWERED),
     subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
     answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
     calls=(CLAIM_SERVICE,),
 )
 _OWN = {
     "bridge": _PLANT,
-    "sim": replace(_PLANT, publishes=(*_PLANT.publishes, CLOCK)),
+    "sim": _PLANT,
     "replayer": Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING),
-    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY, CLOCK)),
-    "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS)),
+    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS, ANSWERED), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY)),
+    "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
     "evaluate": _CONTROLLER,
     "collect": Rights(
-        publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
+        publishes=(GAINS, REFERENCE, ANSWERED), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
         calls=(CLAIM_SERVICE,),
     ),
-    "recorder": Rights(publishes=(DIAGNOSTICS,)),
+    "recorder": Rights(publishes=(DIAGNOSTICS, ANSWERED)),
     "dashboard": Rights(
         publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
         calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),

@@ -261,7 +261,7 @@ class CommandGuard:
         """
         self._newest = sequence
         if sequence is None:
-            self._answered_last = None
+            self._answered_last, self._correction_at = None, -inf
             self._nominal.clear()
         else:
             self._nominal[sequence % _KEPT] = (sequence, nominal)

@@ -40,6 +40,8 @@ class Requirement:
     """Sentence reported if it is not met within that time."""
     essential: bool = True
     """Whether the run cannot continue without it; otherwise it continues as `missing` describes."""
+    by_wall_clock: bool = False
+    """Whether it is met in its own time, for which a plant that goes by its own clock waits."""
 
 
 class Readiness:
@@ -49,8 +51,8 @@ class Readiness:
     """
 
     def __init__(self, requirements: Sequence[Requirement], say: Callable[[str], None]) -> None:
-        self._requirements, self._say = tuple(requirements), say
-        self._missing = self._requirements  # not checked yet
+        self.requirements, self._say = tuple(requirements), say
+        self._missing = self.requirements  # not checked yet
         self._since: dict[str, float] = {}  # when the wait for it began, s
         self._told: set[str] = set()  # waits already reported
         self._forgone: set[str] = set()  # given up, unless met later
@@ -71,7 +73,7 @@ class Readiness:
 
         Raises NotReadyError: an essential requirement was not met within its time, or never will be.
         """
-        missing = [requirement for requirement in self._requirements if not requirement.ready()]
+        missing = [requirement for requirement in self.requirements if not requirement.ready()]
         absent = {requirement.name for requirement in missing}
         for name in self._since.keys() - absent:
             del self._since[name]

@@ -38,6 +38,8 @@ class FrameType(IntEnum):
     """From version 2 on."""
     LAW = 5
     """From version 3 on."""
+    CLOCK = 128
+    """Of an emulator alone, before its answer to a HELLO: its time is not the host's."""
 
 
 class MalformedError(ValueError):
@@ -272,6 +274,14 @@ class LawFrame(NamedTuple):
     record: BoxLaw
 
 
+class ClockFrame(NamedTuple):
+    """The CLOCK frame of an emulator whose time is not the host's."""
+
+    time_us: int
+    waits: bool
+    """Whether each sample waits for the COMMAND that carries its time."""
+
+
 class CommandFrame(NamedTuple):
     """A command as the box receives it."""
 
@@ -280,7 +290,7 @@ class CommandFrame(NamedTuple):
     command: Command
 
 
-Frame = Hello | State | Details | LawFrame | CommandFrame
+Frame = Hello | State | Details | LawFrame | ClockFrame | CommandFrame
 
 HANDSHAKE = 0
 """Version byte of HELLO frames: their layout is the same in all versions, so that any two ends can negotiate."""
@@ -296,6 +306,7 @@ _COMMAND_3 = Struct("<BBIQIIfffIffffI7f")
 _DETAILS = Struct("<BBIQI12sBBBB10f")
 _LAW = Struct("<BBIQI26f")
 _HELLO = Struct("<BBIQBBBB32s9f")
+_CLOCK = Struct("<BBIQI")
 _CRC = Struct("<I")
 _LAW_NAMES = [entry.name for entry in fields(BoxLaw)]
 _ARM, _FILTER_FRESH = 1, 2
@@ -369,6 +380,11 @@ def encode_details(sequence: int, time_us: int, details: BoxDetails, version: in
     epoch, digest, feedback, laws, *numbers = astuple(details)
     who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws if version > 2 else 0, 0, 0)
     return wrap(_DETAILS.pack(version, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
+
+
+def encode_clock(time_us: int, *, waits: bool) -> bytes:
+    """Encode an emulator's frame about its clock; `waits`: each sample waits for the COMMAND with its time."""
+    return wrap(_CLOCK.pack(3, FrameType.CLOCK, 0, time_us, waits))
 
 
 def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
@@ -512,4 +528,5 @@ _LAYOUTS: dict[tuple[int, int], tuple[Struct, Callable[[tuple[float, ...]], Fram
     (3, FrameType.COMMAND): (_COMMAND_3, _command),
     (3, FrameType.DETAILS): (_DETAILS, _details),
     (3, FrameType.LAW): (_LAW, _law),
+    (3, FrameType.CLOCK): (_CLOCK, lambda values: ClockFrame(int(values[3]), bool(values[4]))),
 }

@@ -18,7 +18,8 @@ together; as at its start, nothing is answered for a second or two.
 While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
 without. Where the metric is not made for the law that runs, every answer is BYPASSED.
 
-Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
+Ages are by the machine's clock. A state of a plant that goes by its own clock (PACED) has none: that plant waits for
+this filter, or counts the age itself. One that it sends again is answered as before.
 """
 
 from __future__ import annotations
@@ -34,13 +35,14 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.files.site import ANEW
 from hydro_bridge.process import endings
 from hydro_bridge.process.realtime import Latency
+from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
     Level,
@@ -59,7 +61,6 @@ from hydro_bridge.ros.messages import (
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import (
     AUTHORITY,
-    CLOCK,
     CORRECTION,
     LAW_STATE,
     STATE,
@@ -67,6 +68,7 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.pace import CORRECTS
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
 from hydro_filter.certificate import QpCounts
 from hydro_filter.controller.factory import FilterChoice, arguments, warm_up
@@ -79,9 +81,6 @@ PATIENCE = 2.0
 
 DISCOVERY = 0.5
 """s after the start within which another filter is discovered, if there is one."""
-
-FOREIGN = 1.0
-"""s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
 
 ANOTHER_LAW = 50
 """Samples for which a message of another law than the paper's holds: one of them may be lost."""
@@ -192,10 +191,11 @@ class FilterNode(Node):
         self._identity: object = None
         """The box's description and assumed bench, once received."""
         self._mismatch = ""
-        self._age = 0.0
         self._choice = choice
         self._epoch = 0
         self._publisher: Publisher | None = None  # as long as another filter answers
+        self._last: tuple[int, bytes] = (-1, b"")  # sequence of the last correction, and its message
+        self._answers: Answers | None = None
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._advice = "" if realtime else ", or start it with --realtime"
@@ -206,6 +206,7 @@ class FilterNode(Node):
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
         self._boxes = subscribe_to_box(self, self._on_box)
         self._words = create_subscription(self, AUTHORITY, self._on_authority)
+        self._states: Subscription | None = None
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
         self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -215,6 +216,8 @@ class FilterNode(Node):
         self._laws = subscribe(self, LAW_STATE, LAW_STATES, self._on_law_state)
         # last: states are queued from now on
         self._states = subscribe(self, STATE, STATES, self._on_state)
+        if self._publisher is not None:
+            self._answers = Answers(self, CORRECTS, self._states)
 
     def _come_forward(self) -> None:
         """Start answering, unless another filter does."""
@@ -228,6 +231,8 @@ class FilterNode(Node):
             )
         else:
             self._publisher = create_publisher(self, CORRECTION)
+            if self._states is not None:
+                self._answers = Answers(self, CORRECTS, self._states)
 
     def _on_authority(self, message: Authority) -> None:
         if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone
@@ -273,8 +278,12 @@ class FilterNode(Node):
 
     def _on_state(self, message: Any) -> None:
         self._armed = bool(message.flags & Flag.ARMED)
+        assert self._states is not None
         if self._states.get_publisher_count() > 1:
             return  # which of them is the plant's? The plant holds its base gains, and disarms
+        if message.flags & Flag.PACED and message.sequence == self._last[0]:
+            self._publish_again()
+            return
         if self._waiting is not None:  # its law never came
             waiting, self._waiting = self._waiting, None
             self._answer(waiting)
@@ -288,8 +297,7 @@ class FilterNode(Node):
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
             self.filter.skip()
-        stamp = 1e-9 * message.stamp
-        self._age = self._now() - stamp
+        age = self._age(message)
         law = self._law_near(message.sequence)
         if law is not None and self._bypasses(law):
             result = BYPASSED
@@ -297,10 +305,10 @@ class FilterNode(Node):
             self.filter.skip()
             result = STALE
         else:
-            result = self.filter.correct(sample_of(message, law), self._age)
+            result = self.filter.correct(sample_of(message, law), age)
         result = self._fitting(result)
         self._publish(message, result)
-        self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
+        self.tally.add(result.status, time.perf_counter() - begin, self._age(message))
 
     def _on_law_state(self, message: Any) -> None:
         if self._law is None:
@@ -364,21 +372,19 @@ class FilterNode(Node):
         delta_u, before, after, status = result
         infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
         numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status), self._epoch
-        self._publisher.publish(CORRECTIONS.pack(state.stamp, state.sequence, *numbers))
+        self._last = state.sequence, CORRECTIONS.pack(state.stamp, state.sequence, *numbers)
+        self._publisher.publish(self._last[1])
 
-    def _now(self) -> float:
-        return 1e-9 * float(self.get_clock().now().nanoseconds)
+    def _publish_again(self) -> None:
+        """Answer a state that the plant has sent again, since its answer was lost."""
+        if self._publisher is not None:
+            self._publisher.publish(self._last[1])
 
-    def _follow_the_plants_clock(self) -> None:
-        """Switch to /clock if it is published and the states are stamped by it; and back."""
-        name, simulated = "use_sim_time", self.count_publishers(CLOCK) > 0
-        if abs(self._age) > FOREIGN and simulated != self.get_parameter(name).value:
-            self.set_parameters([Parameter(name, value=simulated)])
-            clock = "/clock" if simulated else "the machine's clock"
-            self.get_logger().warning(f"the plant's samples are now stamped by {clock}, which also measures their age")
+    def _age(self, state: Any) -> float:
+        """Return the age [s] of a state."""
+        return 0.0 if state.flags & Flag.PACED else 1e-9 * (self.get_clock().now().nanoseconds - state.stamp)
 
     def _status(self) -> Status:
-        self._follow_the_plants_clock()
         news = self.tally.news()
         told, late = sentence(news), news[CorrectionStatus.STALE]
         level = Level.OK

@@ -117,7 +117,7 @@ class LearnerMemory:
         self._weights = self._block(SharedBlob.nbytes(parameters))
         self._snapshot = self._block(SharedBlob.nbytes(16 * parameters + 16384))
         self._good = self._block(SharedBlob.nbytes(16 * parameters + 16384))
-        self._status = self._block(64)
+        self._status = self._block(72)
 
     def _block(self, size: int) -> Any:
         return _CONTEXT.RawArray(ctypes.c_uint8, size)
@@ -126,20 +126,25 @@ class LearnerMemory:
         """Return the blocks for use in one process: replay, weights, snapshot, good, status.
 
         weights: the actor's flat parameters, float32; snapshot, good: as returned by `snapshot.dump`; status: [updates,
-        entropy coefficient, checkpoints written, 1 when ready, rollbacks done, the three losses].
+        entropy coefficient, checkpoints written, 1 when ready, rollbacks done, snapshots on request, the three losses].
         """
         replay = ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
         weights, snapshot, good = map(SharedBlob, (self._weights, self._snapshot, self._good))
         return replay, weights, snapshot, good, np.frombuffer(self._status, np.float64)
 
 
-UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS = range(5)  # places in status
-LOSSES = slice(5, 8)  # as `hydro_policy.sac.algorithm.Losses`
+UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS, SNAPSHOTS = range(6)  # places in status
+LOSSES = slice(6, 9)  # as `hydro_policy.sac.algorithm.Losses`
 
 
 @dataclass(frozen=True)
 class RollbackRequest:
     """Request to restore the last good state."""
+
+
+@dataclass(frozen=True)
+class SnapshotRequest:
+    """Request to publish a snapshot of the present state."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +164,11 @@ class SaveRequest:
     best: bool
 
 
+def updates_due(settings: TrainingSettings, transitions: int) -> int:
+    """Return the updates that are due after so many transitions."""
+    return int(settings.updates_per_step * max(transitions - settings.warmup_steps, 0))
+
+
 class Learner:
     """State of the learning loop, independent of the process."""
 
@@ -175,8 +185,7 @@ class Learner:
     @property
     def pending_updates(self) -> int:
         """Updates that are due for the transitions so far and not done yet."""
-        learnt_from = self.replay.produced - self.settings.warmup_steps
-        return int(self.settings.updates_per_step * max(learnt_from, 0)) - self.sac.updates
+        return updates_due(self.settings, self.replay.produced) - self.sac.updates
 
     def work(self) -> int:
         """Perform up to `CHUNK` of the pending updates; returns how many were done."""
@@ -200,6 +209,12 @@ class Learner:
             self._snapshot.publish(dump(self.sac))
             self._published = now
         self._status[READY] = 1.0
+
+    def publish_snapshot(self) -> None:
+        """Publish the snapshot of the present state."""
+        self._snapshot.publish(dump(self.sac))
+        self._published = time.monotonic()
+        self._status[SNAPSHOTS] += 1
 
     def roll_back(self) -> None:
         """Continue from the last good state; the updates done stay counted, or they would be due again.
@@ -286,6 +301,8 @@ def _attend(learner: Learner, requests: Connection) -> None:
                     return
                 if isinstance(request, RollbackRequest):
                     learner.roll_back()
+                elif isinstance(request, SnapshotRequest):
+                    learner.publish_snapshot()
                 else:
                     last = request
                     _save(learner, request, requests)

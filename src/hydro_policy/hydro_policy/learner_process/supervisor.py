@@ -8,6 +8,7 @@ import select
 import signal
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -24,17 +25,23 @@ from hydro_policy.learner_process.learner import (
     LOSSES,
     READY,
     ROLLBACKS,
+    SNAPSHOTS,
     UPDATES,
     LearnerFault,
     LearnerMemory,
     RollbackRequest,
     SaveRequest,
+    SnapshotRequest,
     run_learner,
+    updates_due,
     write_run,
 )
 from hydro_policy.runs.run import Checkpoint, RunDirectory, TrainingSettings
 from hydro_policy.sac.algorithm import Losses
 
+SETTLE_TIMEOUT = 60.0
+"""s of wall clock within which a learner that is waited for has done what is due."""
+_GLANCE = 2e-4  # s between two looks at its progress
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
@@ -125,6 +132,21 @@ class LearnerSupervisor:
         blob = self._weights.read()
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
+    def settle(self) -> None:
+        """Wait until all updates and rollbacks that are due are done, as a plant by its own clock allows.
+
+        It does not wait for a learner that is dead, starts, or takes more than a minute.
+        """
+        due = updates_due(self._settings, self.replay.produced)
+        self._await(lambda: self._status[UPDATES] >= due and self._status[ROLLBACKS] >= self._rollbacks)
+
+    def _await(self, done: Callable[[], bool]) -> None:
+        give_up = time.monotonic() + SETTLE_TIMEOUT
+        while not done() and self._status[READY] and time.monotonic() < give_up:
+            time.sleep(_GLANCE)
+            if not self.alive:
+                return
+
     def restart_if_dead(self) -> str | None:
         """Restart a dead learner from its last snapshot; returns the message for the user.
 
@@ -153,8 +175,16 @@ class LearnerSupervisor:
             self._ask_to_roll_back()
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
 
-    def snapshot(self) -> bytes | None:
-        """Return the learner's whole state, at most half a second old; None before the first."""
+    def snapshot(self, *, exact: bool = False) -> bytes | None:
+        """Return the learner's whole state, at most half a second old; None before the first.
+
+        `exact`: after all updates that are due; the caller waits for it.
+        """
+        if exact:
+            self.settle()
+            wanted = self._status[SNAPSHOTS] + 1
+            if self._ask(SnapshotRequest()):
+                self._await(lambda: self._status[SNAPSHOTS] >= wanted)
         return self._snapshot.latest()
 
     def save_policy(self, good: bytes) -> None:
@@ -169,11 +199,19 @@ class LearnerSupervisor:
     def _ask_to_roll_back(self) -> None:
         self._unheard = not self._ask(RollbackRequest())  # `restart_if_dead` repeats the request to it or its successor
 
-    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Request a checkpoint; returns False if the learner is not running."""
-        return self._ask(SaveRequest(self._run.path, trainer, best))
+    def save(self, trainer: dict[str, Any], best: bool = False, *, exact: bool = False) -> bool:
+        """Request a checkpoint; returns False if the learner is not running.
 
-    def _ask(self, request: RollbackRequest | SaveRequest | None, patience: float = 0.0) -> bool:
+        `exact`: after all updates that are due; the caller waits until it is written.
+        """
+        if exact:
+            self.settle()
+        wanted, asked = self._status[CHECKPOINTS] + 1, self._ask(SaveRequest(self._run.path, trainer, best))
+        if exact and asked:
+            self._await(lambda: self._status[CHECKPOINTS] >= wanted)
+        return asked
+
+    def _ask(self, request: RollbackRequest | SaveRequest | SnapshotRequest | None, patience: float = 0.0) -> bool:
         """Send a request; returns False if the learner is dead, or its pipe is full because it does not read.
 
         A writable pipe has room for any of the requests. `patience` in s.

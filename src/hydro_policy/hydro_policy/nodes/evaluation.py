@@ -25,7 +25,7 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros.companion import CompanionError, start_page
-from hydro_bridge.ros.node import declare_parameters, refuse_unknown_parameters
+from hydro_bridge.ros.node import declare_parameters, leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
@@ -262,7 +262,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
     wanted = guard_range(required_gain_range(make_controllers(options, box), grid, box.base_gains))
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("evaluate")
-        stack.callback(node.destroy_node)
+        stack.callback(leave_graph, node)
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)
         stack.enter_context(remove_rejected(run, node))
@@ -333,7 +333,7 @@ def start_plant(
     folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
     policies = tuple(map(policy_file, options.policy))
     recording = Path(options.record) if options.record else run.bag if options.recorded else None
-    plant = plant_options(options, recording=recording, seed=options.seed, policies=policies)
+    plant = plant_options(options, recording=recording, seed=options.seed, policies=policies, controller="evaluate")
     if sentence := protection_gap(wanted, plant.filter, plant.bench):
         node.say(sentence, warning=True)
     node.watch_companions(start_companions(stack, plant, wanted, folder, node.announcer.keep), recording)

@@ -21,7 +21,7 @@ import torch
 from hydro_bridge.cli.console import writable_folder
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros.companion import start_page
-from hydro_bridge.ros.node import refuse_unknown_parameters
+from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
 from hydro_bridge.size import resized
 from hydro_policy.evaluation import report as evaluation
@@ -241,7 +241,7 @@ def start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepare
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
     kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
-    plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
+    plant = plant_options(options, recording=recording, seed=prepared.settings.seed, controller="trainer", **kept)
     companions = start_companions(stack, plant, prepared.settings.task.gains, run.path, node.announcer.keep)
     node.watch_companions(companions, recording)
     node.load_force = run.path / LOAD_FORCE if options.plant == "emulator" else None
@@ -353,7 +353,7 @@ def train(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
-        stack.callback(node.destroy_node)
+        stack.callback(leave_graph, node)
         prepared = prepare(options, node)
         stack.enter_context(remove_rejected(prepared.run, node, made=prepared.made))
         run, settings = prepared.run, prepared.settings

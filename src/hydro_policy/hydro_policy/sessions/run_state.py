@@ -94,6 +94,8 @@ class RunState:
         """Why a policy was last stopped; empty if none was."""
         self.rollbacks_in_a_row = 0
         """Rollbacks since a policy was last accepted."""
+        self.exact = False
+        """Whether the plant waits for the learner, so that a run is a function of its seed."""
         self._candidate: bytes | None = None
         self._good, self._best = best, best
         if best is not None:
@@ -171,7 +173,7 @@ class RunState:
 
     def propose(self) -> FloatArray | None:
         """Take the learner's state as candidate; returns its actor's parameters, None if there is no state yet."""
-        self._candidate = self.learner.snapshot()
+        self._candidate = self.learner.snapshot(exact=self.exact)
         return None if self._candidate is None else actor_parameters(self._candidate)
 
     def accept(self, best: bool = False) -> None:

@@ -6,6 +6,9 @@
              plant lost, disarmed, tripped; stopped by the    v  │  armed again, calm again: the interrupted part
              monitor: back to the last good policy          PAUSED  is restarted
 
+A plant that goes by its own clock waits for the learner: each step acts on the weights after all updates that were due
+at its beginning, and examinations and checkpoints are of that state.
+
 An episode's end is a truncation: the next state's value is bootstrapped. Only a trip by the box or a stop by the
 monitor is a termination.
 """
@@ -85,10 +88,13 @@ class TrainingSession:
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Process a sample [14]; returns True if gains were sent."""
         self.watch.on_sample(flags, now)
+        self.run.exact = bool(flags & Flag.PACED)
         base = None if self.watch.mismatched else self.settings.base_gains
         step = self.clock.add(sequence, sample, flags, base)
         if self.finished:
             return False
+        if self.run.exact and (step is not None or not flags & Flag.ARMED):
+            self.learner.settle()
         if not flags & Flag.ARMED:
             if self.phase in UNDER_WAY:
                 self._interrupt(sample, flags)
@@ -210,7 +216,7 @@ class TrainingSession:
 
     def _go_on(self, *, best: bool) -> None:
         """Continue after an episode or examination: save a checkpoint, and begin what is due."""
-        self.learner.save(self.state(), best)
+        self.learner.save(self.state(), best, exact=self.run.exact)
         self._begin()
 
     def _interrupt(self, sample: FloatArray, flags: int) -> None:

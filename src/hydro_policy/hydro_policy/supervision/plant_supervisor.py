@@ -56,7 +56,9 @@ def fitting_filter(ready: Callable[[], bool]) -> Requirement:
 def learner(ready: Callable[[], bool]) -> Requirement:
     """The learner has published weights and is compiled."""
     missing = "the learner is not ready after 300 s: nothing would learn, and nothing was armed for it"
-    return Requirement(name="the learner", ready=ready, hint=COMPILES, within=300.0, missing=missing)
+    return Requirement(
+        name="the learner", ready=ready, hint=COMPILES, within=300.0, missing=missing, by_wall_clock=True
+    )
 
 
 FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import secrets
+import sys
 import time
 from pathlib import Path
 from types import FrameType
@@ -12,6 +13,7 @@ from typing import get_args
 
 from hydro_bridge.cli.console import command, number, writable, writable_folder
 from hydro_bridge.process import endings
+from hydro_bridge.safety.pace import parse_pace, refuse_speed
 from hydro_bridge.settings import SettingsError
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_details, box_info
 from hydro_sim.box.firmware import Precision
@@ -21,7 +23,7 @@ from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.realtime import ControlPipe, RealTime, raise_priority
+from hydro_sim.emulator.realtime import ControlPipe, Running, raise_priority
 from hydro_sim.excitation import load_schedule
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
@@ -30,6 +32,7 @@ from hydro_sim.model.bench import Bench
 @command(ValueError, OSError)
 def main() -> None:
     """Entry point."""
+    refuse_speed(sys.argv[1:])
     options = _parser().parse_args()
     if options.offline:
         _record(options)
@@ -49,13 +52,17 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
     )
-    line = parser.add_argument_group("on a serial line, in real time")
+    line = parser.add_argument_group("on a serial line")
     line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
     presets = ", ".join(PRESETS)
     line.add_argument("--faults", default="clean", metavar="FILE", help=f"what goes wrong: a file, or one of {presets}")
     line.add_argument(
         "--firmware", choices=("python", "c", "c-single"), default="python", help="what runs as the box: the compiled "
         "Python one, or the one in C (firmware/) in double or in single precision (default: python)",
+    )  # fmt: skip
+    line.add_argument(
+        "--pace", default="plant", metavar="PACE", help="plant: each sample waits for the host's answer (default); "
+        "real: real time; a number: that many times real time",
     )  # fmt: skip
     line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
     line.add_argument(
@@ -98,7 +105,7 @@ def _record(options: argparse.Namespace) -> None:
 def _serve(options: argparse.Namespace) -> None:
     if options.out or options.schedule or options.noise_free:
         raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
-    bench = _believed(options)
+    bench, pace = _believed(options), parse_pace(options.pace)
     box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.truth(options.truth, bench)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
     machine: Machine
@@ -118,12 +125,10 @@ def _serve(options: argparse.Namespace) -> None:
         link = FirmwareLink(terminal, machine.firmware, box_info(bench, box, EMULATED_BOX), faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
     felt = load_force.create(options.load_force) if options.load_force else None
-    running = RealTime(machine, link, control, felt)
+    running = Running(machine, link, pace, control, felt)
     stop = _stopper()
-    print(
-        f"port {terminal.path}, 1 kHz, {raise_priority()}: ros2 run hydro_bridge bridge --port {terminal.path}",
-        flush=True,
-    )
+    told = _told(pace)
+    print(f"port {terminal.path}, {told}: ros2 run hydro_bridge bridge --port {terminal.path}", flush=True)
     try:
         running.run(options.seconds, lambda: bool(stop))
     finally:
@@ -133,12 +138,19 @@ def _serve(options: argparse.Namespace) -> None:
         if options.load_force:
             options.load_force.unlink(missing_ok=True)
     pacer, samples = running.pacer, running.samples
-    print(
-        f"{samples} samples, {pacer.late} late by more than 1 ms (worst {1e3 * pacer.lateness.longest:.2f} ms, "
-        f"{pacer.skipped:.1f} s skipped), {running.cpu / max(samples * 1e-3, 1e-3):.3f} s of CPU per second"
-    )
+    late = (
+        f", {pacer.late} late by more than 1 ms (worst {1e3 * pacer.lateness.longest:.2f} ms, {pacer.skipped:.1f} s "
+        "skipped)" if pace is not None else ""
+    )  # fmt: skip
+    print(f"{samples} samples{late}, {running.cpu / max(samples * 1e-3, 1e-3):.3f} s of CPU per second")
     refused = machine.refused[0]
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)
+
+
+def _told(pace: float | None) -> str:
+    if pace is None:
+        return "each sample waits for its host"
+    return f"1 kHz, {raise_priority()}" if pace == 1.0 else f"{pace:g} times real time"
 
 
 def _stopper() -> list[int]:

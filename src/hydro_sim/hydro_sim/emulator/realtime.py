@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated bench in real time: one sample per millisecond against absolute deadlines, and orders by a pipe."""
+"""The emulated bench on its line, a sample at a time: at the pace of its host or of the wall clock; orders by a pipe."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from hydro_bridge.process.realtime import Pacer, exact_timers, limit_run
@@ -86,19 +86,41 @@ def _number(text: str) -> float:
 
 _LOAD_FORCE = TRUTH_FIELDS.index("load_force")
 _CONTROL_EVERY = 20  # samples between looks at the control pipe
+_PATIENCE = 0.05  # s of wall clock between looks at the control pipe while the host is awaited
+_LOST_AFTER = 0.02  # s of wall clock after which an answer counts as lost, on a line that loses some
+SILENCE_MAX = 90.0
+"""s of wall clock after which a host counts as dead; longer than the host waits for its own peers."""
 
 
-@dataclass
-class RealTime:
-    """The running emulator."""
+class Running:
+    """The running emulator.
 
-    machine: Machine
-    link: BoxLink
-    control: ControlPipe | None = None
-    load_force: load_force.Ring | None = None
+    ======== ======================================================================================================
+    pace     when the next sample follows
+    ======== ======================================================================================================
+    None     once the host has answered the last one by a COMMAND with its time. Before the first sample a host's
+             greeting is awaited. Real time where there is no host, where it sends its own time, and once it has
+             been silent for `SILENCE_MAX`
+    number   that many times as fast as real time
+    ======== ======================================================================================================
 
-    def __post_init__(self) -> None:
-        self.pacer, self.samples, self.cpu = Pacer(SAMPLE_PERIOD), 0, 0.0  # statistics; s of CPU
+    `machine`, `link`: bench and line. `pace`: see above. `control`: pipe of orders. `load_force`: where forces on the
+    load are kept.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        link: BoxLink,
+        pace: float | None,
+        control: ControlPipe | None = None,
+        load_force: load_force.Ring | None = None,
+    ) -> None:
+        self.machine, self.link, self.control, self.load_force = machine, link, control, load_force
+        self.link.waits = None if pace == 1.0 else pace is None
+        self.pacer, self.samples, self.cpu = Pacer(SAMPLE_PERIOD / (pace or 1.0)), 0, 0.0  # statistics; s of CPU
+        self._waits, self._deserted = pace is None, False
+        self._sent_us = 0
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> None:
         """Run for `seconds`, or until `stopped`."""
@@ -106,17 +128,23 @@ class RealTime:
         gc.collect()
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
         try:
+            while self._waits and not self.link.host.greetings and not stopped():
+                self._obey(0.0)
+                self.link.receive(0.0, _PATIENCE)
             self.pacer.restart()
             while (count is None or self.samples < count) and not stopped():
                 self._sample(self.samples * SAMPLE_PERIOD)
                 self.samples += 1
-                self.pacer.wait()
+                if self._waits and self._answered(stopped):
+                    self.pacer.restart()
+                else:
+                    self.pacer.wait()
         finally:
             gc.enable()
         self.cpu = time.process_time() - cpu
 
     def _sample(self, now: float) -> None:
-        if self.control is not None and self.samples % _CONTROL_EVERY == 0:
+        if self.samples % _CONTROL_EVERY == 0:
             self._obey(now)
         command = self.link.poll(now)
         if command is not None:
@@ -125,10 +153,38 @@ class RealTime:
         if self.load_force is not None:
             load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
         self.link.send(sample, now)
+        self._sent_us = round(1e6 * float(sample["time"]))
+
+    def _answered(self, stopped: Callable[[], bool]) -> bool:
+        """Wait for the host's answer to the last sample; False: there is no host that answers samples."""
+        link, host, now = self.link, self.link.host, self.samples * SAMPLE_PERIOD
+        greetings, greeted, began = host.greetings, host.fresh, time.monotonic()
+        while not stopped():
+            if not link.open:
+                return False
+            if host.time_us == self._sent_us:
+                host.follows, self._deserted = True, False
+                return True
+            if host.greetings > greetings and not greeted:
+                return True
+            if host.greetings > greetings:  # greeted again before the answer came, which is in the last sample's frames
+                greetings = host.greetings
+                link.send_again(now)
+            if self._deserted or (host.time_us is not None and not host.follows):
+                return False
+            waited = time.monotonic() - began
+            if link.faulty and waited > _LOST_AFTER:
+                return True
+            if waited > SILENCE_MAX:
+                self._deserted = True
+                print(f"no answer of the host for {SILENCE_MAX:g} s: going on in real time until it is back", flush=True)
+            link.receive(now, _PATIENCE if not link.faulty else _LOST_AFTER)
+            if waited > _PATIENCE:
+                self._obey(now)
+        return True
 
     def _obey(self, now: float) -> None:
-        assert self.control is not None
-        for order in self.control.lines():
+        for order in self.control.lines() if self.control is not None else ():
             try:
                 execute(order, self.machine, self.link, now)
             except SettingsError as error:

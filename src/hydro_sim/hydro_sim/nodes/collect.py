@@ -42,17 +42,19 @@ from hydro_bridge.cli.console import (
     writable_folder,
 )
 from hydro_bridge.process import endings
+from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch, add_page_option, start_page
 from hydro_bridge.ros.diagnostics import publisher_conflicts
-from hydro_bridge.ros.messages import subscribe_to_box
-from hydro_bridge.ros.node import refuse_unknown_parameters, ros_arguments, running_ros, spin
+from hydro_bridge.ros.messages import seconds, subscribe_to_box
+from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros, spin
 from hydro_bridge.ros.topics import COMMANDS, STATE, create_subscription
 from hydro_bridge.safety.arming import TOO_EARLY, Arming
 from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
+from hydro_bridge.safety.pace import COMMANDS as COMMANDS_WINDOW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import SAMPLES_PER_STEP, Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState
 from hydro_sim.box.box import EMULATED_BOX
@@ -96,7 +98,10 @@ class CollectNode(Node):
         self._arming = Arming(self, rearm=False)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._refusals = {True: "", False: ""}  # the last one to arm, and to disarm
-        create_subscription(self, STATE, self._on_state)
+        self._state: BenchState | None = None
+        self._owed: int | None = None  # sample whose answer is due to a plant that goes by its own clock
+        self._answers = Answers(self, COMMANDS_WINDOW, create_subscription(self, STATE, self._on_state))
+        self._commander.settled = self._answer
         subscribe_to_box(self, self._on_box)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -132,13 +137,35 @@ class CollectNode(Node):
 
     def _on_state(self, message: BenchState) -> None:
         self._heard = min(self._heard, time.monotonic())
+        self._state = message
+        self._commander.collects = self._paced
         self.playback.on_sample(message.flags)
+        if self._paced and message.sequence % SAMPLES_PER_STEP == 0:
+            self._act(seconds(message.header.stamp))
+            self._owed = message.sequence
+            self._answer()
+
+    @property
+    def _paced(self) -> bool:
+        """Whether the plant goes by its own clock."""
+        return self._state is not None and bool(self._state.flags & Flag.PACED)
 
     def _on_timer(self) -> None:
+        if not self._paced:
+            self._act(time.monotonic())
+        self._answer()
+
+    def _act(self, now: float) -> None:
         if self._driving:
-            self._drive_on()
+            self._drive_on(now)
         elif not self._met.done():
-            self._look_around(time.monotonic())
+            self._look_around(now)
+
+    def _answer(self) -> None:
+        """Answer a plant that waits, unless it has still to answer a request."""
+        if self._owed is not None and self._paced and not self._commander.requests:
+            self._answers.answer(self._owed, self._commander.flush())
+            self._owed = None
 
     def _look_around(self, now: float) -> None:
         if not self._ready(now):
@@ -160,8 +187,7 @@ class CollectNode(Node):
             self._end("another box with other base gains has been connected: it is left disarmed")
         self.box, self.plant = box, "sim" if box.plant == "sim" else box.info.name
 
-    def _drive_on(self) -> None:
-        now = time.monotonic()
+    def _drive_on(self, now: float) -> None:
         if self._finished.done():
             return
         self._commander.seek(now)
@@ -243,8 +269,7 @@ class CollectNode(Node):
 
     def arm(self, arm: bool) -> None:
         """See `ArmingOutputs`; a refusal is reported once, one that a person caused each time."""
-        if (answer := self._commander.arm(arm)) is not None:
-            answer.add_done_callback(partial(self._on_answer, arm))
+        self._commander.arm(arm, partial(self._on_answer, arm))
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """See `ArmingOutputs`."""
@@ -253,7 +278,8 @@ class CollectNode(Node):
     def _on_answer(self, arm: bool, answer: Future) -> None:
         refusal = "" if answer.result() is None or answer.result().success else answer.result().message
         if refusal == BY_HAND:
-            self._arming.leave_to_person(time.monotonic())
+            now = seconds(self._state.header.stamp) if self._paced and self._state else time.monotonic()
+            self._arming.leave_to_person(now)
         if refusal == BY_HAND or (refusal and refusal != self._refusals[arm]):
             what = "was not armed" if arm else "did not confirm that it is disarmed"
             _warn(f"the plant {what}: {refusal}")
@@ -293,7 +319,7 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
             lost, broken = _record(node, schedule, _bench_of(node, bench), options)
         finally:
             node.leave()
-            node.destroy_node()
+            leave_graph(node)
     if lost:
         raise UserError(f"the recorder has ended, so the plant was disarmed: {lost}")
     if broken:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated bench in place of emulator and bridge: same topics, types, rates and rules.
 
-ros2 run hydro_sim sim [--model FILE | shipped | analytic] [--bench FILE] [--box-bench FILE] [--speed S]
+ros2 run hydro_sim sim [--model FILE | shipped | analytic] [--bench FILE] [--box-bench FILE] [--pace plant|real|FACTOR]
                        [--noise SCALE] [--seed N] [--realtime] [--ros-args ...]
 """
 
@@ -13,16 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rosgraph_msgs.msg import Clock
-
 from hydro_bridge.cli.console import command
 from hydro_bridge.files import site
 from hydro_bridge.nodes.plant_node import PlantNode, mode
 from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import CLOCK
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
+from hydro_bridge.safety.pace import Pace, PaceSettings, refuse_speed
 from hydro_bridge.settings import describe
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import learned_bench
@@ -35,7 +33,6 @@ from hydro_sim.simulation.realtime import SimSettings, Simulation
 
 SIMULATED_BOX = "hydro sim"
 """Name of the simulated box."""
-CLOCK_DEPTH = 10
 
 
 class SimSide(Simulation):
@@ -52,10 +49,11 @@ class SimSide(Simulation):
             "late samples": self.pacer.late,
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
+            "each sample waits for": self.pace.waits if self.paced else f"nobody: {self.settings.pace}",
             "effects": self.effects or "none",
             "refused by the box": self._box.refused[0],
         }
-        pace = "in lock-step" if self.steps.engaged else f"{self.speed_reached():.2f} times real time"
+        pace = f"{self.speed_reached():.2f} times real time"
         return Status(message=f"{mode(self.flags)}, {pace}", values=values)
 
 
@@ -73,11 +71,11 @@ class SimNode(PlantNode):
         effects = ", ".join(map(label, plant.model.bench.terms)) if isinstance(plant, AnalyticPlant) else ""
         what = f"its effects: {effects}" if effects else "without an effect beyond its numbers"
         self.get_logger().info(f"simulates {settings.model or settings.bench or 'the shipped learned bench'}, {what}")
-        self._time = Clock()
-        self._clock_publisher = None if settings.speed == 1.0 else self.create_publisher(Clock, CLOCK, CLOCK_DEPTH)
-        self.simulation = SimSide(box, plant, guard, settings, self._publish, self.get_logger().info)
+        log = self.get_logger().info
+        pace = Pace(declare_parameters(self, PaceSettings(), "pace."), log)
+        self.simulation = SimSide(box, plant, guard, settings, self._publish, log, pace)
         self.simulation.effects = effects
-        self.connect(self.simulation, self.simulation.clock)
+        self.connect(self.simulation)
         info = box_info(believed, config, SIMULATED_BOX)
         guard.valve_current_max = info.valve_current_max
         self._known, self._law = known_box(info, believed.to_mapping(), self.get_name()), config.compensated
@@ -92,16 +90,9 @@ class SimNode(PlantNode):
         super().begin()
 
     def _publish(self, stamp_ns: int, fields: tuple[Any, ...]) -> None:
-        if self._clock_publisher is not None:
-            self._time.clock.sec, self._time.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
-            self._clock_publisher.publish(self._time)
         _, sequence, *values, flags = fields
         self.publish_law_state(stamp_ns, sequence, self.simulation.law_state)
         self.publish_state(stamp_ns, sequence, values, flags)
-
-    def gained(self) -> None:
-        """Note that gains were taken: in lock-step the next samples may follow."""
-        self.simulation.gained()
 
 
 def _plant(settings: SimSettings, bench: Bench) -> Plant:
@@ -123,11 +114,12 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
         epilog="Limits and time-outs of guard and box are ROS parameters: --ros-args -p box.load_force_limit:=600.0.",
     )
     texts, defaults = describe(SimSettings), SimSettings()
-    for name in ("model", "bench", "box_bench", "speed", "noise", "seed"):
+    for name in ("model", "bench", "box_bench", "pace", "noise", "seed"):
         default = getattr(defaults, name)
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=texts[name].text)
     site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
+    refuse_speed(own)
     asked = parser.parse_args(own)
     site.take_site(asked, bench=site.BENCH, model=site.MODEL)
     options: dict[str, Any] = {

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -21,6 +22,7 @@ from rclpy.task import Future
 from hydro_bridge.cli.console import typed_lines
 from hydro_bridge.process import endings
 from hydro_bridge.process.realtime import Latency, drop_realtime
+from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
@@ -39,9 +41,10 @@ from hydro_bridge.ros.topics import (
 )
 from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
+from hydro_bridge.safety.pace import COMMANDS
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, LawCommand, ReferenceSignal
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, LawCommand, ReferenceSignal
 from hydro_bridge.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import Gains, PolicyStep
@@ -130,11 +133,20 @@ NICE = -15
 """Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
 
 
+SILENT = 60.0
+"""s of wall clock without a sample after which the time of a plant that goes by its own clock runs on."""
+_TICK_SAMPLES = round(TICK / SAMPLE_PERIOD)
+
+
 class GraphNode(Node):
     """Moves messages between the graph and one session at a time; implements `supervision.plant_supervisor.Outputs`.
 
     It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
+
+    Samples are handled a policy step at a time. A plant that goes by its own clock waits for the answer: it is given
+    once the session has seen the step, ticked where a tick is due, the plant has answered all requests, and recorder
+    and learner are there. What is decided in a step goes out with the answer.
 
     `name`: name of the node. `realtime`: request SCHED_FIFO while a session runs; processes started then (a restarted
     learner) stay ordinary.
@@ -182,6 +194,15 @@ class GraphNode(Node):
         self._mailbox = Mailbox(name)
         self._corrections: Subscription | None = None
         """Read at each policy step."""
+        self._early: list[Any] = []  # corrections of samples that were not handled yet
+        self._step_samples: list[tuple[Any, float]] = []  # of the present policy step, with their arrival [s]
+        self._heard: Any = None  # last sample
+        self._arrived = math.inf  # when it came, s
+        self._owed: int | None = None  # sample whose answer is due
+        self._readiness = Readiness([], self.warn)  # of what is met by the wall clock
+        self._answers = Answers(self, COMMANDS, self._states)
+        self._commander.settled = self._answer
+        self._commander.stamp = self._stamp
         subscribe_to_box(self, self._on_box)
         create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -234,17 +255,31 @@ class GraphNode(Node):
         """
         self._refuse()
         self._session, self._each_tick, self._done = session, each_tick, Future()
-        scheduling = request_realtime(realtime=self._realtime, nice=NICE)
+        needed = (requirement for requirement in session.watch.readiness.requirements if requirement.by_wall_clock)
+        self._readiness = Readiness(tuple(needed), self.warn)
+        scheduling = request_realtime(realtime=self._realtime and not self.paced, nice=NICE)
         if scheduling != self._scheduling:
             self.say(f"gains are sent under {scheduling}")
             self._scheduling = scheduling
         try:
+            self._begin_answering()
             broken = spin(self, self._done)
             self._refuse()
             return not broken
         finally:
             self._session = None
             drop_realtime()
+
+    @property
+    def paced(self) -> bool:
+        """Whether the plant goes by its own clock."""
+        return self._heard is not None and bool(self._heard.flags & Flag.PACED)
+
+    def now(self) -> float:
+        """Time [s] of this session: the monotonic clock's, or the plant's own."""
+        if not self.paced:
+            return time.monotonic()
+        return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENT)
 
     def disarm(self) -> None:
         """Release the authority, which disarms the plant, and wait at most 2 s for the answer.
@@ -296,7 +331,7 @@ class GraphNode(Node):
         if self._steps is None:
             return
         message = self._step
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = self._stamp()
         message.step, message.weights, message.reward = step, weights, reward
         message.mean_delta_kp, message.mean_delta_ki = mean
         self._steps.publish(message)
@@ -307,9 +342,7 @@ class GraphNode(Node):
 
     def arm(self, arm: bool) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
-        answer = self._commander.arm(arm)
-        if answer is not None:
-            answer.add_done_callback(self._on_arm_answer if arm else self._on_disarm_answer)
+        self._commander.arm(arm, self._on_arm_answer if arm else self._on_disarm_answer)
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
@@ -340,60 +373,143 @@ class GraphNode(Node):
 
     def _on_box(self, box: KnownBox) -> None:
         self.box, self._wrong_box = box, self.box_fault(box)
-        if (self._meeting is not None and self._laws_told) or self._wrong_box:
+        if self._wrong_box:
             self._finish()
+        self._end_meeting()
 
     def _on_box_law(self, message: BoxLawMessage) -> None:
         self.law, self._laws_told = BoxLaw.of_message(message), True
-        if self._meeting is not None and self.box is not None:
+        self._end_meeting()
+
+    def _end_meeting(self) -> None:
+        """End the wait for a plant that has described its box and sent a sample."""
+        if self._meeting is not None and self._laws_told and self.box is not None and self._sampled < math.inf:
             self._finish()
 
     def _on_state(self, message: Any) -> None:
-        begin = time.monotonic()
         if self._states.get_publisher_count() > 1:
             self._wait.note_two_plants()  # which of them is the plant's?
             return
-        self._sampled = min(self._sampled, begin)
-        if self._session is None or not self._commander.held:
+        again = self._heard is not None and self._heard.sequence == message.sequence
+        self._heard, self._arrived = message, time.monotonic()
+        self._sampled = min(self._sampled, self._arrived)
+        self._commander.collects = self.paced
+        if again and self.paced:
+            self._answer()
             return
-        sample = np.array(message[_SAMPLE])
+        self._step_samples.append((message, self._arrived))
+        if self._session is None:  # a plant that goes by its own clock stands still; its samples are the session's
+            del self._step_samples[: -SAMPLES_PER_STEP if self.paced else None]
+            self._end_meeting()
+        elif self._session is not None:
+            self._handle_step(self._session)
+
+    def _handle_step(self, session: Session) -> None:
+        """Pass the samples that have arrived to the session, once they are those of a policy step."""
+        samples = self._step_samples
+        if not samples or (samples[-1][0].sequence % SAMPLES_PER_STEP and len(samples) < SAMPLES_PER_STEP):
+            return
+        self._step_samples = []
+        sequence = samples[-1][0].sequence
         try:
-            if message.sequence % SAMPLES_PER_STEP == 0:
-                self._read_corrections()
-            if self._session.on_sample(message.sequence, sample, message.flags, begin):
-                age = seconds(self._gains.header.stamp) - 1e-9 * message.stamp
-                self.timing.add(begin, self._gains_out, age)
+            self._read_corrections(sequence)
+            for message, arrived in samples:
+                if self._commander.held and not session.finished:
+                    self._pass_on(session, message, arrived)
+            if self.paced and sequence % _TICK_SAMPLES == 0 and not session.finished:
+                self._tick(self.now())
         except Exception as error:
             self.fail(error)
-        if self._session.finished:
+        if session.finished:
             self._finish()
+        self._owed = sequence
+        self._answer()
 
-    def _read_corrections(self) -> None:
-        """Pass the corrections that have arrived to the session."""
+    def _pass_on(self, session: Session, message: Any, arrived: float) -> None:
+        now = 1e-9 * message.stamp if message.flags & Flag.PACED else arrived
+        if session.on_sample(message.sequence, np.array(message[_SAMPLE]), message.flags, now):
+            age = seconds(self._gains.header.stamp) - 1e-9 * message.stamp
+            self.timing.add(arrived, self._gains_out, age)
+
+    def _begin_answering(self) -> None:
+        """Handle what a plant that goes by its own clock has sent before the session, and answer it."""
+        if not self.paced or self._session is None:
+            self._step_samples = []
+            return
+        if self._owed is not None:  # the session before has seen it
+            self._tick(self.now())
+        self._handle_step(self._session)
+        self._answer()
+
+    def _answer(self) -> None:
+        """Answer the last policy step to a plant that waits for it, unless something is still to come."""
+        ends = self._session is None or self._session.finished
+        if self._owed is None or not self.paced or ends or self._commander.requests or not self._readiness.complete:
+            return
+        self._answers.answer(self._owed, self._commander.flush())
+        self._owed = None
+
+    def _stamp(self) -> Time:
+        if not self.paced:
+            return self.get_clock().now().to_msg()
+        sec, nanosec = divmod(self._heard.stamp, 1_000_000_000)
+        return Time(sec=sec, nanosec=nanosec)
+
+    def _read_corrections(self, before: float = math.inf) -> None:
+        """Pass the corrections that have arrived to the session; of a plant that waits, those of samples before.
+
+        A correction may come after the sample that follows it, but not after the next but one.
+        """
         if self._corrections is None:
             return
-        for data, _ in self._mailbox.fetch(self._corrections, GRAPH[STATE][1].depth):
-            if (message := CORRECTIONS.unpack(data)) is None:
-                continue
+        fetched = self._mailbox.fetch(self._corrections, GRAPH[STATE][1].depth)
+        self._early += [message for data, _ in fetched if (message := CORRECTIONS.unpack(data)) is not None]
+        if self.paced:
+            count = sum(((before - 2 - message.sequence) % 2**32) < 2**31 for message in self._early)
+        else:
+            count = len(self._early)
+        messages, self._early = self._early[:count], self._early[count:]
+        for message in messages:
             self.corrected = True
             if self._session is not None:
                 self._session.on_correction(message.certificate_after, message.status)
 
     def _on_tick(self) -> None:
         try:
-            self._read_corrections()
-            self._tick(time.monotonic())
+            if self.paced:
+                self._tick_by_the_wall()
+            else:
+                self._read_corrections()
+                self._tick(time.monotonic())
         except Exception as error:
             self.fail(error)
 
-    def _tick(self, now: float) -> None:
-        if self._session is None and self._meeting is None:
+    def _tick_by_the_wall(self) -> None:
+        """Look after what does not go by the plant's clock: companions, what is awaited, a plant that is silent."""
+        self._look_after_companions()
+        if self._session is None:
+            if self._meeting is not None:
+                self._meeting.look(time.monotonic())
             return
+        self._readiness.look(time.monotonic())
+        if time.monotonic() - self._arrived > SILENT and self._owed is None:
+            self._tick(self.now())
+        self._each_tick()
+        self._answer()
+
+    def _look_after_companions(self) -> None:
         for sentence in self.companions.ended():
             self.warn(sentence)
         if self.refused or self.companions.lost:
             self._finish()
-        elif self._session is not None:
+
+    def _tick(self, now: float) -> None:
+        if self._session is None and self._meeting is None:
+            return
+        self._look_after_companions()
+        if self.refused or self.companions.lost:
+            return
+        if self._session is not None:
             self._carry_on(self._session, now)
         elif self._meeting is not None:
             self._meeting.look(now)
@@ -406,7 +522,8 @@ class GraphNode(Node):
             session.watch.arm_now(now)
         if self._commander.held or self._sampled == math.inf:
             session.on_tick(now)
-        self._each_tick()
+        if not self.paced:
+            self._each_tick()
         if session.finished:
             self._finish()
 
@@ -431,7 +548,7 @@ class GraphNode(Node):
         if response is None or response.success:
             self._unarmed_since = math.inf
             return
-        now = time.monotonic()
+        now = self.now()
         if response.message == BY_HAND:  # for as long as the person wants
             self.warn(response.message)
             if self._session is not None:

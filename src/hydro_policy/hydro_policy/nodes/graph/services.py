@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -59,7 +58,7 @@ class OverrideService:
         if not request.active:
             return self._node.override.release()
         gains = (request.proportional_gain, request.integral_gain)
-        return self._node.override.hold(*gains, request.seconds, time.monotonic())
+        return self._node.override.hold(*gains, request.seconds, self._node.now())
 
 
 def _wanted(request: OverrideGains.Request) -> str:

@@ -141,6 +141,15 @@ class PlantOptions:
     """Further words for the filter's command line, its metric for instance; `NO_FILTER`: there is none."""
     seed: int = 0
     """Of the noise of simulation or emulator."""
+    pace: str = "plant"
+    """Of simulation or emulator: plant, real, or a factor of real time."""
+    controller: str = ""
+    """Name of the node that commands the plant: the first sample waits for it, as for recorder and filter."""
+
+    @property
+    def real_time(self) -> bool:
+        """Whether the plant runs in real time."""
+        return self.plant == "bench" or self.pace == "real"
 
 
 def start_companions(
@@ -164,27 +173,34 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
-    guard = guard_parameters(gains, options.filter)
     started: list[tuple[str, str, list[str]]] = []
+    peers = [options.controller] if options.controller else []
+    scheduling = ["--realtime"] if options.real_time else []
     if options.recording is not None:
-        started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
+        started.append(("hydro_bridge", "recorder", [*scheduling, *_recorder_arguments(options, options.recording)]))
+        peers.append("recorder")
     if options.filter != NO_FILTER:
-        started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
+        started.append(("hydro_filter", "filter", [*bench, *scheduling, *options.filter]))
+        peers.append("filter")
+    guard = guard_parameters(gains, options.filter)
+    if not options.real_time:
+        guard = [*(guard or ["--ros-args"]), "-p", f"pace.peers:={' '.join(peers)}"]
     if options.plant == "sim":
-        words = ["--realtime", "--seed", str(options.seed), *_with_base_gains(guard, options.base_gains)]
+        words = [*scheduling, "--seed", str(options.seed), "--pace", options.pace]
+        words += _with_base_gains(guard, options.base_gains)
         model = ["--model", str(options.model)] if options.model else []
         started.append(("hydro_sim", "sim", [*bench, *model, *words]))
         return started
     port = options.port
     if options.plant == "emulator":
         port = port or str(folder / "port")
-        arguments = ["--link", port, "--seed", str(options.seed), *bench]
+        arguments = ["--link", port, "--seed", str(options.seed), "--pace", options.pace, *bench]
         arguments += ["--control", str(folder / "emulator_control"), "--load-force", str(folder / LOAD_FORCE)]
         arguments += ["--truth", str(options.truth)] if options.truth else []
         arguments += ["--faults", options.faults] if options.faults else []
         started.append(("hydro_sim", "emulator", arguments))
     words = [*(["--port", port] if port else []), *bench, *guard]
-    started.append(("hydro_bridge", "bridge", ["--realtime", *words]))
+    started.append(("hydro_bridge", "bridge", [*scheduling, *words]))
     return started
 
 
@@ -203,4 +219,4 @@ def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
         digests += [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = filter(None, (options.bench or bench_file.shipped(), *options.attachments))
-    return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
+    return ["--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

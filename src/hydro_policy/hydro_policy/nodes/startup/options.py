@@ -17,6 +17,7 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.files import site
 from hydro_bridge.ros.companion import add_page_option
 from hydro_bridge.ros.node import declare_parameters
+from hydro_bridge.safety.pace import parse_pace
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
@@ -29,11 +30,12 @@ LAWS = ("both", "paper", "compensated")
 SCRATCH = "scratch"
 """Value of `--from` for no agent, besides a run's folder."""
 
-_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "load_cell", "model", "base_gains", "filter", "rearm")
+_PLANT_WORDS = ("plant", "port", "truth", "faults", "pace", "bench", "load_cell", "model", "base_gains", "filter", "rearm")
 _NEEDS = {
     "hand_over": ("external",),
     "truth": ("emulator",),
     "faults": ("emulator",),
+    "pace": ("sim", "emulator"),
     "port": ("bench", "emulator"),
     "model": ("sim",),
     "base_gains": ("sim", "bench"),
@@ -54,6 +56,12 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--port", metavar="PATH", help="serial port of the bench (default: the bridge's)")
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
+    group.add_argument(
+        "--pace",
+        metavar="PACE",
+        help="of sim or emulator: plant (default): its clock waits for the graph's answers, as fast as they come, and a "
+        "run is a function of its seed; real: real time; a number: that many times real time",
+    )
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
     site.add_site_option(group, "--bench, --base-gains and --filter, of --model where --plant is sim")
     group.add_argument(
@@ -147,7 +155,7 @@ def may_rearm(options: argparse.Namespace) -> bool:
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
     """Return the plant options from the command line; `more` are further fields.
 
-    Raises UserError: an option that does not apply to this plant: refused rather than ignored.
+    Raises UserError: an option that does not apply to this plant: refused rather than ignored; SettingsError: --pace.
     """
     for name, plants in _NEEDS.items():
         if getattr(options, name) and options.plant not in plants:
@@ -155,7 +163,9 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
             raise UserError(f"{word} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
     names = ("plant", "port", "truth", "faults", "bench", "model", "base_gains")
     words = tuple(shlex.split(options.filter))
-    return PlantOptions(**{name: getattr(options, name) for name in names}, filter=words, **more)
+    pace = options.pace or "plant"
+    parse_pace(pace)
+    return PlantOptions(**{name: getattr(options, name) for name in names}, filter=words, pace=pace, **more)
 
 
 def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings:

@@ -62,6 +62,16 @@ class FaultyLine:
         self._waiting: deque[bytes] = deque()
         self._stalled_until = 0.0
 
+    @property
+    def faulty(self) -> bool:
+        """Whether frames may be lost here."""
+        return self._any()
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the line is blocked."""
+        return self._stalled_until > 0.0
+
     def stall(self, until: float) -> None:
         """Block the line until this time [s]."""
         self._stalled_until = max(self._stalled_until, until)
@@ -81,6 +91,7 @@ class FaultyLine:
             else:
                 self.counts["overflow"] += 1
             return b""
+        self._stalled_until = 0.0
         if self._waiting:
             out = b"".join(self._waiting) + out
             self._waiting.clear()

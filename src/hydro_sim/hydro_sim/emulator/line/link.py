@@ -18,6 +18,7 @@ from hydro_bridge.serial.protocol import (
     Frame,
     Hello,
     LawState,
+    encode_clock,
     encode_details,
     encode_hello,
     encode_law,
@@ -26,6 +27,7 @@ from hydro_bridge.serial.protocol import (
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import NEUTRAL, Command, Law
 from hydro_sim.emulator.line.faults import CHANCES, FaultyLine, LinkFaults
+from hydro_sim.emulator.line.host import Host
 from hydro_sim.emulator.line.terminal import Terminal
 
 _CIRCLE = 1 << 32  # sequence numbers
@@ -91,6 +93,31 @@ class BoxLink:
         self._unwritten = b""
         self._replug_at = 0.0
         self._greeting = True
+        self.host, self._inbox, self._sent = Host(), b"", b""
+        self.waits: bool | None = None
+        """What a host is told of this clock: whether each sample waits for its COMMAND; None: it is real time."""
+
+    @property
+    def faulty(self) -> bool:
+        """Whether frames may be lost on this line."""
+        return self.up.faulty or self.down.faulty
+
+    @property
+    def open(self) -> bool:
+        """Whether a host has the port open, on a line that is not blocked."""
+        return self.terminal.opened and not self.up.stalled
+
+    def receive(self, now: float, patience: float = 0.0) -> None:
+        """Take in what arrives within `patience` s of wall clock, for the next `poll`; plug in again when it is time."""
+        if not self.terminal.plugged:
+            if now < self._replug_at:
+                return
+            self.terminal.plug()
+        if patience:
+            self.terminal.wait(patience)
+        if data := self.down.carry(self.terminal.read(), now):
+            self.host.hear(data)
+            self._inbox += data
 
     def set_faults(self, faults: LinkFaults) -> None:
         """Replace the injected faults from now on."""
@@ -108,7 +135,8 @@ class BoxLink:
         self.down.clear()
         self.decoder.reset()
         self._waiting.clear()
-        self._unwritten = b""
+        self.host.reset()
+        self._unwritten = self._inbox = b""
         self._replug_at = now + seconds
 
     def reboot(self) -> None:
@@ -153,19 +181,26 @@ class BoxLink:
 
     def _arrived(self, now: float) -> bytes:
         """Return bytes that have arrived by `now` [s]; plug in again when it is time."""
-        if not self.terminal.plugged:
-            if now < self._replug_at:
-                return b""
-            self.terminal.plug()
-        return self.down.carry(self.terminal.read(), now)
+        self.receive(now)
+        data, self._inbox = self._inbox, b""
+        return data
 
     def send(self, sample: np.void, now: float) -> None:
         """Send one sample, a record of `STATE_DTYPE`, without ever waiting."""
         if not self.terminal.opened:
             self.report.unheard += 1
             self._unwritten = b""
+            self.host.reset()
             return
-        self._write(self.up.carry(self._frames(sample), now))
+        frames = self._frames(sample)
+        if self.host.fresh and self.waits is not None:
+            frames = encode_clock(round(1e6 * float(sample["time"])), waits=self.waits) + frames
+        self._sent = frames
+        self._write(self.up.carry(frames, now))
+
+    def send_again(self, now: float) -> None:
+        """Send the frames of the last sample again: its host greeted once more before it said anything else."""
+        self._write(self.up.carry(self._sent, now))
 
     def _frames(self, sample: np.void) -> bytes:
         """Return the frames sent with this sample."""

@@ -8,6 +8,7 @@ import errno
 import os
 import select
 import tempfile
+import time
 import tty
 from pathlib import Path
 
@@ -59,6 +60,13 @@ class Terminal:
         self._master = master
         self._poll.register(master, select.POLLHUP)
         self._show()
+
+    def wait(self, seconds: float) -> None:
+        """Return once something has arrived, `seconds` later at most."""
+        if self.opened:
+            select.select([self._master], [], [], seconds)
+        else:
+            time.sleep(seconds)
 
     def _show(self) -> None:
         scratch = self.path.with_name(f".{self.path.name}.{os.getpid()}")

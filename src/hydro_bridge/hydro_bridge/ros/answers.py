@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a node tells a plant that goes by its own clock: which samples it has answered (`hydro_bridge.safety.pace`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from hydro_bridge.ros.topics import ANSWERED, create_publisher
+from hydro_msgs.msg import Answered
+
+_LOOK = 0.05  # s between two looks for a plant
+_ALIVE = 20  # looks after which a peer says again what it said last: it works, it is not dead
+
+
+class Answers:
+    """Announces a node to the plant once it hears it, and tells what it has answered.
+
+    `node`: the node. `window`: samples that the plant may be ahead of it. `states`: its subscription to the states.
+    `works`: whether it will answer although it takes long; called once a second.
+    """
+
+    def __init__(
+        self, node: Node, window: int, states: Subscription, works: Callable[[], bool] = lambda: True
+    ) -> None:
+        self._states, self._works = states, works
+        self._publisher = create_publisher(node, ANSWERED)
+        self._message = Answered(node=node.get_name(), window=window)
+        self._looks, self._met = 0, False
+        node.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def answer(self, sequence: int, commands: int = 0) -> None:
+        """Tell that all samples up to this one are answered, after so many commands."""
+        message = self._message
+        message.answers, message.sequence, message.commands = True, sequence, commands
+        self._publisher.publish(message)
+
+    def leave(self) -> None:
+        """Tell that this node answers no more."""
+        self._message.window = 0
+        self._publisher.publish(self._message)
+
+    def _look(self) -> None:
+        """Announce this node to a plant that it hears by now, and repeat once a second what it said last."""
+        met, self._met = self._met, self._states.get_publisher_count() > 0
+        self._looks += 1
+        repeat = self._looks % _ALIVE == 0 and self._works()
+        if self._met and (repeat or not met) and self._message.window:
+            self._publisher.publish(self._message)

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant's clock: an emulated or simulated plant takes its next sample once the graph has answered the last one.
+
+::
+
+    sample k ──> filter ────> correction for k ──────────────────────┐
+             ──> commander ─> gains, law, reference; has answered k ─┼──> sample k + 1
+             ──> recorder ──> has answered k - 99 or a later one ────┘
+
+A peer is a node that says which samples it has answered (Answered.msg); its window is how far the plant may be ahead
+of it: 1 sample for the filter, 10 for a commander, which answers each policy step, 100 for a recorder. Who does not say
+so is not waited for. Without a commander the plant goes no faster than real time.
+
+=============================== =====================================================================================
+nodes to be met (`peers`)       awaited before the first sample, `meet_max` s of wall clock
+a peer that is silent           told, and no longer waited for, after `silence_max` s of wall clock; a peer that works
+                                for longer says so each second
+a peer that has left the graph  no longer waited for
+arming, disarming               goes on without answers until the box has confirmed
+=============================== =====================================================================================
+
+All other times of a paced plant (ages, watchdogs, leases) are the plant's.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated
+
+from hydro_bridge.process.realtime import Pacer
+from hydro_bridge.settings import SettingsError, check, quantity
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
+
+CORRECTS, COMMANDS, RECORDS = 1, SAMPLES_PER_STEP, 100
+"""Windows [samples] of a filter, of a commander, and of a recorder."""
+
+_LOOK = 0.25  # s of wall clock between two looks at who is silent
+_RESEND, _RESEND_FIRST = 10.0, 0.5
+"""s of wall clock after which an unanswered sample is published again; the first one, which peers may still miss."""
+_WORDS = "plant: each sample waits for the graph's answers; real: real time; a number: that many times real time"
+_CONFIRMED_WITHIN = 500
+"""Samples within which a box confirms an arming."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaceSettings:
+    """Whom a paced plant waits for, and for how long."""
+
+    peers: str = ""
+    """Names of nodes that are met before the first sample, separated by blanks."""
+    silence_max: Annotated[float, quantity("s", 0.1, 3600.0)] = 60.0
+    """Wall clock after which a silent peer counts as dead."""
+    meet_max: Annotated[float, quantity("s", 0.1, 3600.0)] = 300.0
+    """Wall clock that the nodes to be met are awaited."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def parse_pace(text: str) -> float | None:
+    """Return the factor of real time that `--pace` asks for; None: the plant's clock.
+
+    Raises SettingsError: it is neither `plant` nor `real` nor a number within (0, 100].
+    """
+    if text in ("plant", "real"):
+        return None if text == "plant" else 1.0
+    with suppress(ValueError):
+        if 0.0 < (factor := float(text)) <= 100.0:
+            return factor
+    raise SettingsError(f"--pace {text}: say plant, real, or a factor of real time within (0, 100]; {_WORDS}")
+
+
+def refuse_speed(words: Sequence[str]) -> None:
+    """Raise SettingsError for the option that `--pace` has replaced."""
+    if any(word.split("=")[0] == "--speed" for word in words):
+        raise SettingsError(f"--speed is now --pace; {_WORDS}")
+
+
+@dataclass
+class _Peer:
+    window: int
+    answered: int
+    """Newest sample that it has answered."""
+    commands: int = 0
+    heard: float = 0.0
+    """When it was last heard, s of the monotonic clock."""
+
+
+class Pace:
+    """Keeps who has answered which sample; the plant's thread waits here.
+
+    `settings`: whom to wait for. `log`: called with a sentence when a peer comes or falls silent.
+    """
+
+    def __init__(self, settings: PaceSettings, log: Callable[[str], None]) -> None:
+        self.settings, self._log = settings, log
+        self._news = threading.Condition()
+        self._peers: dict[str, _Peer] = {}
+        self._unmet = set(settings.peers.split())
+        self._newest: int | None = None  # sample
+        self._commands = 0  # that have arrived since the present holder took the plant
+        self._exempt: Callable[[], bool] | None = None
+        self._exempt_left = 0
+        self._released = self._closed = False
+        self._pacer = Pacer(SAMPLE_PERIOD)
+
+    @property
+    def waits(self) -> str:
+        """Names of the present peers; for /diagnostics."""
+        return ", ".join(sorted(self._peers)) or "nobody"
+
+    def answered(self, name: str, sequence: int | None, window: int, commands: int = 0) -> None:
+        """Note what a peer says: it is ready (None), has answered a sample, or leaves (a window of 0)."""
+        with self._news:
+            if window == 0:
+                self._forget(name, "leaves")
+                return
+            if name not in self._peers:
+                self._log(f"under the plant's clock with {name}")
+                self._peers[name] = _Peer(window, self._answered_before(window))
+            peer = self._peers[name]
+            peer.window, peer.commands, peer.heard = window, commands, time.monotonic()
+            if sequence is not None:
+                peer.answered = sequence
+            self._unmet.discard(name)
+            self._news.notify_all()
+
+    def corrected(self, sequence: int) -> None:
+        """Note that a correction of this sample has come: the answer of who answers each sample."""
+        with self._news:
+            for peer in self._peers.values():
+                if peer.window == CORRECTS:
+                    peer.answered, peer.heard = sequence, time.monotonic()
+            self._news.notify_all()
+
+    def commanded(self) -> None:
+        """Note that gains, a law or a reference have arrived."""
+        with self._news:
+            self._commands += 1
+            self._news.notify_all()
+
+    def claimed(self) -> None:
+        """Count commands anew: the plant has another holder."""
+        with self._news:
+            self._commands = 0
+            for peer in self._peers.values():
+                peer.commands = 0
+
+    def keep(self, names: set[str]) -> None:
+        """Forget the peers that are not among these nodes of the graph."""
+        with self._news:
+            for name in self._peers.keys() - names:
+                self._forget(name, "is gone")
+
+    def release(self) -> None:
+        """Let the present sample go without further answers."""
+        with self._news:
+            self._released = True
+            self._news.notify_all()
+
+    def confirm(self, done: Callable[[], bool]) -> bool:
+        """Let the plant go on without answers until `done`, asked with each sample; return whether it came to that.
+
+        Not for the plant's thread. It ends after half a second of the plant's, or where the plant stands still.
+        """
+        give_up = time.monotonic() + self.settings.silence_max
+        with self._news:
+            self._exempt, self._exempt_left = done, _CONFIRMED_WITHIN
+            self._news.notify_all()
+            while self._exempt is not None and not self._closed and time.monotonic() < give_up:
+                self._news.wait(0.1)
+            self._exempt = None
+        return done()
+
+    def close(self) -> None:
+        """Wait for nothing any more."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+
+    def meet(self) -> None:
+        """Return once all nodes that are to be met are ready; not called again after that."""
+        give_up, told = time.monotonic() + self.settings.meet_max, time.monotonic() + 10.0
+        with self._news:
+            while self._unmet and not self._closed:
+                if self._news.wait(0.1):
+                    continue
+                if (now := time.monotonic()) >= give_up:
+                    self._log(f"{self._named(self._unmet)} did not come: beginning without")
+                    self._unmet.clear()
+                elif now >= told:
+                    self._log(f"the first sample waits for {self._named(self._unmet)}")
+                    told = now + 30.0
+
+    def wait(self, sequence: int, resend: Callable[[], None]) -> None:
+        """Return when sample `sequence`, the last one published, has all its answers; for the plant's thread."""
+        with self._news:
+            patience = _RESEND if self._newest is not None else _RESEND_FIRST
+            self._newest = sequence
+            excused, began = self._excused(), time.monotonic()
+            resent = began
+            while (behind := self._behind(sequence)) and not (self._released or self._closed or excused):
+                if self._news.wait(_LOOK):
+                    excused = self._excused()
+                    continue
+                now = time.monotonic()
+                for name in behind:
+                    if now - max(self._peers[name].heard, began) > self.settings.silence_max:
+                        self._silent(name, sequence)
+                if now >= resent + patience:
+                    resend()
+                    resent = now
+            self._released = False
+            fast = excused or any(peer.window == COMMANDS for peer in self._peers.values())
+        if fast or self._closed:
+            self._pacer.restart()
+        else:
+            self._pacer.wait()
+
+    def _answered_before(self, window: int) -> int:
+        """Return what counts as answered by a peer that comes now: of a plant that has begun, all up to its step."""
+        return -window if self._newest is None else self._newest - self._newest % min(window, COMMANDS)
+
+    def _behind(self, sequence: int) -> list[str]:
+        """Return the peers whose answer sample `sequence` waits for."""
+        return [
+            name
+            for name, peer in self._peers.items()
+            if (sequence - peer.answered) & 0xFFFFFFFF >= peer.window or peer.commands > self._commands
+        ]
+
+    def _excused(self) -> bool:
+        """Return whether this sample may go on because an arming or disarming is not confirmed yet."""
+        if self._exempt is None:
+            return False
+        if self._exempt() or self._exempt_left == 0:
+            self._exempt = None
+            self._news.notify_all()
+            return False
+        self._exempt_left -= 1
+        return True
+
+    def _silent(self, name: str, sequence: int) -> None:
+        limit = self.settings.silence_max
+        self._forget(name, f"gave no answer to sample {sequence} for {limit:g} s and counts as dead")
+
+    def _forget(self, name: str, why: str) -> None:
+        if self._peers.pop(name, None) is not None:
+            self._log(f"{name} {why}: the plant goes on without it")
+        self._news.notify_all()
+
+    @staticmethod
+    def _named(names: set[str]) -> str:
+        return " and ".join(sorted(names))

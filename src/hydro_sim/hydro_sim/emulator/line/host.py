@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the emulated line knows of its host: whether it is there, and whether it answers each sample."""
+
+from __future__ import annotations
+
+from struct import Struct
+from zlib import crc32
+
+from cobs import cobs
+
+from hydro_bridge.serial.protocol import HANDSHAKE, MAX_ENCODED, FrameType
+
+_HEADER = Struct("<BBIQ")
+_CRC = Struct("<I")
+
+
+class Host:
+    """Follows the frames that a host sends, without taking them.
+
+    A host that goes by the emulator's clock sends, for each STATE, a COMMAND with that sample's time; any other one
+    sends its own time.
+    """
+
+    def __init__(self) -> None:
+        self._pending = b""
+        self.greetings = 0
+        """HELLOs since the port was plugged in."""
+        self.fresh = False
+        """Whether no COMMAND has come since the last HELLO."""
+        self.time_us: int | None = None
+        """Time in its last COMMAND, us; None: none since the last HELLO."""
+        self.follows = False
+        """Whether one of its COMMANDs since the last HELLO had a sample's time."""
+
+    def reset(self) -> None:
+        """Forget the host: the port was unplugged, or closed."""
+        self._pending, self.greetings, self.fresh, self.time_us, self.follows = b"", 0, False, None, False
+
+    def hear(self, data: bytes) -> None:
+        """Follow bytes that arrived."""
+        *pieces, self._pending = (self._pending + data).split(b"\0")
+        self._pending = self._pending[-MAX_ENCODED:]
+        for piece in filter(None, pieces):
+            self._take(piece)
+
+    def _take(self, piece: bytes) -> None:
+        try:
+            raw = cobs.decode(piece)
+        except cobs.DecodeError:
+            return
+        if len(raw) < _HEADER.size + 4 or raw[-4:] != _CRC.pack(crc32(raw[:-4])):
+            return
+        version, kind, _, time_us = _HEADER.unpack_from(raw)
+        if kind == FrameType.HELLO and version == HANDSHAKE:
+            self.greetings, self.fresh, self.time_us, self.follows = self.greetings + 1, True, None, False
+        elif kind == FrameType.COMMAND:
+            self.fresh, self.time_us = False, time_us
