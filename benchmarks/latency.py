@@ -125,7 +125,7 @@ def start(stack: ExitStack, driver: Driver, folder: Path, metric: Sequence[str])
     commands = {
         "filter": ("hydro_filter", [*metric, "--realtime"]),
         "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
-        "emulator": ("hydro_sim", ["--link", str(port)]),
+        "emulator": ("hydro_sim", ["--link", str(port), "--pace", "real"]),
         "bridge": ("hydro_bridge", ["--port", str(port), "--realtime"]),
     }
     running: dict[str, Companion] = {}

@@ -111,6 +111,8 @@ REFUSED = {
     ),
     "hydro_sim emulator": (
         ("--offline", "--offline needs --out"),
+        ("--speed 1", "--speed is now --pace"),
+        ("--pace fast", "--pace fast: say plant, real, or a factor of real time"),
         ("--offline --out /dev/null/x", "/dev/null is not a folder: choose another place"),
     ),
     "hydro_sim learn": (
@@ -119,7 +121,8 @@ REFUSED = {
     ),
     "hydro_sim validate": (("@nowhere", "nowhere does not exist"),),
     "hydro_sim sim": (
-        ("--speed -1", "speed must be within [0, 100], not -1"),
+        ("--speed 0", "--speed is now --pace"),
+        ("--pace -1", "--pace -1: say plant, real, or a factor of real time within (0, 100]"),
         ("--ros-args -p box.load_force_limit:=-5.0", "parameter box.load_force_limit: "),
     ),
     "hydro_filter filter": (

@@ -56,7 +56,7 @@ class Crew:
         new = ["--from", "scratch", "--episodes", "100000", "--updates-per-step", "1", "--seed", str(self.seed)]
         place = ["--runs", str(self.run.parent), "--name", self.run.name]
         return {
-            "emulator": ["--link", f"{self.folder}/box", "--seed", str(self.seed)],
+            "emulator": ["--link", f"{self.folder}/box", "--seed", str(self.seed), "--pace", "real"],
             "bridge": ["--port", f"{self.folder}/port", "--realtime"],
             "filter": ["--realtime"],
             "recorder": ["--realtime", "--out", f"{self.folder}/bag{time.monotonic_ns()}"],

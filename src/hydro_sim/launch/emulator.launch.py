@@ -12,11 +12,12 @@ from hydro_sim.emulator.line.terminal import default_link
 def generate_launch_description() -> LaunchDescription:
     # A process and not a Node: like the box itself, the emulator knows no ROS.
     emulator = ExecutableInPackage(package="hydro_sim", executable="emulator")
-    port, faults = LaunchConfiguration("port"), LaunchConfiguration("faults")
+    port, faults, pace = (LaunchConfiguration(name) for name in ("port", "faults", "pace"))
     return LaunchDescription(
         [
             DeclareLaunchArgument("port", default_value=str(default_link()), description="where its port appears"),
             DeclareLaunchArgument("faults", default_value="clean", description="what goes wrong on the line"),
-            ExecuteProcess(cmd=[emulator, "--link", port, "--faults", faults], output="screen"),
+            DeclareLaunchArgument("pace", default_value="plant", description="plant, real, or times real time"),
+            ExecuteProcess(cmd=[emulator, "--link", port, "--faults", faults, "--pace", pace], output="screen"),
         ]
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulation in the bench's place: `ros2 launch hydro_sim sim.launch.py speed:=1`."""
+"""The simulation in the bench's place: `ros2 launch hydro_sim sim.launch.py pace:=real`."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
@@ -11,10 +11,10 @@ from hydro_bridge.ros.companion import page_wanted
 
 
 def generate_launch_description() -> LaunchDescription:
-    speed = LaunchConfiguration("speed")
+    pace = LaunchConfiguration("pace")
     return LaunchDescription(
         [
-            DeclareLaunchArgument("speed", default_value="1", description="times real time; 0: in lock-step"),
+            DeclareLaunchArgument("pace", default_value="plant", description="plant, real, or times real time"),
             DeclareLaunchArgument(
                 "dashboard", default_value=str(page_wanted()).lower(), description="whether to serve the live page"
             ),
@@ -24,6 +24,6 @@ def generate_launch_description() -> LaunchDescription:
                 output="screen",
                 condition=IfCondition(LaunchConfiguration("dashboard")),
             ),
-            Node(package="hydro_sim", executable="sim", arguments=["--realtime", "--speed", speed], output="screen"),
+            Node(package="hydro_sim", executable="sim", arguments=["--pace", pace], output="screen"),
         ]
     )

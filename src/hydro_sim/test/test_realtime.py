@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulation behind the sim node, its pace and its lock-step, with peers in other threads and without ROS."""
+"""The simulation behind the sim node and its pace, with peers in other threads and without ROS."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 from hydro_bridge.safety.guard import CommandGuard
+from hydro_bridge.safety.pace import COMMANDS, CORRECTS, Pace, PaceSettings
 from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.simulation.realtime import RESEND, SimSettings, Simulation
+from hydro_sim.simulation.realtime import SimSettings, Simulation
 from tests.checks import wait
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=2.0)
@@ -37,7 +38,9 @@ def compiled() -> None:
 class Graph:
     """A simulation, and whoever else: `answer` is called in a thread of its own with each sample."""
 
-    def __init__(self, bench: Bench, answer: Callable[[Graph, tuple[Any, ...]], None], **settings: Any) -> None:
+    def __init__(
+        self, bench: Bench, answer: Callable[[Graph, tuple[Any, ...]], None], peers: str = "", **settings: Any
+    ) -> None:
         self.samples: list[tuple[Any, ...]] = []
         self.stamps: list[int] = []
         self.said: list[str] = []
@@ -46,9 +49,12 @@ class Graph:
         plant = AnalyticPlant(bench)
         self.guard = CommandGuard()
         self.guard.set_reference(SINE)
+        self.pace = Pace(PaceSettings(peers=peers), self.said.append)
         self.simulation = Simulation(
-            Box(bench), plant, self.guard, SimSettings(**settings), self._on_state, self.said.append
+            Box(bench), plant, self.guard, SimSettings(**settings), self._on_state, self.said.append, self.pace
         )
+        for name in peers.split():
+            self.pace.answered(name, None, {"filter": CORRECTS, "trainer": COMMANDS}[name])
         self.threads = [threading.Thread(target=target, daemon=True) for target in (self._peer, self.simulation.run)]
         for thread in self.threads:
             thread.start()
@@ -64,14 +70,14 @@ class Graph:
 
     def correct(self, fields: tuple[Any, ...], delta_u: float = 0.0) -> None:
         with self.simulation.lock:
-            now = self.simulation.clock()
+            now = self.simulation.now()
             self.guard.set_correction(delta_u, CorrectionStatus.PASS, fields[1], now)
-        self.simulation.send(fields[1])
+        self.pace.corrected(fields[1])
 
-    def gain(self, delta_kp: float) -> None:
+    def gain(self, sequence: int, delta_kp: float) -> None:
         with self.simulation.lock:
-            self.guard.set_gains(delta_kp, 0.0, self.simulation.clock())
-        self.simulation.gained()
+            self.guard.set_gains(delta_kp, 0.0, self.simulation.now())
+        self.pace.answered("trainer", sequence, COMMANDS)
 
     def close(self) -> None:
         self.simulation.stop()
@@ -98,62 +104,40 @@ def dither(sequence: int) -> float:
     return 1e-4 * (sequence % 7 - 3)
 
 
-def test_in_lock_step_each_sample_carries_the_correction_of_the_one_before(graph: Callable[..., Graph]) -> None:
+def test_under_its_own_clock_each_sample_carries_the_correction_of_the_one_before(graph: Callable[..., Graph]) -> None:
     def answer(running: Graph, fields: tuple[Any, ...]) -> None:
         if fields[1] % 50 == 0:
             time.sleep(0.03)  # a slow filter slows the simulation, and nothing is lost
-        if fields[1] % 10 == 9:
-            running.gain(float(fields[1] // 10 % 70))
+        if fields[1] % 10 == 0:
+            running.gain(fields[1], float(fields[1] // 10 % 70))
         running.correct(fields, dither(fields[1]))
 
-    running = graph(answer, speed=0.0)
+    running = graph(answer, peers="filter trainer")
     wait(lambda: len(running.samples) > 30, 20.0)
     assert running.simulation.arm(True) == ""
     wait(lambda: len(running.samples) > 600, 20.0)
-    samples = [fields for fields in running.samples[:600] if fields[-1] == Flag.ARMED]
+    samples = [fields for fields in running.samples[:600] if fields[-1] == Flag.ARMED | Flag.PACED]
     assert len(samples) > 400
     assert [fields[1] for fields in running.samples[:600]] == list(range(600))
-    first = samples[0][1] + 12
     for fields in samples[12:]:
         sequence = fields[1]
         assert fields[VALVE] == fields[NOMINAL] + dither(sequence - 1)
-        assert fields[K_P] == 15.0 + (sequence - 1 - 9) // 10 % 70, (sequence, first)
+        assert fields[K_P] == 15.0 + (sequence - 1) // 10 % 70, sequence
     assert running.stamps[:600] == [1_000_000 * k for k in range(600)]
 
 
-def test_a_peer_that_falls_silent_is_named_and_left_behind(graph: Callable[..., Graph]) -> None:
-    def answer(running: Graph, fields: tuple[Any, ...]) -> None:
-        if fields[1] < 50:
-            running.correct(fields)
-
-    running = graph(answer, speed=0.0, silence_max=0.6)
-    wait(lambda: len(running.samples) > 200, 20.0)
-    assert running.said[0] == "in lock-step with the filter"
-    assert running.said[1].startswith("no answer of the filter to sample 50 for 0.6 s")
-    assert [fields[1] for fields in running.samples].count(50) >= 1 + int(0.6 / RESEND) - 1
-
-
-def test_the_trainer_is_awaited_only_while_armed(graph: Callable[..., Graph]) -> None:
-    sent: list[int] = []
-
-    def answer(running: Graph, fields: tuple[Any, ...]) -> None:
-        if fields[-1] & Flag.ARMED or not sent:
-            sent.append(fields[1])
-            running.gain(10.0)
-
-    running = graph(answer, speed=0.0, silence_max=600.0)
-    wait(lambda: len(running.samples) > 200, 20.0)
-    assert running.simulation.arm(True) == ""
-    wait(lambda: len(sent) > 50, 20.0)
-    assert running.simulation.arm(False) == ""
-    after = len(running.samples)
-    wait(lambda: len(running.samples) > after + 100, 20.0)
+def test_at_a_factor_of_real_time_nobody_is_waited_for_and_time_is_the_simulations(graph: Callable[..., Graph]) -> None:
+    running, began = graph(lambda *_: None, pace="4"), time.monotonic()
+    wait(lambda: len(running.samples) >= 400, 20.0)
+    assert 0.09 < time.monotonic() - began
+    assert all(fields[-1] & Flag.PACED for fields in running.samples)
+    assert running.stamps[:400] == [1_000_000 * k for k in range(400)]
 
 
 def test_real_time_stamps_are_a_millisecond_apart_and_commands_age_by_the_host(graph: Callable[..., Graph]) -> None:
-    running = graph(lambda *_: None)
+    running = graph(lambda *_: None, pace="real")
     wait(lambda: len(running.samples) >= 300, 20.0)
-    assert abs(running.simulation.clock() - time.monotonic()) < 0.5
+    assert abs(running.simulation.now() - time.monotonic()) < 0.5
     steps = [later - earlier for earlier, later in zip(running.stamps, running.stamps[1:300], strict=False)]
     assert min(steps) == 1_000_000 and sorted(steps)[-3] == 1_000_000
     assert abs(1e-9 * running.stamps[-1] - time.time()) < 1.0

@@ -4,8 +4,8 @@
 One thread runs `run`: it opens the port, negotiates, passes on each new sample and ensures that a command follows each
 sample. Other threads set the guard's inputs (under `lock`) and may `send` at once. CLOSED -> OPEN -> CONNECTED.
 
-An emulator that goes by its own clock says so (CLOCK): stamps and ages are then in its time. Where it waits, that
-thread sends one command for each sample, with the sample's time, once the graph has answered (`pace`).
+An emulator that goes by its own clock says so (CLOCK): stamps and ages are then in its time. Where it waits, one
+command is sent for each sample, with the sample's time, once the graph has answered (`pace`).
 """
 
 from __future__ import annotations
@@ -182,6 +182,7 @@ class Link:
     ) -> None:
         self.port, self.guard = port, guard
         self.pace = pace or Pace(PaceSettings(), log)
+        self.pace.go_on = self._send
         self.emulated: ClockFrame | None = None
         """What an emulator says of its clock; None: the box runs in real time."""
         self.lock = threading.Lock()
@@ -320,7 +321,7 @@ class Link:
         """Read until the port is lost."""
         last_byte, next_hello = time.monotonic(), 0.0
         while not self._stopping.is_set():
-            data = self.port.read(_READ_TIMEOUT)
+            data = self.port.read(min(_READ_TIMEOUT, self.pace.poll()) if self.paced else _READ_TIMEOUT)
             now = time.monotonic()
             if self.state is LinkState.OPEN and now >= next_hello:
                 self.port.write(encode_hello(0, int(1e6 * now), version_max=self._spoken))
@@ -369,8 +370,7 @@ class Link:
         publish = partial(self._on_state, frame, self._stamp(frame), int(self.flags))
         publish()
         if self.paced:
-            self.pace.wait(frame.sequence, publish)
-            self._send()
+            self.pace.published(frame.sequence, publish)
         elif missed:  # no correction for the previous sample: a command is sent regardless
             self.report.heartbeats += 1
             self._send()

@@ -29,18 +29,20 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from math import inf
 from typing import Annotated
 
-from hydro_bridge.process.realtime import Pacer
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 
 CORRECTS, COMMANDS, RECORDS = 1, SAMPLES_PER_STEP, 100
 """Windows [samples] of a filter, of a commander, and of a recorder."""
 
-_LOOK = 0.25  # s of wall clock between two looks at who is silent
+_LOOK = 0.1  # s of wall clock between two looks at who is silent
 _RESEND, _RESEND_FIRST = 10.0, 0.5
 """s of wall clock after which an unanswered sample is published again; the first one, which peers may still miss."""
+_CAUGHT_UP = 0.1
+"""s by which a plant that goes no faster than real time may be late and still catches up."""
 _WORDS = "plant: each sample waits for the graph's answers; real: real time; a number: that many times real time"
 _CONFIRMED_WITHIN = 500
 """Samples within which a box confirms an arming."""
@@ -91,22 +93,28 @@ class _Peer:
 
 
 class Pace:
-    """Keeps who has answered which sample; the plant's thread waits here.
+    """Keeps who has answered which sample, and says when the plant may take the next one.
 
     `settings`: whom to wait for. `log`: called with a sentence when a peer comes or falls silent.
     """
 
     def __init__(self, settings: PaceSettings, log: Callable[[str], None]) -> None:
         self.settings, self._log = settings, log
-        self._news = threading.Condition()
+        self.go_on: Callable[[], None] = lambda: None
+        """Called once for each sample when it has its answers, by the thread that brought the last one."""
+        self._lock = threading.Lock()
+        self._confirmed = threading.Condition()
         self._peers: dict[str, _Peer] = {}
         self._unmet = set(settings.peers.split())
         self._newest: int | None = None  # sample
+        self._resend: Callable[[], None] | None = None  # of the newest sample while it has not all its answers
+        self._began = self._sent = 0.0  # when it was published, and sent again, s of the monotonic clock
+        self._deadline = -inf  # s of the monotonic clock before which the next sample does not follow
         self._commands = 0  # that have arrived since the present holder took the plant
         self._exempt: Callable[[], bool] | None = None
         self._exempt_left = 0
-        self._released = self._closed = False
-        self._pacer = Pacer(SAMPLE_PERIOD)
+        self._closed = False
+        self._patience = _RESEND_FIRST
 
     @property
     def waits(self) -> str:
@@ -115,10 +123,10 @@ class Pace:
 
     def answered(self, name: str, sequence: int | None, window: int, commands: int = 0) -> None:
         """Note what a peer says: it is ready (None), has answered a sample, or leaves (a window of 0)."""
-        with self._news:
-            if window == 0:
-                self._forget(name, "leaves")
-                return
+        if window == 0:
+            self._forget(name, "leaves")
+            return
+        with self._lock:
             if name not in self._peers:
                 self._log(f"under the plant's clock with {name}")
                 self._peers[name] = _Peer(window, self._answered_before(window))
@@ -127,110 +135,128 @@ class Pace:
             if sequence is not None:
                 peer.answered = sequence
             self._unmet.discard(name)
-            self._news.notify_all()
+        self._check()
 
     def corrected(self, sequence: int) -> None:
         """Note that a correction of this sample has come: the answer of who answers each sample."""
-        with self._news:
+        with self._lock:
             for peer in self._peers.values():
                 if peer.window == CORRECTS:
                     peer.answered, peer.heard = sequence, time.monotonic()
-            self._news.notify_all()
+        self._check()
 
     def commanded(self) -> None:
         """Note that gains, a law or a reference have arrived."""
-        with self._news:
+        with self._lock:
             self._commands += 1
-            self._news.notify_all()
+        self._check()
 
     def claimed(self) -> None:
         """Count commands anew: the plant has another holder."""
-        with self._news:
+        with self._lock:
             self._commands = 0
             for peer in self._peers.values():
                 peer.commands = 0
 
     def keep(self, names: set[str]) -> None:
         """Forget the peers that are not among these nodes of the graph."""
-        with self._news:
-            for name in self._peers.keys() - names:
-                self._forget(name, "is gone")
+        for name in self._peers.keys() - names:
+            self._forget(name, "is gone")
 
     def release(self) -> None:
         """Let the present sample go without further answers."""
-        with self._news:
-            self._released = True
-            self._news.notify_all()
+        self._go_on()
 
     def confirm(self, done: Callable[[], bool]) -> bool:
         """Let the plant go on without answers until `done`, asked with each sample; return whether it came to that.
 
         Not for the plant's thread. It ends after half a second of the plant's, or where the plant stands still.
         """
-        give_up = time.monotonic() + self.settings.silence_max
-        with self._news:
+        with self._lock:
             self._exempt, self._exempt_left = done, _CONFIRMED_WITHIN
-            self._news.notify_all()
+        self._check()
+        give_up = time.monotonic() + self.settings.silence_max
+        with self._confirmed:
             while self._exempt is not None and not self._closed and time.monotonic() < give_up:
-                self._news.wait(0.1)
-            self._exempt = None
+                self._confirmed.wait(0.1)
+        self._exempt = None
         return done()
 
     def close(self) -> None:
         """Wait for nothing any more."""
-        with self._news:
-            self._closed = True
-            self._news.notify_all()
+        self._closed = True
+        self._go_on()
 
     def meet(self) -> None:
-        """Return once all nodes that are to be met are ready; not called again after that."""
+        """Return once all nodes that are to be met are ready; for the plant's thread, before the first sample."""
         give_up, told = time.monotonic() + self.settings.meet_max, time.monotonic() + 10.0
-        with self._news:
-            while self._unmet and not self._closed:
-                if self._news.wait(0.1):
-                    continue
-                if (now := time.monotonic()) >= give_up:
-                    self._log(f"{self._named(self._unmet)} did not come: beginning without")
-                    self._unmet.clear()
-                elif now >= told:
-                    self._log(f"the first sample waits for {self._named(self._unmet)}")
-                    told = now + 30.0
+        while self._unmet and not self._closed:
+            time.sleep(0.02)
+            if (now := time.monotonic()) >= give_up:
+                self._log(f"{_named(self._unmet)} did not come: beginning without")
+                self._unmet.clear()
+            elif now >= told:
+                self._log(f"the first sample waits for {_named(self._unmet)}")
+                told = now + 30.0
 
-    def wait(self, sequence: int, resend: Callable[[], None]) -> None:
-        """Return when sample `sequence`, the last one published, has all its answers; for the plant's thread."""
-        with self._news:
-            patience = _RESEND if self._newest is not None else _RESEND_FIRST
-            self._newest = sequence
-            excused, began = self._excused(), time.monotonic()
-            resent = began
-            while (behind := self._behind(sequence)) and not (self._released or self._closed or excused):
-                if self._news.wait(_LOOK):
-                    excused = self._excused()
-                    continue
-                now = time.monotonic()
-                for name in behind:
-                    if now - max(self._peers[name].heard, began) > self.settings.silence_max:
-                        self._silent(name, sequence)
-                if now >= resent + patience:
-                    resend()
-                    resent = now
-            self._released = False
+    def published(self, sequence: int, resend: Callable[[], None]) -> None:
+        """Wait for the answers to sample `sequence`, which has just been published, as `resend` publishes it again."""
+        now = time.monotonic()
+        with self._lock:
+            self._patience = _RESEND if self._newest is not None else _RESEND_FIRST
+            self._newest, self._resend, self._began, self._sent = sequence, resend, now, now
+            self._deadline = SAMPLE_PERIOD + (now if self._deadline == -inf else max(self._deadline, now - _CAUGHT_UP))
+        self._check()
+
+    def poll(self) -> float:
+        """Look after what goes by the wall clock; return the time [s] until the next look is due."""
+        now, resend = time.monotonic(), None
+        with self._lock:
+            waiting = self._resend is not None
+            behind = self._behind() if waiting else []
+            limit = self.settings.silence_max
+            silent = [name for name in behind if now - max(self._peers[name].heard, self._began) > limit]
+            if behind and now - self._sent > self._patience:
+                resend, self._sent = self._resend, now
+        for name in silent:
+            self._forget(name, f"gave no answer to sample {self._newest} for {limit:g} s and counts as dead")
+        if resend is not None:
+            resend()
+        self._check()
+        return _LOOK if behind or not waiting else max(0.0, min(_LOOK, self._deadline - time.monotonic()))
+
+    def _check(self) -> None:
+        """Go on if the newest sample has all its answers."""
+        with self._lock:
+            if self._resend is None:
+                return
+            excused = self._excused()
+            if self._behind() and not excused:
+                return
             fast = excused or any(peer.window == COMMANDS for peer in self._peers.values())
-        if fast or self._closed:
-            self._pacer.restart()
-        else:
-            self._pacer.wait()
+            if fast:
+                self._deadline = -inf
+            elif time.monotonic() < self._deadline:
+                return
+        self._go_on()
+
+    def _go_on(self) -> None:
+        with self._lock:
+            resend, self._resend = self._resend, None
+        if resend is not None:
+            self.go_on()
 
     def _answered_before(self, window: int) -> int:
         """Return what counts as answered by a peer that comes now: of a plant that has begun, all up to its step."""
         return -window if self._newest is None else self._newest - self._newest % min(window, COMMANDS)
 
-    def _behind(self, sequence: int) -> list[str]:
-        """Return the peers whose answer sample `sequence` waits for."""
+    def _behind(self) -> list[str]:
+        """Return the peers whose answer the newest sample waits for."""
+        assert self._newest is not None
         return [
             name
             for name, peer in self._peers.items()
-            if (sequence - peer.answered) & 0xFFFFFFFF >= peer.window or peer.commands > self._commands
+            if (self._newest - peer.answered) & 0xFFFFFFFF >= peer.window or peer.commands > self._commands
         ]
 
     def _excused(self) -> bool:
@@ -238,21 +264,20 @@ class Pace:
         if self._exempt is None:
             return False
         if self._exempt() or self._exempt_left == 0:
-            self._exempt = None
-            self._news.notify_all()
+            with self._confirmed:
+                self._exempt = None
+                self._confirmed.notify_all()
             return False
         self._exempt_left -= 1
         return True
 
-    def _silent(self, name: str, sequence: int) -> None:
-        limit = self.settings.silence_max
-        self._forget(name, f"gave no answer to sample {sequence} for {limit:g} s and counts as dead")
-
     def _forget(self, name: str, why: str) -> None:
-        if self._peers.pop(name, None) is not None:
+        with self._lock:
+            known = self._peers.pop(name, None)
+        if known is not None:
             self._log(f"{name} {why}: the plant goes on without it")
-        self._news.notify_all()
+        self._check()
 
-    @staticmethod
-    def _named(names: set[str]) -> str:
-        return " and ".join(sorted(names))
+
+def _named(names: set[str]) -> str:
+    return " and ".join(sorted(names))

@@ -268,11 +268,11 @@ def compile_updates(settings: SacSettings) -> None:
     Sac(OBSERVATIONS, ACTIONS, settings).learn(replay, 1)
 
 
-def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
+def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection, niceness: int) -> None:
     """Run the learner process; it ends on None from the pipe, or when the acting process is gone."""
     for number in (signal.SIGINT, signal.SIGHUP):  # sent to the whole terminal; the acting process ends this one
         signal.signal(number, signal.SIG_IGN)
-    os.nice(10)
+    os.nice(niceness)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
     try:

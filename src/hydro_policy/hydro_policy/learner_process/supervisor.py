@@ -39,6 +39,8 @@ from hydro_policy.learner_process.learner import (
 from hydro_policy.runs.run import Checkpoint, RunDirectory, TrainingSettings
 from hydro_policy.sac.algorithm import Losses
 
+NICENESS = 10
+"""Of a learner for which the plant does not wait."""
 SETTLE_TIMEOUT = 60.0
 """s of wall clock within which a learner that is waited for has done what is due."""
 _GLANCE = 2e-4  # s between two looks at its progress
@@ -63,6 +65,8 @@ class LearnerSupervisor:
         Checkpoint to resume, or None.
     start
         Initial agent, as returned by `snapshot.dump`, or None: freshly initialised networks.
+    real_time
+        Whether the plant does not wait for it, so that it gives way to what acts.
     """
 
     def __init__(
@@ -71,9 +75,12 @@ class LearnerSupervisor:
         run: RunDirectory,
         resumed: Checkpoint | None = None,
         start: bytes | None = None,
+        *,
+        real_time: bool = True,
     ) -> None:
         self._context = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
         self._settings, self._run = settings, run
+        self._niceness = NICENESS if real_time else 0
         self._memory = LearnerMemory(settings)
         self.replay, self._weights, self._snapshot, self._good, self._status = self._memory.open()
         self._status[LOSSES] = np.nan
@@ -269,7 +276,7 @@ class LearnerSupervisor:
         self._said = ""  # by a learner that ends
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
-        arguments = (self._memory, self._settings, theirs)  # small: more than the pipe holds would wait for the child
+        arguments = (self._memory, self._settings, theirs, self._niceness)  # small: more than the pipe holds would wait for the child
         self._process: BaseProcess = self._context.Process(
             target=run_learner, args=arguments, name="learner", daemon=True
         )

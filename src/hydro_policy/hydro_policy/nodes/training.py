@@ -64,6 +64,7 @@ from hydro_policy.nodes.startup.options import (
 )
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs import report as training
+from hydro_policy.runs.digest import circumstances, run_digest
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
 from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
 from hydro_policy.sac.algorithm import Sac
@@ -254,6 +255,12 @@ def _free(folder: Path) -> Path:
     return folder if not folder.exists() else next(path for path in candidates if not path.exists())
 
 
+def recordings(run: RunDirectory) -> list[Path]:
+    """Return the recordings of a run, those of resumptions last."""
+    later = sorted(run.path.glob(f"{run.bag.name}-*"), key=lambda folder: int(folder.name.rpartition("-")[2]))
+    return [folder for folder in (run.bag, *later) if folder.exists()]
+
+
 SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))
 """References of the search for the best fixed gains."""
 
@@ -363,7 +370,8 @@ def train(options: argparse.Namespace) -> int:
         say_policy(node, run.policy, resumed=options.resume is not None)
         record = begin_record(node, prepared, options)
         agent = prepared.start.agent if prepared.start else None
-        learner = LearnerSupervisor(settings, run, prepared.checkpoint, agent)
+        real_time = options.plant == "external" or plant_options(options).real_time
+        learner = LearnerSupervisor(settings, run, prepared.checkpoint, agent, real_time=real_time)
         recording = start_plant(stack, options, prepared, node)
         session = begin_session(node, prepared, learner, record, rearm=may_rearm(options))
         stack.callback(lambda: learner.stop(session.state()))
@@ -376,9 +384,14 @@ def train(options: argparse.Namespace) -> int:
     notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
     if results is not None:
         show_results(results, run, notes)
+    digest = run_digest(run.policy, recordings(run), results.scores if results else ()) if finished and node.paced else ""
+    if digest:
+        record.add("digest", run_digest=digest, circumstances=circumstances())
     record.flush()
     write_training_page(run, record, results, notes)
     print_files(run, recording, finished, options, time.monotonic() - began)
+    if digest:
+        print(f"\nThe same seed gives the same digest {circumstances()}:\nrun digest: {digest}")
     if session.run.gave_up:
         print(f"Training was given up: {session.run.gave_up}; {run.record} has what happened.", file=sys.stderr)
         return 1

@@ -88,7 +88,8 @@ class Simulation:
     ) -> None:
         self.guard, self.settings = guard, settings
         self.lock = threading.Lock()
-        self.pace = pace or Pace(PaceSettings(), log)
+        self.pace, self._answered = pace or Pace(PaceSettings(), log), threading.Event()
+        self.pace.go_on = self._answered.set
         factor = parse_pace(settings.pace)
         self.paced, self.real_time = factor is None, factor == 1.0
         """Whether each sample waits for answers; whether stamps are ROS time and commands age by the host's clock."""
@@ -141,10 +142,16 @@ class Simulation:
             publish()
             measurement = self._plant.step(fields[10])
             if self.paced:
-                self.pace.wait(fields[1], publish)
+                self._await_answers(fields[1], publish)
             else:
                 self.pacer.wait()
             self.samples += 1
+
+    def _await_answers(self, sequence: int, publish: Callable[[], None]) -> None:
+        self._answered.clear()
+        self.pace.published(sequence, publish)
+        while not self._answered.is_set():
+            self._answered.wait(self.pace.poll())
 
     def stop(self) -> None:
         """End `run`."""

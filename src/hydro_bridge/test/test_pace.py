@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant's clock: who is waited for, how far behind, and for how long."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from hydro_bridge.safety.pace import COMMANDS, CORRECTS, RECORDS, Pace, PaceSettings, parse_pace, refuse_speed
+from hydro_bridge.settings import SettingsError
+from tests.checks import wait
+
+
+class Plant:
+    """A plant's thread that takes samples from 0 on; `samples` were published, the last one still waits."""
+
+    def __init__(self, **settings: object) -> None:
+        self.said: list[str] = []
+        self.samples: list[int] = []
+        self.again: list[int] = []
+        self.pace = Pace(PaceSettings(**settings), self.said.append)  # type: ignore[arg-type]
+        self.thread = threading.Thread(target=self._run, daemon=True)
+
+    def begin(self) -> Plant:
+        self.thread.start()
+        return self
+
+    def _run(self) -> None:
+        answered = threading.Event()
+        self.pace.go_on = answered.set
+        self.pace.meet()
+        while not self.pace._closed:
+            sequence = len(self.samples)
+            self.samples.append(sequence)
+            answered.clear()
+            self.pace.published(sequence, lambda sequence=sequence: self.again.append(sequence))
+            while not answered.is_set():
+                answered.wait(self.pace.poll())
+
+    def stands_at(self, sequence: int) -> bool:
+        """Whether it has come to this sample, and goes no further."""
+        wait(lambda: self.samples and self.samples[-1] >= sequence)
+        time.sleep(0.05)
+        return self.samples[-1] == sequence
+
+
+@pytest.fixture
+def plant() -> Iterator[Callable[..., Plant]]:
+    made: list[Plant] = []
+
+    def make(**settings: object) -> Plant:
+        made.append(Plant(**settings))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.pace.close()
+        if one.thread.ident:
+            one.thread.join(5.0)
+            assert not one.thread.is_alive()
+
+
+@pytest.mark.parametrize(("window", "answer", "stands"), [(CORRECTS, 0, 1), (COMMANDS, 0, 10), (RECORDS, 0, 100)])
+def test_the_plant_is_never_a_window_ahead_of_a_peer(plant, window: int, answer: int, stands: int) -> None:
+    it = plant(peers="one")
+    it.pace.answered("one", None, window)
+    it.begin()
+    assert it.stands_at(0), "the first sample is answered by everybody"
+    it.pace.answered("one", answer, window)
+    assert it.stands_at(stands)
+
+
+def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready(plant) -> None:
+    it = plant(peers="filter trainer").begin()
+    it.pace.answered("filter", None, CORRECTS)
+    time.sleep(0.05)
+    assert not it.samples
+    it.pace.answered("trainer", None, COMMANDS)
+    assert it.stands_at(0)
+
+
+def test_who_never_comes_is_told_and_not_waited_for(plant) -> None:
+    it = plant(peers="filter", meet_max=0.3).begin()
+    wait(lambda: it.samples)
+    assert it.said == ["filter did not come: beginning without"]
+
+
+def test_a_correction_is_the_answer_of_the_filter(plant) -> None:
+    it = plant(peers="filter")
+    it.pace.answered("filter", None, CORRECTS)
+    it.begin()
+    for sequence in range(50):
+        assert it.samples[-1:] <= [sequence]
+        wait(lambda sequence=sequence: it.samples[-1] == sequence)
+        it.pace.corrected(sequence)
+    assert it.stands_at(50)
+
+
+def test_an_answer_counts_once_the_commands_that_it_names_have_arrived(plant) -> None:
+    it = plant(peers="trainer")
+    it.pace.answered("trainer", None, COMMANDS)
+    it.begin()
+    it.pace.answered("trainer", 0, COMMANDS, commands=2)
+    it.pace.commanded()
+    assert it.stands_at(0)
+    it.pace.commanded()
+    assert it.stands_at(10)
+    it.pace.claimed()
+    it.pace.answered("trainer", 10, COMMANDS, commands=0)
+    assert it.stands_at(20), "another holder counts from nothing"
+
+
+def test_a_silent_peer_is_told_and_left_behind_and_one_that_works_is_not(plant) -> None:
+    it = plant(peers="filter trainer", silence_max=0.6)
+    it.pace.answered("filter", None, CORRECTS)
+    it.pace.answered("trainer", 0, COMMANDS)
+    it.begin()
+    for _ in range(8):
+        it.pace.answered("filter", None, CORRECTS)  # still at it
+        time.sleep(0.1)
+    assert it.stands_at(0)
+    wait(lambda: len(it.samples) > 5)
+    assert "filter gave no answer to sample 0 for 0.6 s and counts as dead: the plant goes on without it" in it.said
+    assert 0 in it.again, "the first sample was sent again: it may have been missed"
+
+
+def test_a_peer_that_leaves_or_is_gone_is_not_waited_for(plant) -> None:
+    it = plant(peers="filter trainer")
+    it.pace.answered("filter", None, CORRECTS)
+    it.pace.answered("trainer", None, COMMANDS)
+    it.begin()
+    assert it.stands_at(0)
+    it.pace.answered("trainer", None, 0)
+    assert it.stands_at(0)
+    it.pace.keep({"recorder"})
+    wait(lambda: len(it.samples) > 5)
+
+
+def test_without_a_commander_it_goes_no_faster_than_real_time(plant) -> None:
+    it, begin = plant().begin(), time.monotonic()
+    wait(lambda: len(it.samples) > 300)
+    assert time.monotonic() - begin > 0.28
+    it.pace.answered("trainer", None, COMMANDS)
+    wait(lambda: it.samples[-1] % 10 == 0 and it.stands_at(it.samples[-1]), 10.0)
+
+
+def test_until_an_arming_is_confirmed_nobody_is_waited_for(plant) -> None:
+    it = plant(peers="trainer")
+    it.pace.answered("trainer", None, COMMANDS)
+    it.begin()
+    assert it.stands_at(0)
+    assert it.pace.confirm(lambda: it.samples[-1] >= 3)
+    assert it.stands_at(3), "what comes after waits again: for the answer to the step of the first sample"
+    assert not it.pace.confirm(lambda: False)
+    assert 500 <= it.samples[-1] <= 510, "half a second of the plant's"
+
+
+@pytest.mark.parametrize(("text", "factor"), [("plant", None), ("real", 1.0), ("0.5", 0.5), ("20", 20.0)])
+def test_a_pace_is_the_plants_real_or_a_factor(text: str, factor: float | None) -> None:
+    assert parse_pace(text) == factor
+
+
+@pytest.mark.parametrize("text", ["", "fast", "0", "-1", "nan", "inf", "1000"])
+def test_other_paces_are_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match="say plant, real, or a factor"):
+        parse_pace(text)
+
+
+def test_the_old_word_is_refused_with_the_new_one() -> None:
+    refuse_speed(["--pace", "real"])
+    with pytest.raises(SettingsError, match="--speed is now --pace"):
+        refuse_speed(["--speed=0"])
