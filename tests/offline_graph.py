@@ -83,9 +83,12 @@ class InlineLearner:
     def restart_if_dead(self) -> None:
         """Do nothing: there is no process to restart."""
 
-    def snapshot(self) -> bytes:
+    def snapshot(self, *, exact: bool = False) -> bytes:
         """See `LearnerSupervisor.snapshot`; the present state."""
         return dump(self._learner.sac)
+
+    def settle(self) -> None:
+        """Nothing is due: `work` is called for that."""
 
     def save_policy(self, good: bytes) -> None:
         """See `LearnerSupervisor.save_policy`."""
@@ -95,7 +98,7 @@ class InlineLearner:
         """See `LearnerSupervisor.roll_back`; takes effect at once."""
         self._learner.roll_back()
 
-    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
+    def save(self, trainer: dict[str, Any], best: bool = False, *, exact: bool = False) -> bool:
         """Keep nothing."""
         return True
 

@@ -92,7 +92,7 @@ class Learner:
         settings = replace(TrainingSettings().sac, seed=len(self.states))
         self.states.append(dump(Sac(OBSERVATIONS, ACTIONS, settings)))
 
-    def snapshot(self) -> bytes:
+    def snapshot(self, *, exact: bool = False) -> bytes:
         return self.states[-1]
 
     def save_policy(self, good: bytes) -> None:
