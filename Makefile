@@ -39,13 +39,8 @@ train: setup  ## a short training on the emulated bench over the serial line, re
 prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261124" repeats docs/reports/proof.md)
 	@$(SOURCED) .venv/bin/python -m benchmarks.prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
-test: lint setup  ## all checks and all tests but the studies: the graph's in real time, the others beside them
-	@$(SOURCED) .venv/bin/python -m pytest -m "not study" $(BOTH_CORES) $(ARGS) || case $$? in \
-	  $(NONE_CHOSEN)) ;; \
-	  1) echo "what failed once more, alone: a busy machine fails tests in real time"; \
-	     .venv/bin/python -m pytest -m "not study" --last-failed --last-failed-no-failures none $(ARGS) ;; \
-	  *) exit 1 ;; \
-	esac
+test: lint setup  ## all checks and all tests but the studies
+	@$(SOURCED) .venv/bin/python -m pytest -m "not study" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
 test-slow: setup  ## before a release: the studies among the tests, and the tests of the benchmarks
 	@$(SOURCED) .venv/bin/python -m pytest -m "study and not exhaustive" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]

@@ -54,15 +54,6 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         os.nice(19)  # 19 is the most there is, however often it is asked for
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Let `--last-failed` find what failed where tests were shared out: pytest-xdist adds the group to the name."""
-    cache = getattr(session.config, "cache", None)  # none with `-p no:cacheprovider`
-    if WORKER not in os.environ and cache is not None:
-        failed = cache.get("cache/lastfailed", {})
-        cache.set("cache/lastfailed", {name.rpartition("@")[0] or name: True for name in failed})
-
-
 @pytest.fixture
 def start() -> Iterator[Callable[..., Any]]:
     """Start `package executable` with words, its `output` into a StringIO; all end with the test, the last first."""

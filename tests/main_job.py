@@ -25,8 +25,11 @@ def complaint(run: Path) -> str:
     for event in events:
         if event["kind"] in UNWANTED:
             return f"{event['kind']} at {event['time']}: {event.get('sentence', 'without a word')}"
-    if not events or events[-1]["kind"] != "end" or not events[-1]["complete"]:
+    ends = [event for event in events if event["kind"] == "end"]
+    if not ends or not ends[-1]["complete"]:
         return "the run did not come to its end"
+    if events[-1]["kind"] != "digest" or len(events[-1]["run_digest"]) != 64:
+        return "the run has no digest"
     missing = [name for name in FILES if not (run / name).exists()]
     return f"missing: {', '.join(missing)}" if missing else ""
 

@@ -87,6 +87,9 @@ class InlineLearner:
         """See `LearnerSupervisor.snapshot`; the present state."""
         return dump(self._learner.sac)
 
+    def wake(self) -> None:
+        """Work when `work` is called."""
+
     def settle(self) -> None:
         """Nothing is due: `work` is called for that."""
 

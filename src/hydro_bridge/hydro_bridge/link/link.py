@@ -301,6 +301,7 @@ class Link:
             if arm and self.flags & Flag.TRIPPED:
                 return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
+
         def done() -> bool:
             return self.state is not LinkState.CONNECTED or bool(self.flags & Flag.ARMED) == arm
 

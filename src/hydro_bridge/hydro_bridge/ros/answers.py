@@ -23,9 +23,7 @@ class Answers:
     `works`: whether it will answer although it takes long; called once a second.
     """
 
-    def __init__(
-        self, node: Node, window: int, states: Subscription, works: Callable[[], bool] = lambda: True
-    ) -> None:
+    def __init__(self, node: Node, window: int, states: Subscription, works: Callable[[], bool] = lambda: True) -> None:
         self._states, self._works = states, works
         self._publisher = create_publisher(node, ANSWERED)
         self._message = Answered(node=node.get_name(), window=window)

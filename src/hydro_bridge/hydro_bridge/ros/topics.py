@@ -190,7 +190,8 @@ def _with_rclpy(name: str, rights: Rights) -> Rights:
 _ARMING = (ARM_SERVICE, CLAIM_SERVICE)
 """Services of a plant. Our own programs call the second, under their names; the first is open to all."""
 _PLANT = Rights(
-    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS, CLOCK), subscribes=(*COMMANDS, ANSWERED),
+    publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS, CLOCK),
+    subscribes=(*COMMANDS, ANSWERED),
     answers=_ARMING,
 )
 

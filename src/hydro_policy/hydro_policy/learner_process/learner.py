@@ -102,6 +102,9 @@ class SharedBlob:
 
 SNAPSHOT_PERIOD = 0.5  # s
 _CONTEXT = multiprocessing.get_context("spawn")
+WAKE = "work"
+"""Sent once a transition is stored: an idle learner looks for work only now and then."""
+_IDLE = 0.05  # s
 CHUNK = 8  # updates between two checks of the pipe and publications, some 1 to 2 ms
 
 
@@ -295,10 +298,12 @@ def _attend(learner: Learner, requests: Connection) -> None:
         if worked:
             learner.publish(time.monotonic())
         try:
-            while requests.poll(0.0 if worked else 0.002):
+            while requests.poll(0.0 if worked else _IDLE):
                 request = requests.recv()
                 if request is None:
                     return
+                if request == WAKE:
+                    break
                 if isinstance(request, RollbackRequest):
                     learner.roll_back()
                 elif isinstance(request, SnapshotRequest):

@@ -27,6 +27,7 @@ from hydro_policy.learner_process.learner import (
     ROLLBACKS,
     SNAPSHOTS,
     UPDATES,
+    WAKE,
     LearnerFault,
     LearnerMemory,
     RollbackRequest,
@@ -139,6 +140,10 @@ class LearnerSupervisor:
         blob = self._weights.read()
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
+    def wake(self) -> None:
+        """Tell the learner that a transition was stored."""
+        self._ask(WAKE)
+
     def settle(self) -> None:
         """Wait until all updates and rollbacks that are due are done, as a plant by its own clock allows.
 
@@ -218,7 +223,9 @@ class LearnerSupervisor:
             self._await(lambda: self._status[CHECKPOINTS] >= wanted)
         return asked
 
-    def _ask(self, request: RollbackRequest | SaveRequest | SnapshotRequest | None, patience: float = 0.0) -> bool:
+    def _ask(
+        self, request: RollbackRequest | SaveRequest | SnapshotRequest | str | None, patience: float = 0.0
+    ) -> bool:
         """Send a request; returns False if the learner is dead, or its pipe is full because it does not read.
 
         A writable pipe has room for any of the requests. `patience` in s.
@@ -276,7 +283,12 @@ class LearnerSupervisor:
         self._said = ""  # by a learner that ends
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
-        arguments = (self._memory, self._settings, theirs, self._niceness)  # small: more than the pipe holds would wait for the child
+        arguments = (
+            self._memory,
+            self._settings,
+            theirs,
+            self._niceness,
+        )  # small: more than the pipe holds would wait for the child
         self._process: BaseProcess = self._context.Process(
             target=run_learner, args=arguments, name="learner", daemon=True
         )

@@ -384,7 +384,9 @@ def train(options: argparse.Namespace) -> int:
     notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
     if results is not None:
         show_results(results, run, notes)
-    digest = run_digest(run.policy, recordings(run), results.scores if results else ()) if finished and node.paced else ""
+    digest = (
+        run_digest(run.policy, recordings(run), results.scores if results else ()) if finished and node.paced else ""
+    )
     if digest:
         record.add("digest", run_digest=digest, circumstances=circumstances())
     record.flush()

@@ -4,8 +4,8 @@
 SHA-256 over, in order::
 
     policy    its tensors by name, each as little-endian float32
-    states    each recorded BenchState by sequence: stamp since the first [ns, int64], 14 floats [float64], flags,
-              sequence [uint32], little-endian; one that was recorded twice counts once
+    states    each recorded BenchState by sequence, little-endian: 15 float64 (its stamp in ns since the first, and the
+              fields of the message in their order), flags and sequence as uint32; one recorded twice counts once
     table     the rows of the closing comparison as canonical JSON: sorted keys, no blanks, full precision, NaN as null
 """
 
@@ -17,18 +17,16 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from struct import Struct
 
 import msgspec
 import numpy as np
 from safetensors.numpy import load_file
 
-from hydro_bridge.bags.recording import messages
-from hydro_bridge.ros.messages import STATES
-from hydro_bridge.ros.topics import STATE
+from hydro_bridge.bags.recording import stream_bag
+from hydro_bridge.signals import STATE_FIELDS
 from hydro_policy.task.cases import Score
 
-_STATE = Struct("<q14dII")
+_ROW = np.dtype([("numbers", "<f8", (1 + len(STATE_FIELDS),)), ("flags", "<u4"), ("sequence", "<u4")])
 
 
 def run_digest(policy: Path, recordings: Iterable[Path], rows: Sequence[Score]) -> str:
@@ -36,13 +34,21 @@ def run_digest(policy: Path, recordings: Iterable[Path], rows: Sequence[Score]) 
     content = hashlib.sha256()
     for _, tensor in sorted(load_file(policy).items()):
         content.update(np.ascontiguousarray(tensor, "<f4").tobytes())
-    first = last = None
+    first, last = None, -1
     for path in recordings:
-        for topic, _, _, data in messages(path):
-            if topic != STATE or (state := STATES.unpack(data)) is None or state.sequence == last:
+        for states in stream_bag(path):
+            fresh = np.diff(states["sequence"], prepend=np.uint32(last & 0xFFFFFFFF)) != 0
+            states = states[fresh]
+            if not len(states):
                 continue
-            first, last = state.stamp if first is None else first, state.sequence
-            content.update(_STATE.pack(state.stamp - first, *state[2:16], state.flags, state.sequence))
+            first = states["time"][0] if first is None else first
+            last = int(states["sequence"][-1])
+            packed = np.empty(len(states), _ROW)
+            packed["numbers"][:, 0] = np.rint(1e9 * (states["time"] - first))
+            for column, name in enumerate(STATE_FIELDS):
+                packed["numbers"][:, column + 1] = states[name]
+            packed["flags"], packed["sequence"] = states["flags"], states["sequence"]
+            content.update(packed.tobytes())
     content.update(msgspec.json.encode(list(rows), order="sorted"))
     return content.hexdigest()
 

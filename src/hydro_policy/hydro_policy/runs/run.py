@@ -9,7 +9,7 @@ runs/NAME/
                            trainer.json          count of all ever stored; episode, steps, random states, best episode
     checkpoints/best/      learner.safetensors of the best policy so far: the complete agent, to start others from
     run.json               {"events": [{"time": ISO 8601, "kind": KIND, "sentence": ..., further values by name}, ...]},
-                           KIND is start, episode, exam, stop, override or end; a resumed run appends
+                           KIND is start, episode, exam, stop, override, end or digest; a resumed run appends
     bag/                   the recording
     evaluation.json, tracking.png, log.txt
 

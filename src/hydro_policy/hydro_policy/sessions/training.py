@@ -170,6 +170,7 @@ class TrainingSession:
         if parameters is not None:
             self.policy.load_flat(parameters)
         self._count(step, self.explorer.step(step))
+        self.learner.wake()
         if self.current.steps >= self.settings.task.steps_per_episode:
             self._fresh = False
             self._go_on(best=self.run.add_episode(self.current))

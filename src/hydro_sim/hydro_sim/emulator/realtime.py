@@ -177,7 +177,9 @@ class Running:
                 return True
             if waited > SILENCE_MAX:
                 self._deserted = True
-                print(f"no answer of the host for {SILENCE_MAX:g} s: going on in real time until it is back", flush=True)
+                print(
+                    f"no answer of the host for {SILENCE_MAX:g} s: going on in real time until it is back", flush=True
+                )
             link.receive(now, _PATIENCE if not link.faulty else _LOST_AFTER)
             if waited > _PATIENCE:
                 self._obey(now)

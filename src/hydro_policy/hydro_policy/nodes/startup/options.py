@@ -30,7 +30,19 @@ LAWS = ("both", "paper", "compensated")
 SCRATCH = "scratch"
 """Value of `--from` for no agent, besides a run's folder."""
 
-_PLANT_WORDS = ("plant", "port", "truth", "faults", "pace", "bench", "load_cell", "model", "base_gains", "filter", "rearm")
+_PLANT_WORDS = (
+    "plant",
+    "port",
+    "truth",
+    "faults",
+    "pace",
+    "bench",
+    "load_cell",
+    "model",
+    "base_gains",
+    "filter",
+    "rearm",
+)
 _NEEDS = {
     "hand_over": ("external",),
     "truth": ("emulator",),
