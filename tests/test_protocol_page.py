@@ -30,13 +30,13 @@ from hydro_bridge.serial.protocol import (
 )
 from hydro_bridge.signals import Command, Flag, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY
 from hydro_sim.model.bench import Bench
 from tests.fuzz_link import DAMAGES, fuzz, violations
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "manual" / "reference" / "protocol.md"
-FRAMES = ROOT / "firmware" / "test" / "test_frames.h"
+FIRMWARE = ROOT / "firmware"
+FRAMES = FIRMWARE / "test" / "test_frames.h"
 INFO = BoxInfo(name="example 1.0", delta_kp_min=-5.0, integral="bumpless")
 DETAILS = BoxDetails(
     epoch=7, bench_digest="0123456789ab", feedback="load", laws=3, load_force_limit=700.0, force_range=5000.0,
@@ -155,7 +155,11 @@ def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
     assert stated(r"valve_current_max \| (\S+) A, (\S+) A") == [box.delta_u_max, bench.valve_current_max]
     assert stated(r"force_range \| (\S+) N, (\S+) N") == [box.load_force_limit, box.force_range]
     assert stated(r"TRIPPED \| (\S+) ms, (\S+) ms") == [1000 * box.hold_timeout, 1000 * box.trip_timeout]
-    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * CORRECTION_HOLD, box.recovery_margin, RECOVERY]
+    acts, recovery = (
+        float(re.findall(rf"#define {name} (\S+)", (FIRMWARE / "hydro" / header).read_text())[0])
+        for name, header in (("HYDRO_CORRECTION_HOLD", "config.h"), ("HYDRO_RECOVERY", "arming.h"))
+    )
+    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * acts, box.recovery_margin, recovery]
     narrow = GuardSettings()
     assert stated(r"by default 0 to (\S+) 1/s, 0 to (\S+) 1/s\^2, (\S+) A") == [
         narrow.delta_kp_max, narrow.delta_ki_max, narrow.delta_u_max,

@@ -104,12 +104,18 @@ static inline void hydro_box_bytes(hydro_box *box, const uint8_t *data, size_t c
     }
 }
 
-/* The newest command becomes what the box does; the one behind a greeting waits for the next sample. */
+/* A command becomes what the box does from box time [s] on. */
+static inline void hydro_box_take(hydro_box *box, const hydro_command *command, hydro_time time)
+{
+    hydro_note_command(&box->arming, command->arm, command->filter_fresh, time);
+    (void)hydro_admit(&box->guard, box->config, command, &box->reference.wanted);
+}
+
+/* The newest command of the line is taken; the one behind a greeting waits for the next sample. */
 static inline void hydro_box_receive(hydro_box *box, hydro_time time)
 {
     if (box->has_now) {
-        hydro_note_command(&box->arming, box->now.arm, box->now.filter_fresh, time);
-        (void)hydro_admit(&box->guard, box->config, &box->now, &box->reference.wanted);
+        hydro_box_take(box, &box->now, time);
     }
     box->confirmed = box->last_command;
     box->has_now = box->has_next;

@@ -65,7 +65,6 @@ def execute(order: str, machine: Machine, link: BoxLink, now: float) -> None:
         link.set_faults(LinkFaults())
     elif word == "reboot":
         machine.restart()
-        link.reboot()
     elif word == "stall":
         link.stall(number, now)
     elif word == "unplug":
@@ -118,13 +117,11 @@ class RealTime:
     def _sample(self, now: float) -> None:
         if self.control is not None and self.samples % _CONTROL_EVERY == 0:
             self._obey(now)
-        command = self.link.poll(now)
-        if command is not None:
-            self.machine.receive(command)
+        self.link.poll(now)
         sample = self.machine.tick()
         if self.load_force is not None:
             load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
-        self.link.send(sample, now)
+        self.link.send(now)
 
     def _obey(self, now: float) -> None:
         assert self.control is not None
