@@ -103,7 +103,7 @@ def structures(real: Any) -> Structures:
         [("config", np.uintp), ("stream", stream), ("guard", guard), ("arming", arming), ("reference", reference)],
         [("sample", sample), ("acting", acting), ("integral", real)], fields(command, "now next"),
         fields(flag, "has_now has_next greeted greeting"),
-        fields(whole, "sequence epoch version hellos last_command confirmed taken stale greetings"),
+        fields(whole, "sequence epoch hellos last_command confirmed taken stale greetings"),
     )  # fmt: skip
     return Structures(law, config, signal, command, box)
 
