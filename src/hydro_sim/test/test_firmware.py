@@ -27,7 +27,9 @@ from hydro_bridge.serial.protocol import (
     encode_state,
 )
 from hydro_bridge.serial.stream import Decoder
+from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
+from hydro_sim.box import firmware
 from hydro_sim.box.box import NAME, Box, BoxConfig, box_info, law_state
 from hydro_sim.box.firmware import STRUCTURES, Precision, reference_force
 from hydro_sim.excitation import Segment
@@ -114,6 +116,19 @@ def test_the_records_lie_in_memory_as_the_c_compiler_lays_them_out(precision: Pr
     found = list(map(int, done.stdout.split()))
     assert [(c, path) for (c, path, place), at in zip(expected, found, strict=True) if place != at] == []
     assert len(found) > 150
+
+
+def test_a_library_that_is_missing_or_of_another_version_is_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    with pytest.raises(SettingsError, match=r"libhydro_box_double\.so is not built: run `make setup`"):
+        firmware.library_path("double")
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "older.c").write_text("int older = 1;\n")
+    compiled(tmp_path / "older.c", tmp_path / "lib" / "libhydro_box_double.so", "-fPIC", "-shared")
+    with pytest.raises(SettingsError, match="of another version: run `make setup`"):
+        firmware.library.__wrapped__("double")
 
 
 def test_a_greeted_box_tells_what_it_was_configured_with() -> None:

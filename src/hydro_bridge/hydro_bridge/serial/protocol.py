@@ -196,11 +196,12 @@ class BoxLaw:
         return replace(
             self, reference_max=force * self.reference_max, coefficient_min=level(self.coefficient_min),
             coefficient_max=level(self.coefficient_max), coefficient_rate=level(self.coefficient_rate),
-            **{name: gain * getattr(self, name) for name in _GAINS},
+            **{name: gain * getattr(self, name) for name in GAIN_FIELDS},
         )  # fmt: skip
 
 
-_GAINS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max")
+GAIN_FIELDS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max")
+"""Gains of a law: base values, and the limits of their changes."""
 
 PAPER_LAW = BoxLaw(
     velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
+from hydro_bridge.serial.protocol import GAIN_FIELDS
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import FloatArray, ReferenceSignal
 from hydro_sim.model.machine_code import call
@@ -45,7 +46,6 @@ BENCH_FIELDS = (
     "bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure", "dead_volume_a",
     "dead_volume_b", "valve_gain", "valve_current_max",
 )  # fmt: skip
-GAIN_FIELDS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max")
 
 
 class Structures(NamedTuple):
