@@ -59,7 +59,7 @@ static size_t hostile(uint8_t *out, uint32_t *sequence)
         if (bits % 4 != 0) {
             memcpy(&bits, special + draw() % 8, 4);
         }
-        hydro_write32(payload + 4 * i, i == 5 ? draw() % 5 : i == 10 ? draw() % 3 : bits);
+        hydro_write32(payload + 4 * i, i == 5 ? draw() % 5 : i == 10 ? draw() % 9 / 4 : bits);
     }
     *sequence += draw() % 16 == 0 ? draw() : 1;
     version = kind == 2 ? draw() : HYDRO_VERSION;

@@ -13,7 +13,7 @@ import pytest
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
-from hydro_bridge.serial.protocol import Hello, State
+from hydro_bridge.serial.protocol import Details, Hello, LawFrame, State
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import STATE_DTYPE, Command, StateArray
@@ -161,8 +161,9 @@ def test_nobody_listening_costs_nothing_and_leaves_nothing_stale(link: BoxLink, 
     assert (link.report.unheard, link.report.sent) == (200, 0)
     port = opened(link)
     sampled(link, machine)
-    hello, state = Decoder().feed(port.read(1.0))
+    hello, details, law, state = Decoder().feed(port.read(1.0))
     assert isinstance(hello, Hello) and hello.info is not None and hello.info.delta_u_max == pytest.approx(0.1)
+    assert isinstance(details, Details) and isinstance(law, LawFrame)
     assert isinstance(state, State) and state.sequence >= 200
     port.close()
 
@@ -179,7 +180,7 @@ def test_a_reader_that_does_not_read_loses_whole_frames_only(link: BoxLink, mach
     while piece := port.read(0.2):
         decoder.feed(piece)
     assert decoder.counts.crc_errors == decoder.counts.malformed == 0
-    assert decoder.counts.frames == link.report.sent + 1
+    assert decoder.counts.frames == link.report.sent + 3, "HELLO, DETAILS and LAW go with the first"
     port.close()
 
 
