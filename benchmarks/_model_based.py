@@ -47,7 +47,7 @@ from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_sim.box import reference
+from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.excitation import Segment
@@ -94,7 +94,7 @@ class Fixed(Compensator):
         self._memory = found._memory
         self.frozen[:] = True
         times = np.arange(LONGEST * SAMPLES_PER_STEP) * SAMPLE_PERIOD
-        self.wanted: FloatArray = np.array([reference.sample(case.signal, times)[0] for case in cases])
+        self.wanted: FloatArray = np.array([reference_force(case.signal, times)[0] for case in cases])
         """f_r [N], shape (n, samples)."""
         self.steps = 0
         """Policy steps since the begin."""

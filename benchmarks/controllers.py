@@ -48,7 +48,7 @@ from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_sim.box import reference
+from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth
 from hydro_sim.excitation import schedule_from
 from hydro_sim.model.bench import Bench
@@ -127,7 +127,7 @@ def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
     rmse, felt, rate = map(float, figures)
     if tripped:
         times = np.arange(SETTINGS.settle, SETTINGS.length(case), SAMPLE_PERIOD)
-        rmse = felt = float(np.sqrt(np.mean(reference.sample(case.signal, times)[0] ** 2)))
+        rmse = felt = float(np.sqrt(np.mean(reference_force(case.signal, times)[0] ** 2)))
     return {"reference": case.name, "rmse": rmse, "true_rmse": felt, "current_rate_rms": rate, "tripped": tripped}
 
 

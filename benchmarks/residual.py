@@ -43,7 +43,7 @@ from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, STRUCTURE
 from hydro_policy.envs import vector_runs
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
-from hydro_sim.box import reference
+from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.files import weights
@@ -238,7 +238,7 @@ def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | 
     found = run(configs, signals, residual, seed, settle=settle)
     rmse, rate = scores(found)
     times = np.arange(found.error.shape[1]) * SAMPLE_PERIOD
-    still = [np.sqrt(np.mean(reference.sample(signal, times)[0] ** 2)) for signal in REFERENCES.values()]
+    still = [np.sqrt(np.mean(reference_force(signal, times)[0] ** 2)) for signal in REFERENCES.values()]
     rmse = np.where(found.tripped > 0.0, still, rmse)
     return {"rmse": rmse.tolist(), "rate": rate.tolist(), "tripped": found.tripped.astype(float).tolist()}
 

@@ -95,8 +95,7 @@ def make_frame(sequence: int, random: Random) -> bytes:
     if kind < 0.6:
         numbers = [random.gauss(0, 1e4) for _ in range(14)]
         acting = LawState(Law.COMPENSATED, *numbers[:2], (1.0, *numbers[2:5]), *numbers[5:7])
-        told = random.choice(((), ((sequence, 1),), ((sequence, 1), acting)))
-        return encode_state(sequence, time_us, numbers, random.getrandbits(8), sequence, *told)
+        return encode_state(sequence, time_us, numbers, random.getrandbits(8), sequence, (sequence, 1), acting)
     if kind < 0.98:
         numbers = [random.gauss(0, 100) for _ in range(7)]
         signal = ReferenceSignal(
@@ -117,7 +116,7 @@ def make_frame(sequence: int, random: Random) -> bytes:
             law=random.choice(tuple(Law)),
             coefficients=(1.0, *numbers[:3]),
         )
-        return encode_command(sequence, time_us, command, random.randint(1, 3))
+        return encode_command(sequence, time_us, command)
     return encode_hello(sequence, time_us, BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None)
 
 

@@ -17,10 +17,9 @@ from hydro_bridge.conformance.command import FAIL, PASS, run, shipped
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.files import bench_file
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.header import header, values
+from hydro_sim.box.header import header
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.sensors import Sensors
 from tests.checks import compiled
 
 FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
@@ -54,7 +53,7 @@ def test_every_line_and_branch_of_the_box_is_reached(checks: ModuleType, tmp_pat
 
 @pytest.fixture
 def configured(tmp_path: Path) -> Path:
-    text = header(values(Bench.nominal(), BoxConfig(), Sensors(), "linux box"))
+    text = header(BoxConfig().constants(Bench.nominal(), name="linux box"))
     (tmp_path / "box_config.h").write_text(text)
     return tmp_path
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from random import Random
@@ -30,13 +29,13 @@ from hydro_bridge.serial.protocol import (
 )
 from hydro_bridge.signals import Command, Flag, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY
 from hydro_sim.model.bench import Bench
 from tests.fuzz_link import DAMAGES, fuzz, violations
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "manual" / "reference" / "protocol.md"
-FRAMES = ROOT / "firmware" / "test" / "test_frames.h"
+FIRMWARE = ROOT / "firmware"
+FRAMES = FIRMWARE / "test" / "test_frames.h"
 INFO = BoxInfo(name="example 1.0", delta_kp_min=-5.0, integral="bumpless")
 DETAILS = BoxDetails(
     epoch=7, bench_digest="0123456789ab", feedback="load", laws=3, load_force_limit=700.0, force_range=5000.0,
@@ -50,12 +49,9 @@ LAW = BoxLaw(
 )  # fmt: skip
 VALUES = (1.5, 0.0, -2.25, 0.0, 4e6, 6e6, 0.0625, 0.0, 0.015625, 0.015625, -2.0, 0.0, 15.0, 5.0)
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=100.0, offset=-20.0, frequency=2.0, phase=0.5)
-COMMAND = Command(
-    arm=True, delta_kp=10.0, delta_ki=0.5, delta_u=2.0**-10, corrects=257, filter_fresh=True, reference=SINE
-)
-COMPENSATED = replace(
-    COMMAND, law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 2.0**-9, -2.0), velocity_compensation=0.25,
-    valve_gain_scale=1.5,
+COMPENSATED = Command(
+    arm=True, delta_kp=10.0, delta_ki=0.5, delta_u=2.0**-10, corrects=257, filter_fresh=True, reference=SINE,
+    law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 2.0**-9, -2.0), velocity_compensation=0.25, valve_gain_scale=1.5,
 )  # fmt: skip
 ACTING = LawState(Law.COMPENSATED, -2.5, 8.0, (1.0, 0.03125, 2.0**-9, -1.0), 0.25, 1.0)
 MADE = [
@@ -64,9 +60,7 @@ MADE = [
     encode_details(1, 2_000_000, DETAILS),
     encode_law(1, 2_000_000, LAW),
     encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (1, 1), ACTING),
-    encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (1, 1)),
-    encode_command(3, 1_003_000, COMPENSATED, version=3),
-    encode_command(3, 1_003_000, COMMAND, version=2),
+    encode_command(3, 1_003_000, COMPENSATED),
 ]
 
 
@@ -78,10 +72,10 @@ def examples() -> list[bytes]:
 def test_the_codec_makes_and_reads_the_bytes_of_the_page() -> None:
     assert examples() == MADE
     frames: list[Frame] = [decode(wire[1:-1]) for wire in examples()]
-    kinds = ["Hello", "Hello", "Details", "LawFrame", "State", "State", "CommandFrame", "CommandFrame"]
+    kinds = ["Hello", "Hello", "Details", "LawFrame", "State", "CommandFrame"]
     assert [type(frame).__name__ for frame in frames] == kinds
-    assert frames[4][2] == VALUES and frames[4][5:] == (1, 1, ACTING) and frames[5][5:] == (1, 1, None)
-    assert (frames[3][3], frames[6][2], frames[7][2]) == (LAW, COMPENSATED, COMMAND)
+    assert frames[4][2] == VALUES and frames[4][5:] == (1, 1, ACTING)
+    assert (frames[3][3], frames[5][2]) == (LAW, COMPENSATED)
     assert encode_details(1, 2_000_000, frames[2][2]) == MADE[2], "numbers of float32 are those that were sent"
 
 
@@ -155,7 +149,11 @@ def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
     assert stated(r"valve_current_max \| (\S+) A, (\S+) A") == [box.delta_u_max, bench.valve_current_max]
     assert stated(r"force_range \| (\S+) N, (\S+) N") == [box.load_force_limit, box.force_range]
     assert stated(r"TRIPPED \| (\S+) ms, (\S+) ms") == [1000 * box.hold_timeout, 1000 * box.trip_timeout]
-    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * CORRECTION_HOLD, box.recovery_margin, RECOVERY]
+    acts, recovery = (
+        float(re.findall(rf"#define {name} (\S+)", (FIRMWARE / "hydro" / header).read_text())[0])
+        for name, header in (("HYDRO_CORRECTION_HOLD", "config.h"), ("HYDRO_RECOVERY", "arming.h"))
+    )
+    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * acts, box.recovery_margin, recovery]
     narrow = GuardSettings()
     assert stated(r"by default 0 to (\S+) 1/s, 0 to (\S+) 1/s\^2, (\S+) A") == [
         narrow.delta_kp_max, narrow.delta_ki_max, narrow.delta_u_max,

@@ -3,7 +3,7 @@
  *
  *   line --hydro_box_bytes--> greeting, newest command
  *   measurement --hydro_box_tick--> command taken in, watchdog, faults, arming, reference, force law --> valve current
- *   hydro_box_frames --> HELLO, DETAILS and LAW after a greeting, STATE
+ *   hydro_box_frames --> HELLO, DETAILS and LAW after power-on and a greeting, STATE
  */
 #ifndef HYDRO_BOX_H
 #define HYDRO_BOX_H
@@ -30,7 +30,7 @@ typedef struct {
     bool has_now, has_next;
     bool greeted;              /* a host greeted since the last tick: it disarms, and nothing overtakes that */
     bool greeting;             /* a HELLO is to be sent */
-    uint32_t sequence, epoch, version, hellos;
+    uint32_t sequence, epoch, hellos;
     uint32_t last_command, confirmed;
     uint32_t taken, stale, greetings; /* commands taken, commands old or repeated, hosts that greeted */
 } hydro_box;
@@ -48,22 +48,17 @@ static inline void hydro_box_power_on(hydro_box *box, const hydro_config *config
     box->greeting = true;
     box->sequence = box->hellos = box->last_command = box->confirmed = 0;
     box->epoch = epoch;
-    box->version = HYDRO_VERSION_MIN;
     box->taken = box->stale = box->greetings = 0;
 }
 
-/* A host greets: a new conversation, which begins with the safe command. */
-static inline void hydro_box_greet(hydro_box *box, uint32_t version_max)
+/* A host greets, of whatever version: a new conversation, which begins with the safe command. */
+static inline void hydro_box_greet(hydro_box *box)
 {
     static const hydro_command safe = {.reference = {.frequency = 1.0}, .shaping = HYDRO_NEUTRAL};
     box->guard.heard = false;
     box->greeted = box->greeting = box->has_now = true;
     box->has_next = false;
     box->now = safe;
-    box->version = version_max < HYDRO_VERSION_MAX ? version_max : HYDRO_VERSION_MAX;
-    if (box->version < HYDRO_VERSION_MIN) {
-        box->version = HYDRO_VERSION_MIN;
-    }
     if (box->hellos == 0) {
         box->hellos = 1; /* an answer, no power-on */
     }
@@ -73,7 +68,7 @@ static inline void hydro_box_greet(hydro_box *box, uint32_t version_max)
 static inline void hydro_box_command(hydro_box *box, const hydro_body *body)
 {
     hydro_command command;
-    if (!hydro_decode_command(body->version, body->sequence, body->payload, &command)) {
+    if (!hydro_decode_command(body->sequence, body->payload, &command)) {
         box->stream.bad++;
     } else if (!hydro_in_order(&box->guard, command.sequence)) {
         box->stale++;
@@ -99,17 +94,23 @@ static inline void hydro_box_bytes(hydro_box *box, const uint8_t *data, size_t c
         if (body.kind == HYDRO_COMMAND) {
             hydro_box_command(box, &body);
         } else if (body.payload[2] == 0) {
-            hydro_box_greet(box, body.payload[1]);
+            hydro_box_greet(box);
         }
     }
 }
 
-/* The newest command becomes what the box does; the one behind a greeting waits for the next sample. */
+/* A command becomes what the box does from box time [s] on. */
+static inline void hydro_box_take(hydro_box *box, const hydro_command *command, hydro_time time)
+{
+    hydro_note_command(&box->arming, command->arm, command->filter_fresh, time);
+    (void)hydro_admit(&box->guard, box->config, command, &box->reference.wanted);
+}
+
+/* The newest command of the line is taken; the one behind a greeting waits for the next sample. */
 static inline void hydro_box_receive(hydro_box *box, hydro_time time)
 {
     if (box->has_now) {
-        hydro_note_command(&box->arming, box->now.arm, box->now.filter_fresh, time);
-        (void)hydro_admit(&box->guard, box->config, &box->now, &box->reference.wanted);
+        hydro_box_take(box, &box->now, time);
     }
     box->confirmed = box->last_command;
     box->has_now = box->has_next;
@@ -200,18 +201,13 @@ static inline size_t hydro_box_frames(hydro_box *box, uint8_t *out)
     size_t count = 0;
     if (box->greeting) {
         count = hydro_encode_hello(box->hellos, time_us, box->config, out);
-        if (box->version > HYDRO_VERSION_MIN) {
-            count += hydro_encode_details(box->version, box->hellos, time_us, box->epoch, box->config, out + count);
-        }
-        if (box->version > 2u) {
-            count += hydro_encode_law(box->hellos, time_us, box->config, out + count);
-        }
+        count += hydro_encode_details(box->hellos, time_us, box->epoch, box->config, out + count);
+        count += hydro_encode_law(box->hellos, time_us, box->config, out + count);
         box->hellos++;
         box->greeting = false;
     }
     return count
-           + hydro_encode_state(
-               box->version, &box->sample, box->confirmed, box->guard.refused, &box->acting, out + count);
+           + hydro_encode_state(&box->sample, box->confirmed, box->guard.refused, &box->acting, out + count);
 }
 
 #endif

@@ -5,8 +5,7 @@
 
 #include "config.h"
 
-#define HYDRO_VERSION_MIN 1u
-#define HYDRO_VERSION_MAX 3u
+#define HYDRO_VERSION 3u /* the only one; HELLO has 0, so that any two ends can read it */
 #define HYDRO_ENCODED_MAX 160u /* bytes between two delimiters; more is noise */
 #define HYDRO_FRAME_MAX 129u   /* bytes of the longest frame that a box sends, delimiters included */
 #define HYDRO_HEADER 14u
@@ -33,8 +32,7 @@ typedef struct {
     hydro_time start;             /* s */
 } hydro_signal;
 
-/* One COMMAND; before version 3 it is for the paper's law. Numbers that are not finite have their bit in `broken`, and
- * are 0 here. */
+/* One COMMAND. Numbers that are not finite have their bit in `broken`, and are 0 here. */
 typedef struct {
     uint32_t sequence, corrects;
     bool arm, filter_fresh;
@@ -151,13 +149,12 @@ static inline uint8_t *hydro_write_reals(uint8_t *at, const hydro_real *numbers,
 }
 
 static inline size_t hydro_encode_state(
-    uint32_t version, const hydro_sample *sample, uint32_t last_command, const uint32_t refused[2],
-    const hydro_law_state *acting, uint8_t *out)
+    const hydro_sample *sample, uint32_t last_command, const uint32_t refused[2], const hydro_law_state *acting,
+    uint8_t *out)
 {
-    static const uint8_t length[HYDRO_VERSION_MAX] = {64, 72, 108};
     uint8_t body[HYDRO_HEADER + 108 + 4];
     uint8_t *at = hydro_write_reals(body + HYDRO_HEADER, sample->values, HYDRO_STATE_REALS);
-    hydro_head(body, (uint8_t)version, HYDRO_STATE, sample->sequence, (uint64_t)(sample->time * 1e6 + 0.5));
+    hydro_head(body, HYDRO_VERSION, HYDRO_STATE, sample->sequence, (uint64_t)(sample->time * 1e6 + 0.5));
     hydro_write32(at, sample->flags);
     hydro_write32(at + 4, last_command);
     hydro_write32(at + 8, refused[0]);
@@ -166,7 +163,7 @@ static inline size_t hydro_encode_state(
     at = hydro_write_reals(at + 20, &acting->reference, 1);
     at = hydro_write_reals(at, &acting->reference_rate, 1);
     (void)hydro_write_reals(at, acting->shaping, HYDRO_SHAPING);
-    return hydro_wrap(body, HYDRO_HEADER + length[version - 1], out);
+    return hydro_wrap(body, HYDRO_HEADER + 108, out);
 }
 
 static inline size_t hydro_encode_hello(uint32_t sequence, uint64_t time_us, const hydro_config *config, uint8_t *out)
@@ -178,8 +175,7 @@ static inline size_t hydro_encode_hello(uint32_t sequence, uint64_t time_us, con
         config->bench.valve_current_max, law->base_kp, law->base_ki, law->delta_kp_min, law->delta_kp_max,
         law->delta_ki_min, law->delta_ki_max, config->delta_u_max, HYDRO_R(HYDRO_PERIOD)};
     hydro_head(body, 0, HYDRO_HELLO, sequence, time_us);
-    at[0] = HYDRO_VERSION_MIN;
-    at[1] = HYDRO_VERSION_MAX;
+    at[0] = at[1] = HYDRO_VERSION;
     at[2] = 1;
     at[3] = (uint8_t)config->integral_form;
     hydro_copy(at + 4, config->name, sizeof config->name);
@@ -188,7 +184,7 @@ static inline size_t hydro_encode_hello(uint32_t sequence, uint64_t time_us, con
 }
 
 static inline size_t hydro_encode_details(
-    uint32_t version, uint32_t sequence, uint64_t time_us, uint32_t epoch, const hydro_config *config, uint8_t *out)
+    uint32_t sequence, uint64_t time_us, uint32_t epoch, const hydro_config *config, uint8_t *out)
 {
     uint8_t body[HYDRO_HEADER + 60 + 4];
     uint8_t *at = body + HYDRO_HEADER;
@@ -196,11 +192,11 @@ static inline size_t hydro_encode_details(
         config->load_force_limit, config->force_range, config->low[4], config->high[4], config->low[6],
         config->high[6], HYDRO_R(config->hold_timeout), HYDRO_R(config->trip_timeout), config->force_rate_age,
         config->velocity_age};
-    hydro_head(body, (uint8_t)version, HYDRO_DETAILS, sequence, time_us);
+    hydro_head(body, HYDRO_VERSION, HYDRO_DETAILS, sequence, time_us);
     hydro_write32(at, epoch);
     hydro_copy(at + 4, config->digest, sizeof config->digest);
     at[16] = config->feedback == 2u ? 1 : 2;
-    at[17] = version > 2u ? 1u << HYDRO_PAPER | 1u << HYDRO_COMPENSATED : 0;
+    at[17] = 1u << HYDRO_PAPER | 1u << HYDRO_COMPENSATED;
     at[18] = at[19] = 0;
     (void)hydro_write_reals(at + 20, numbers, 10);
     return hydro_wrap(body, HYDRO_HEADER + 60, out);
@@ -216,7 +212,7 @@ static inline size_t hydro_encode_law(uint32_t sequence, uint64_t time_us, const
         law->base_kp, law->base_ki, law->delta_kp_min, law->delta_kp_max, law->delta_ki_min, law->delta_ki_max,
         law->safe[4], law->low[4], law->high[4], law->safe[5], law->low[5], law->high[5], law->rate[4],
         law->reference_max};
-    hydro_head(body, 3, HYDRO_LAW, sequence, time_us);
+    hydro_head(body, HYDRO_VERSION, HYDRO_LAW, sequence, time_us);
     hydro_write32(at, HYDRO_COMPENSATED);
     at = hydro_write_reals(at + 4, numbers, 14);
     at = hydro_write_reals(at, law->low, 4);
@@ -238,11 +234,9 @@ static inline float hydro_take_real(const uint8_t *data, uint32_t bit, uint32_t 
     return value;
 }
 
-/* Payload of a COMMAND, 40 bytes, from version 3 on 72; false if its waveform or its law is none. */
-static inline bool hydro_decode_command(
-    uint32_t version, uint32_t sequence, const uint8_t *data, hydro_command *command)
+/* Payload of a COMMAND, 72 bytes; false if its waveform or its law is none. */
+static inline bool hydro_decode_command(uint32_t sequence, const uint8_t *data, hydro_command *command)
 {
-    static const hydro_real neutral[HYDRO_SHAPING] = HYDRO_NEUTRAL;
     uint32_t bits = hydro_read32(data);
     command->sequence = sequence;
     command->arm = (bits & 1u) != 0;
@@ -258,10 +252,9 @@ static inline bool hydro_decode_command(
     command->reference.frequency = hydro_take_real(data + 32, 8u, &command->broken);
     command->reference.phase = hydro_take_real(data + 36, 8u, &command->broken);
     command->reference.start = 0.0;
-    command->law = version < 3u ? HYDRO_PAPER : hydro_read32(data + 40);
+    command->law = hydro_read32(data + 40);
     for (int i = 0; i < HYDRO_SHAPING; i++) {
-        command->shaping[i] =
-            version < 3u ? neutral[i] : hydro_take_real(data + 44 + 4 * i, 16u << i, &command->broken);
+        command->shaping[i] = hydro_take_real(data + 44 + 4 * i, 16u << i, &command->broken);
     }
     return command->reference.waveform <= HYDRO_SMOOTH_STEP && command->law <= HYDRO_COMPENSATED;
 }

@@ -15,7 +15,7 @@ typedef struct {
 typedef struct {
     const uint8_t *payload;
     uint32_t length; /* of the payload */
-    uint32_t version, kind, sequence;
+    uint32_t kind, sequence;
 } hydro_body;
 
 static inline void hydro_stream_reset(hydro_stream *stream)
@@ -34,13 +34,12 @@ static inline bool hydro_check(hydro_stream *stream, hydro_body *body)
         stream->bad++;
         return false;
     }
-    body->version = data[0];
     body->kind = data[1];
     body->sequence = hydro_read32(data + 2);
     body->payload = data + HYDRO_HEADER;
     body->length = (uint32_t)(count - 4 - HYDRO_HEADER);
     hello = body->kind == HYDRO_HELLO;
-    if (hello ? body->version != 0 : body->version < HYDRO_VERSION_MIN || body->version > HYDRO_VERSION_MAX) {
+    if (data[0] != (hello ? 0u : HYDRO_VERSION)) {
         stream->foreign++;
         return false;
     }
@@ -48,7 +47,7 @@ static inline bool hydro_check(hydro_stream *stream, hydro_body *body)
         stream->unknown++;
         return false;
     }
-    if (body->length != (hello || body->version > 2u ? 72u : 40u)) {
+    if (body->length != 72u) {
         stream->bad++;
         return false;
     }

@@ -48,10 +48,13 @@ static inline float number(uint32_t bits)
     return value;
 }
 
-/* The payload of a COMMAND before version 3. */
-static inline void host_command(uint8_t payload[40], uint32_t bits, const float values[3], uint32_t waveform,
+/* The payload of a COMMAND for the paper's law. */
+static inline void host_command(uint8_t payload[72], uint32_t bits, const float values[3], uint32_t waveform,
                                 const float shape[4])
 {
+    const float neutral[HYDRO_SHAPING] = HYDRO_NEUTRAL;
+    memset(payload, 0, 72);
+    memcpy(payload + 44, neutral, sizeof neutral);
     hydro_write32(payload, bits);
     hydro_write32(payload + 4, 0);
     memcpy(payload + 8, values, 12);

@@ -33,10 +33,6 @@ EQUIVALENT = {
     "arming.h: hydro_time left = 1.0 - (time - arming->armed_at) * HYDRO_RECOVERY;": "the time of grace is 1 s",
     "arming.h: return arming->excess * (hydro_real)(left >= 0.0 ? left : 0.0);": "at 0 both branches are 0",
     "box.h: #define HYDRO_BURST_MAX (5 * HYDRO_FRAME_MAX)": "a buffer may be larger",
-    (
-        "box.h: box->version = version_max <= HYDRO_VERSION_MAX ? version_max : HYDRO_VERSION_MAX;"
-    ): "one of two that are equal",
-    "box.h: if (box->version <= HYDRO_VERSION_MIN) {": "one of two that are equal",
     "force_law.h: return drop <= HYDRO_R(0) ? -HYDRO_SQRT(-drop) : HYDRO_SQRT(drop);": "the root of 0 is 0",
     (
         "guard.h: if (signal->amplitude < HYDRO_R(0) || signal->amplitude > force_range && offset > force_range"

@@ -59,12 +59,12 @@ static size_t hostile(uint8_t *out, uint32_t *sequence)
         if (bits % 4 != 0) {
             memcpy(&bits, special + draw() % 8, 4);
         }
-        hydro_write32(payload + 4 * i, i == 5 ? draw() % 5 : i == 10 ? draw() % 3 : bits);
+        hydro_write32(payload + 4 * i, i == 5 ? draw() % 5 : i == 10 ? draw() % 9 / 4 : bits);
     }
     *sequence += draw() % 16 == 0 ? draw() : 1;
-    version = kind == 2 ? draw() : 1 + draw() % 3;
+    version = kind == 2 ? draw() : HYDRO_VERSION;
     count = host_frame((uint8_t)version, (uint8_t)(kind == 3 ? draw() : HYDRO_COMMAND), *sequence, payload,
-                       kind == 4 ? draw() % 100 : version < 3 ? 40 : 72, out);
+                       kind == 4 ? draw() % 100 : 72, out);
     if (kind == 5) {
         out[draw() % count] = (uint8_t)draw();
     }

@@ -306,14 +306,14 @@ static void test_box(void)
     memset(&box, 0xAA, sizeof box);
     hydro_box_power_on(&box, &CONFIG, 9);
     CHECK(hydro_box_tick(&box, STILL, 0.0) == 0 && box.sample.sequence == 0);
-    CHECK(hydro_box_frames(&box, out) > 170); /* HELLO and STATE */
-    CHECK(hydro_box_frames(&box, out) < 90);
+    CHECK(hydro_box_frames(&box, out) == GREETING + 129);
+    CHECK(hydro_box_frames(&box, out) == 129);
     host_command(payload, 0, gains, HYDRO_SINE, shape);
-    hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, 5, payload, 40, wire));
+    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 5, payload, 72, wire));
     CHECK(hydro_box_tick(&box, STILL, 0.001) == 0 && box.sample.values[HYDRO_KP] == 25 && box.confirmed == 5);
     CHECK(box.sample.values[HYDRO_REFERENCE] == 0 && box.sample.flags == HYDRO_FILTER_STALE);
     host_command(payload, 3, gains, HYDRO_SINE, shape);
-    hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, 6, payload, 40, wire));
+    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 6, payload, 72, wire));
     CHECK(hydro_box_tick(&box, STILL, 0.002) == HYDRO_R(0.001f) && box.sample.flags == HYDRO_ARMED);
     CHECK(box.sample.values[HYDRO_NOMINAL] == 0 && box.sample.values[HYDRO_REFERENCE_RATE] == 0);
     for (int k = 3; k < 53; k++) {
@@ -326,29 +326,29 @@ static void test_box(void)
     CHECK(box.sample.values[HYDRO_KP] == 15 && box.sample.values[HYDRO_KI] == 5 && box.integral > 0);
     CHECK(box.sample.values[HYDRO_CURRENT] == box.sample.values[HYDRO_NOMINAL]);
     host_command(payload, 3, strong, HYDRO_SINE, shape);
-    hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, 7, payload, 40, wire));
+    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 7, payload, 72, wire));
     CHECK(hydro_box_tick(&box, STILL, 0.0541) == CONFIG.bench.valve_current_max);
     CHECK((box.sample.flags & HYDRO_SATURATED) != 0);
     hydro_real held = box.integral; /* anti-windup: it stands while it would push further out */
     (void)hydro_box_tick(&box, STILL, 0.0551);
     CHECK(box.integral == held && held > 0);
-    hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, 7, payload, 40, wire)); /* again: refused */
+    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 7, payload, 72, wire)); /* again: refused */
     CHECK(box.stale == 1 && !box.has_now);
     memset(payload, 0, sizeof payload); /* a greeting disarms; what comes behind it waits a sample */
     payload[0] = 1;
     payload[1] = 2;
     hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, payload, 72, wire));
     host_command(payload, 1, gains, HYDRO_HOLD, shape);
-    hydro_box_bytes(&box, wire, host_frame(2, HYDRO_COMMAND, 1, payload, 40, wire));
-    CHECK(hydro_box_tick(&box, STILL, 0.056) == 0 && box.sample.flags == HYDRO_FILTER_STALE && box.version == 2);
-    CHECK(hydro_box_frames(&box, out) > 260 && box.confirmed == 7); /* HELLO, DETAILS, STATE */
+    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 1, payload, 72, wire));
+    CHECK(hydro_box_tick(&box, STILL, 0.056) == 0 && box.sample.flags == HYDRO_FILTER_STALE);
+    CHECK(hydro_box_frames(&box, out) == GREETING + 129 && box.confirmed == 7);
     CHECK(hydro_box_tick(&box, STILL, 0.057) == HYDRO_R(0.001f) && box.confirmed == 1 && box.integral == 0);
     payload[2] = 1; /* the HELLO of a box is none of a host */
     hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, payload, 72, wire));
     CHECK(box.greetings == 1);
 }
 
-/* A COMMAND of version 3 at a sample, after which it is ticked. */
+/* A COMMAND at a sample, after which it is ticked. */
 static void follow(hydro_box *box, uint32_t sequence, bool arm, uint32_t law, const float shaping[HYDRO_SHAPING])
 {
     const float gains[3] = {-300.0f, 4.0f, 0.001f}, shape[4] = {0.0f, 600.0f, 1.0f, 0.0f};

@@ -8,13 +8,13 @@
 #include "check.h"
 
 static const char HOST_HELLO[] =
-    "00 01 02 01 01 01 01 04 40 42 0f 01 01 01 01 03 01 03 01 01 01 01 01 01 01 01 01 01 01 01 01 01 "
+    "00 01 02 01 01 01 01 04 40 42 0f 01 01 01 01 03 03 03 01 01 01 01 01 01 01 01 01 01 01 01 01 01 "
     "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 "
-    "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 05 a2 ef 90 cf 00 ";
+    "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 05 cb 4e f7 48 00 ";
 static const char HELLO[] =
-    "00 01 03 01 01 01 01 04 80 84 1e 01 01 01 01 10 01 03 01 02 65 78 61 6d 70 6c 65 20 31 2e 30 01 "
+    "00 01 03 01 01 01 01 04 80 84 1e 01 01 01 01 10 03 03 01 02 65 78 61 6d 70 6c 65 20 31 2e 30 01 "
     "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 05 cd cc 4c 3d 01 03 70 41 01 03 a0 40 "
-    "01 03 a0 c0 01 03 96 42 01 01 01 01 01 0f 20 41 cd cc cc 3d 6f 12 83 3a 11 d2 35 3f 00 ";
+    "01 03 a0 c0 01 03 96 42 01 01 01 01 01 0f 20 41 cd cc cc 3d 6f 12 83 3a 78 73 52 b8 00 ";
 static const char DETAILS[] =
     "00 04 03 04 01 01 01 04 80 84 1e 01 01 01 01 02 07 01 01 0f 30 31 32 33 34 35 36 37 38 39 61 62 "
     "01 03 01 01 01 03 2f 44 04 40 9c 45 24 24 f4 c8 20 bc be 4b 0a d7 a3 bb 7b 14 ae 3d cd cc 4c 3d "
@@ -31,17 +31,10 @@ static const char STATE[] =
     "01 03 70 41 01 04 a0 40 41 01 01 02 03 01 01 02 01 01 01 02 01 01 01 02 01 01 01 01 01 03 20 c0 "
     "01 01 02 41 01 03 80 3f 01 01 02 3d 01 01 02 3b 01 03 80 bf 01 03 80 3e 01 07 80 3f 36 8d b2 e4 "
     "00 ";
-static const char STATE_2[] =
-    "00 05 02 02 02 01 01 04 d0 ef 03 01 01 01 01 01 01 03 c0 3f 01 01 01 01 01 03 10 c0 01 01 01 01 "
-    "04 24 74 4a 04 1b b7 4a 01 03 80 3d 01 01 01 01 01 03 80 3c 01 03 80 3c 01 01 02 c0 01 01 01 01 "
-    "01 03 70 41 01 04 a0 40 41 01 01 02 03 01 01 02 01 01 01 02 01 01 01 05 07 46 72 dc 00 ";
 static const char COMMAND[] =
     "00 04 03 03 03 01 01 04 f8 4d 0f 01 01 01 01 02 03 01 01 03 01 01 01 01 01 03 20 41 01 01 02 3f "
     "01 04 80 3a 01 01 01 01 01 03 c8 42 01 03 a0 c1 01 01 02 40 01 01 03 3f 01 01 01 01 01 03 80 3f "
     "01 03 80 3d 01 01 02 3b 01 01 02 c0 01 03 80 3e 01 03 c0 3f 01 01 01 05 b6 71 db f2 00 ";
-static const char COMMAND_2[] =
-    "00 04 02 03 03 01 01 04 f8 4d 0f 01 01 01 01 02 03 01 01 03 01 01 01 01 01 03 20 41 01 01 02 3f "
-    "01 04 80 3a 01 01 01 01 01 03 c8 42 01 03 a0 c1 01 01 02 40 01 01 06 3f 47 ee a7 c5 00 ";
 
 static size_t bytes_of(const char *text, uint8_t *out)
 {
@@ -74,7 +67,7 @@ static void test_frames_of_the_page(void)
     law->delta_ki_min = 0;
     law->delta_ki_max = 10;
     CHECK(is_frame(HELLO, out, hydro_encode_hello(1, 2000000, &config, out)));
-    CHECK(is_frame(DETAILS, out, hydro_encode_details(3, 1, 2000000, 7, &config, out)));
+    CHECK(is_frame(DETAILS, out, hydro_encode_details(1, 2000000, 7, &config, out)));
     CHECK(is_frame(LAW, out, hydro_encode_law(1, 2000000, &config, out)));
     sample.values[0] = HYDRO_R(1.5);
     sample.values[2] = HYDRO_R(-2.25);
@@ -85,8 +78,7 @@ static void test_frames_of_the_page(void)
     sample.values[HYDRO_REFERENCE] = -2;
     sample.values[HYDRO_KP] = 15;
     sample.values[HYDRO_KI] = 5;
-    CHECK(is_frame(STATE_2, out, hydro_encode_state(2, &sample, 3, refused, &acting, out)));
-    CHECK(is_frame(STATE, out, hydro_encode_state(3, &sample, 3, refused, &acting, out)));
+    CHECK(is_frame(STATE, out, hydro_encode_state(&sample, 3, refused, &acting, out)));
     CHECK(HYDRO_ENCODED_MAX == 160);
 }
 
@@ -97,22 +89,19 @@ static void test_a_command_of_the_page(void)
     hydro_body body;
     uint8_t wire[HYDRO_ENCODED_MAX];
     const hydro_signal *reference = &command.reference;
+    const hydro_real wanted[HYDRO_SHAPING] = {
+        1, HYDRO_R(0.0625), HYDRO_R(0.001953125), -2, HYDRO_R(0.25), HYDRO_R(1.5)};
     hydro_stream_reset(&stream);
     CHECK(feed(&stream, &body, wire, bytes_of(HOST_HELLO, wire)) == 1 && body.kind == HYDRO_HELLO);
-    for (uint32_t version = 2; version < 4; version++) {
-        const hydro_real wanted[2][HYDRO_SHAPING] = {
-            {1, 0, 0, 0, 1, 1}, {1, HYDRO_R(0.0625), HYDRO_R(0.001953125), -2, HYDRO_R(0.25), HYDRO_R(1.5)}};
-        const char *const text = version == 2u ? COMMAND_2 : COMMAND;
-        memset(&command, 0xAA, sizeof command);
-        CHECK(feed(&stream, &body, wire, bytes_of(text, wire)) == 1 && body.kind == HYDRO_COMMAND);
-        CHECK(body.version == version && hydro_decode_command(version, body.sequence, body.payload, &command));
-        CHECK(command.sequence == 3 && command.corrects == 257 && command.arm && command.filter_fresh);
-        CHECK(command.broken == 0 && command.delta_kp == 10 && command.delta_ki == HYDRO_R(0.5));
-        CHECK(command.delta_u == HYDRO_R(0.0009765625) && reference->waveform == HYDRO_SINE);
-        CHECK(reference->amplitude == 100 && reference->offset == -20 && reference->frequency == 2.0);
-        CHECK(reference->phase == 0.5 && reference->start == 0.0 && command.law == version - 2u);
-        CHECK(memcmp(command.shaping, wanted[version - 2u], sizeof command.shaping) == 0);
-    }
+    memset(&command, 0xAA, sizeof command);
+    CHECK(feed(&stream, &body, wire, bytes_of(COMMAND, wire)) == 1 && body.kind == HYDRO_COMMAND);
+    CHECK(hydro_decode_command(body.sequence, body.payload, &command));
+    CHECK(command.sequence == 3 && command.corrects == 257 && command.arm && command.filter_fresh);
+    CHECK(command.broken == 0 && command.delta_kp == 10 && command.delta_ki == HYDRO_R(0.5));
+    CHECK(command.delta_u == HYDRO_R(0.0009765625) && reference->waveform == HYDRO_SINE);
+    CHECK(reference->amplitude == 100 && reference->offset == -20 && reference->frequency == 2.0);
+    CHECK(reference->phase == 0.5 && reference->start == 0.0 && command.law == HYDRO_COMPENSATED);
+    CHECK(memcmp(command.shaping, wanted, sizeof command.shaping) == 0);
 }
 
 /* Each number of a COMMAND that is none has its bit, each bit its meaning. */
@@ -126,18 +115,16 @@ static void test_parts_of_a_command(void)
         if (bit[i] != 0 || i == 15) {
             memcpy(payload + 8 + 4 * i, &none, 4);
         }
-        CHECK(hydro_decode_command(3, 1, payload, &command) && command.broken == bit[i]);
-        CHECK(hydro_decode_command(2, 1, payload, &command) && command.broken == (i < 8 ? bit[i] : 0));
+        CHECK(hydro_decode_command(1, payload, &command) && command.broken == bit[i]);
     }
     for (uint8_t law = 0; law < 4; law++) {
         uint8_t payload[72] = {0};
         payload[40] = law;
-        CHECK(hydro_decode_command(3, 1, payload, &command) == (law < 2) && command.law == law);
-        CHECK(hydro_decode_command(2, 1, payload, &command) && command.law == HYDRO_PAPER);
+        CHECK(hydro_decode_command(1, payload, &command) == (law < 2) && command.law == law);
     }
     for (uint8_t bits = 0; bits < 8; bits++) {
-        uint8_t payload[40] = {bits};
-        CHECK(hydro_decode_command(1, 1, payload, &command));
+        uint8_t payload[72] = {bits};
+        CHECK(hydro_decode_command(1, payload, &command));
         CHECK(command.arm == ((bits & 1) != 0) && command.filter_fresh == ((bits & 2) != 0));
     }
 }

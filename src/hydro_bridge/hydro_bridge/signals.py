@@ -105,7 +105,7 @@ class CorrectionStatus(IntEnum):
 
 
 class Law(IntEnum):
-    """Force laws of a box (`hydro_sim.box.force_law`): the paper's, and the one with a compensated reference."""
+    """Force laws of a box (`firmware/hydro/force_law.h`): the paper's, and the one with a compensated reference."""
 
     PAPER = 0
     COMPENSATED = 1

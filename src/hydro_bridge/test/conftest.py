@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.protocol import (
+    VERSION,
     BoxDetails,
     BoxInfo,
     BoxLaw,
@@ -75,6 +76,10 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
     made.unplug()
 
 
+PLAIN = BoxDetails(epoch=1)
+"""DETAILS of a box that runs the paper's law only."""
+
+
 class SmallBox:
     """Speaks the protocol at 1 kHz: answers greetings, arms when told to."""
 
@@ -84,13 +89,12 @@ class SmallBox:
         *,
         info: BoxInfo | None = None,
         obeys: bool = True,
-        version: int = 1,
+        version: int = VERSION,
         first: int = 0,
-        details: BoxDetails | None = None,
+        details: BoxDetails | None = PLAIN,
         law: BoxLaw | None = None,
     ) -> None:
         self.details, self.refused, self.law = details, (0, 0), law
-        self.spoken = version
         self.law_state = LawState(Law.COMPENSATED, 0.5, 0.25, (1.0, 0.03125, 0.0, 0.0), 0.25, 1.0)
         self.cable, self.info, self.obeys, self.version = cable, info or BoxInfo(name="small box"), obeys, version
         self.commands: list[CommandFrame] = []
@@ -107,8 +111,9 @@ class SmallBox:
                 for frame in decoder.feed(self._read()):
                     self._take(frame)
                 last = self.commands[-1].sequence if self.commands else 0
-                told = (self.refused if self.spoken > 1 else None, self.law_state if self.spoken > 2 else None)
-                self._write(encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last, *told))
+                told = (self.flags, last, self.refused, self.law_state)
+                state = encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, *told)
+                self._write(altered(state, {0: self.version}))
             self.sequence += 1
             now = time.monotonic()
             due = max(due + 1e-3, now - 5e-3)  # after a hold-up no burst: the line holds some 25 samples
@@ -130,9 +135,8 @@ class SmallBox:
 
     def _take(self, frame: object) -> None:
         if isinstance(frame, Hello):
-            self.spoken = min(self.version, frame.version_max)
-            details = encode_details(1, 0, self.details, self.spoken) if self.details else b""
-            law = encode_law(1, 0, self.law) if self.law and self.spoken > 2 else b""
+            details = encode_details(1, 0, self.details) if self.details else b""
+            law = encode_law(1, 0, self.law) if self.law else b""
             hello = altered(encode_hello(1, 0, self.info), {14: self.version, 15: self.version})  # it speaks no other
             os.write(self.cable.box, hello + details + law)
         elif isinstance(frame, CommandFrame):

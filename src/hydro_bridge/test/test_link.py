@@ -12,10 +12,10 @@ from itertools import pairwise
 
 import pytest
 
-from hydro_bridge.link.link import MISSED, NO_LAW, SLOW_LINE, Link, LinkState, incomplete
+from hydro_bridge.link.link import NO_LAW, Link, LinkState, incomplete
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
-from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details, foreign_box
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import Command, CorrectionStatus, Flag, Law
 from tests.checks import wait
@@ -24,12 +24,12 @@ from tests.checks import wait
 class Bench:
     """A link in its thread, a box, and what came."""
 
-    def __init__(self, cable, small_box, baud: int = 2_000_000, **box: object) -> None:
+    def __init__(self, cable, small_box, **box: object) -> None:
         self.cable = cable
         self.log: list[str] = []
         self.states: list[tuple[int, int, int]] = []
         self.law_states: list[LawState | None] = []
-        settings = PortSettings(path=str(cable.path), baud=baud, silence_max=0.3, backoff_first=0.02, backoff_max=0.1)
+        settings = PortSettings(path=str(cable.path), silence_max=0.3, backoff_first=0.02, backoff_max=0.1)
         self.link = Link(Port(settings), CommandGuard(), self._on_state, self.log.append)
         self.box = small_box(**box)
         self.thread = threading.Thread(target=self.link.run, daemon=True)
@@ -69,7 +69,7 @@ def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
     assert all(a < b for a, b in pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 1e9
-    assert it.log == [f"connected to small box on {it.cable.path}, protocol version 1; disarmed", MISSED, NO_LAW]
+    assert it.log == [f"connected to small box on {it.cable.path}; disarmed", NO_LAW]
 
 
 def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
@@ -170,42 +170,40 @@ def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):
     assert not it.link.guard.armed and it.link.counts.lost < 1000
 
 
-def test_another_protocol_version_is_told_once_and_never_commanded(bench):
-    it = bench(version=4)
+@pytest.mark.parametrize(("version", "remedy"), [(1, "rebuild its firmware"), (2, "rebuild"), (4, "update hydro")])
+def test_another_protocol_version_is_told_once_and_never_commanded(bench, version, remedy):
+    it = bench(version=version)
     wait(lambda: it.log)
     time.sleep(0.5)  # for a second sentence, or a command
-    assert it.log == [
-        "the box speaks protocol version 4, here 1 to 3 are spoken: no command is sent until one is updated"
-    ]
+    assert it.log == [foreign_box(version)] and remedy in it.log[0]
     assert it.box.commands == [] and it.states == []
 
 
 DETAILS = BoxDetails(epoch=5, bench_digest="0123456789ab", load_force_limit=700.0, force_range=900.0)
 
 
-def test_a_box_of_version_2_is_followed_once_its_details_came(bench):
-    it = bench(version=2, details=DETAILS).connected()
-    assert (it.link.version, it.link.details.epoch) == (2, 5) and it.link.refused == (0, 0)
-    assert NO_LAW in it.log and it.law_states[-1] is None
+def test_a_box_is_followed_once_its_details_came(bench):
+    it = bench(details=DETAILS).connected()
+    assert it.link.details.epoch == 5 and it.link.refused == (0, 0) and NO_LAW in it.log
     said = [sentence for sentence in it.log if "references" in sentence]
-    assert MISSED not in it.log and len(said) == 2 and "900 N" in said[0] and "700 N" in said[1]
+    assert len(said) == 2 and "900 N" in said[0] and "700 N" in said[1]
     assert it.link.arm(True) == ""
     it.box.refused = (3, 1)
     wait(lambda: it.link.refused == (3, 1))
     wait(lambda: [sentence for sentence in it.log if "refused a reference" in sentence])
 
 
-@pytest.mark.parametrize(("version", "details"), [(2, None), (3, replace(DETAILS, laws=3))])
-def test_a_box_that_leaves_out_details_or_law_is_told_of_and_never_commanded(bench, version, details):
-    it = bench(version=version, details=details)
-    wait(lambda: incomplete(version, details) in it.log)
+@pytest.mark.parametrize("details", [None, replace(DETAILS, laws=3)])
+def test_a_box_that_leaves_out_details_or_law_is_told_of_and_never_commanded(bench, details):
+    it = bench(details=details)
+    wait(lambda: incomplete(details) in it.log)
     assert it.box.commands == [] and it.states == []
 
 
-def test_a_box_of_version_3_tells_its_law_and_what_acts(bench):
+def test_a_box_tells_its_law_and_what_acts(bench):
     record = BoxLaw(base_kp=250.0, velocity_compensation=0.25, coefficient_max=(1.25, 0.125, 0.5, 64.0))
-    it = bench(version=3, details=replace(DETAILS, laws=3), law=record).connected()
-    assert it.link.version == 3 and it.link.law.base_kp == 250.0 and it.link.details.laws == 3
+    it = bench(details=replace(DETAILS, laws=3), law=record).connected()
+    assert it.link.law.base_kp == 250.0 and it.link.details.laws == 3
     assert it.link.law.coefficient_max == record.coefficient_max and NO_LAW not in it.log
     assert it.law_states[-1] == it.box.law_state
 
@@ -213,7 +211,7 @@ def test_a_box_of_version_3_tells_its_law_and_what_acts(bench):
 @pytest.mark.parametrize("law", [None, BoxLaw()])
 def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_law(bench, law):
     """Elsewhere its changes would be added to the paper's gains: the safe command goes out instead."""
-    it = bench(version=3, details=replace(DETAILS, laws=3 if law else 1), law=law).connected()
+    it = bench(details=replace(DETAILS, laws=3 if law else 1), law=law).connected()
     wanted = Command(
         arm=True, delta_kp=-50.0, delta_u=0.125, law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 0.0, 2.0),
         velocity_compensation=0.25, filter_fresh=True,
@@ -224,15 +222,13 @@ def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_
     assert it.box.commands[-1].command == (wanted if law else Command())
 
 
-def test_a_slow_line_speaks_version_2_and_one_too_slow_for_that_is_refused(bench):
-    it = bench(baud=1_000_000, version=3, details=replace(DETAILS, laws=3), law=BoxLaw()).connected()
-    assert it.link.version == 2 and it.link.law is None and SLOW_LINE in it.log and NO_LAW not in it.log
-    with pytest.raises(SettingsError, match=r"baud must be within .* not 921600: .* version 2 930000"):
+def test_a_line_too_slow_for_a_sample_each_millisecond_is_refused():
+    with pytest.raises(SettingsError, match=r"baud must be within .* not 921600: .* takes 1290000"):
         PortSettings(baud=921600)
 
 
 def test_another_epoch_means_that_the_box_was_restarted(bench):
-    it = bench(version=2, details=DETAILS).connected()
+    it = bench(details=DETAILS).connected()
     assert it.link.arm(True) == ""
     it.box.stop()  # two threads on one line would mix their frames
     it.box._write(encode_details(1, 0, replace(DETAILS, epoch=6)))

@@ -28,7 +28,7 @@ from hydro_bridge.serial.protocol import (
     encode_hello,
     encode_law,
     encode_state,
-    negotiate,
+    foreign_box,
 )
 from hydro_bridge.serial.stream import Decoder, SequenceTracker
 from hydro_bridge.signals import Command, Law
@@ -63,22 +63,17 @@ def test_decoding_hostile_bytes_with_a_valid_check_sum_raises_malformed_only(bod
         assert not isinstance(error, CheckSumError)
 
 
-def values(*told: object) -> bytes:
-    return encode_state(1, 2, [0.0] * 14, 3, 4, *told)
-
-
-ACTING = LawState(Law.PAPER, 1.0, 2.0, (1.0,) * 4, 1.0, 1.0)
+STATE = encode_state(1, 2, [0.0] * 14, 3, 4, (5, 6), LawState(Law.PAPER, 1.0, 2.0, (1.0,) * 4, 1.0, 1.0))
 UNREADABLE = (
-    (encode_details(1, 2, BoxDetails(), version=2), {0: 1}, UnknownFrameError, None),
-    (values((5, 6)), {0: 1}, MalformedError, "86 bytes in a STATE"),
-    (values(), {1: 200}, UnknownFrameError, None),
-    (values(), {0: VERSION + 1}, WrongVersionError, f"frame of version {VERSION + 1}"),
+    (encode_details(1, 2, BoxDetails()), {0: 1}, WrongVersionError, "frame of version 1, here version 3"),
+    (STATE, {1: 200}, UnknownFrameError, None),
+    (STATE, {0: VERSION + 1}, WrongVersionError, f"frame of version {VERSION + 1}"),
     (encode_command(1, 2, Command()), {34: 9}, MalformedError, "waveform 9"),
-    (encode_command(1, 2, Command(), 3), {54: 2}, MalformedError, "law 2"),
-    (values((5, 6), ACTING), {86: 2}, MalformedError, "law 2"),
+    (encode_command(1, 2, Command()), {54: 2}, MalformedError, "law 2"),
+    (STATE, {86: 2}, MalformedError, "law 2"),
     (encode_law(1, 2, BoxLaw()), {14: 2}, MalformedError, "law 2"),
 )
-"""Frames, other bytes at places of them, and what is said: version 2 as 1, unknown types, versions, waveforms, laws."""
+"""Frames, other bytes at places of them, and what is said: other versions, unknown types, waveforms, laws."""
 
 
 def test_what_cannot_be_read_is_told_by_its_kind():
@@ -89,13 +84,10 @@ def test_what_cannot_be_read_is_told_by_its_kind():
         decode(inside(altered(encode_command(1, 2, Command()), {}, b"x")))
 
 
-def test_versions_are_negotiated():
-    hello = Hello(1, 2, 1, 1, BoxInfo())
-    assert negotiate(hello) == 1
-    assert negotiate(hello._replace(version_max=7)) == VERSION
-    with pytest.raises(WrongVersionError):
-        negotiate(hello._replace(version_min=VERSION + 1, version_max=VERSION + 2))
-    assert HANDSHAKE == 0
+def test_a_greeting_is_read_whatever_version_it_offers():
+    hello = decode(inside(altered(encode_hello(1, 2, BoxInfo()), {14: 1, 15: 2})))
+    assert isinstance(hello, Hello) and (hello.version_min, hello.version_max) == (1, 2)
+    assert HANDSHAKE == 0 and "rebuild its firmware" in foreign_box(2) and "update hydro" in foreign_box(4)
 
 
 def wire(sequence: int) -> bytes:

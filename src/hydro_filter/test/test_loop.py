@@ -26,7 +26,8 @@ from hydro_filter.model.observer import follow, hydraulic_slopes, model_state, s
 from hydro_filter.model.parts import Loop
 from hydro_filter.model.sample import POSITION, VELOCITY
 from hydro_filter.model.terms import hidden_state_numbers
-from hydro_sim.box import force_law
+from hydro_sim.box import firmware
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
@@ -196,6 +197,10 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: lis
 def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scales: tuple[float, float]) -> None:
     """With what f_h is made of, and on the spool's side of zero."""
     step, bench, p = step_of(loop), loop.bench[0], loop.model
+    config = BoxConfig().constants(Bench.nominal())
+    config["gain_floor"] = loop.gain_floor
+    for name in firmware.BENCH_FIELDS:
+        config["bench"][name] = bench[name]
     for x, hidden, current in cases:
         opening = hidden[len(p.rest)]
         side = np.copysign(current, opening)
@@ -217,8 +222,7 @@ def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scal
             moved[6] += change[5]
             moved[7] += change[7]
             force = x[2] + 110.0
-            known = force - moved[2], 0.0, wanted, -35.0, loop.gain_floor
-            return float(force_law.nominal_current(bench, moved, *known, *scales))
+            return firmware.nominal_current(config, moved, force - moved[2], 0.0, wanted, -35.0, *scales)
 
         numeric, width = np.zeros(LOOP), 1e-4
         for k in range(LOOP):

@@ -140,12 +140,12 @@ class Heard(OfflineGraph):
         self.gained: list[tuple[int, float]] = []
 
     def gains(self, delta_kp, delta_ki, step):
-        self.gained.append((int(self.box.state["law"][0]), delta_kp))
+        self.gained.append((int(self.box.state["acting"]["law"][0]), delta_kp))
         super().gains(delta_kp, delta_ki, step)
 
     def sample(self):
         output = super().sample()
-        self.armed.append((bool(output["flags"] & Flag.ARMED), int(self.box.state["law"][0])))
+        self.armed.append((bool(output["flags"] & Flag.ARMED), int(self.box.state["acting"]["law"][0])))
         return output
 
 

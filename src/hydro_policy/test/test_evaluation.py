@@ -171,4 +171,4 @@ def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_tr
     best = tried[session.search.best]
     assert np.mean(best / tried[(60.0, 15.0)]) < 1.0
     assert not any("force_limit" in sentence for sentence in graph.sentences)
-    assert not int(graph.box.state["faults"][0]) & Flag.FORCE_LIMIT
+    assert not int(graph.box.state["arming"]["faults"][0]) & Flag.FORCE_LIMIT

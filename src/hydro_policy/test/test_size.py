@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from hydro_bridge.safety.limits import GuardSettings
+from hydro_bridge.serial.protocol import Details, encode_hello
+from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import to_mapping
 from hydro_bridge.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_bridge.size import resized
@@ -26,7 +28,7 @@ from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
-from hydro_sim.box.box import Box, BoxConfig, box_details
+from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
 from hydro_sim.excitation import Range, schedule_from
 from hydro_sim.model.bench import NOMINAL, Bench
@@ -132,8 +134,11 @@ def test_a_box_takes_references_as_far_as_its_line_tells() -> None:
         for share in (0.997, 1.0, 1.0 / 3.0):
             other = replace(bench, piston_area=share * bench.piston_area)
             config = BoxConfig().of_bench(other)
-            told = float(np.float32(box_details(other, config, Sensors(), 1).force_range))
-            assert config.constants(other)[0]["high"][0] == told
+            box = Box(other, config)
+            box.take(encode_hello(0, 0))
+            box.tick(np.zeros(8), 0.0)
+            (details,) = (frame for frame in Decoder().feed(b"\0" + box.frames()) if isinstance(frame, Details))
+            assert box.settings["high"][0, 0] == details.details.force_range
 
 
 def test_a_schedule_goes_with_the_size_and_may_be_of_any() -> None:

@@ -2,7 +2,7 @@
 """Schedules: segments of references and gains, and their one YAML form, checked whole as it is read.
 
 What `ros2 run hydro_sim collect` plays into the graph and what the emulator records offline (schedule.md). A fade
-of 0.3 s joins the segments (hydro_sim.box.reference).
+of 0.3 s joins the segments (protocol.md).
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Wave
 """Probability of each waveform."""
 
 STEEPNESS = {Waveform.HOLD: 0.0, Waveform.SINE: 1.0, Waveform.MULTISINE: 1.8, Waveform.SMOOTH_STEP: 4.0}
-"""Peak rate of each waveform over amplitude times 2 pi frequency (hydro_sim.box.reference)."""
+"""Peak rate of each waveform over amplitude times 2 pi frequency (protocol.md)."""
 
 
 def draw(seconds: float, seed: int, limits: Range | None = None) -> list[Segment]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_sim import excitation
+from hydro_sim.box.firmware import STRUCTURES
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile
@@ -52,8 +53,9 @@ def _learning() -> None:
 
 def _emulator() -> None:
     truth = profile("default")
-    machine = Machine(truth)
-    machine.warm_up()
+    for precision in STRUCTURES:
+        machine = Machine(truth, precision=precision)
+        machine.warm_up()
     machine.plant.step(0.0)
     record_offline(truth, excitation.draw(0.1, 0))
 

@@ -13,11 +13,11 @@ import pytest
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
-from hydro_bridge.serial.protocol import Hello, State
+from hydro_bridge.serial.protocol import Details, Hello, LawFrame, State
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import STATE_DTYPE, Command, StateArray
-from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator import offline
 from hydro_sim.emulator.command import main
 from hydro_sim.emulator.line.faults import CHANCES, FaultyLine, LinkFaults
@@ -132,15 +132,21 @@ def test_each_fault_comes_as_often_as_it_says_and_changes_what_passes() -> None:
 
 
 @pytest.fixture
-def link(tmp_path: Path) -> Iterator[BoxLink]:
-    made = BoxLink(Terminal(tmp_path / "port"), box_info(Bench.nominal(), BoxConfig(), EMULATED_BOX), LinkFaults())
+def machine() -> Machine:
+    return Machine(profile("default"))
+
+
+@pytest.fixture
+def link(tmp_path: Path, machine: Machine) -> Iterator[BoxLink]:
+    made = BoxLink(Terminal(tmp_path / "port"), machine.box, LinkFaults())
     yield made
     made.terminal.unplug()
 
 
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return Machine(profile("default"))
+def sampled(link: BoxLink, machine: Machine, now: float = 0.0) -> None:
+    """One sample, and what it sends."""
+    machine.tick()
+    link.send(now)
 
 
 def opened(link: BoxLink) -> Port:
@@ -151,12 +157,13 @@ def opened(link: BoxLink) -> Port:
 
 def test_nobody_listening_costs_nothing_and_leaves_nothing_stale(link: BoxLink, machine: Machine) -> None:
     for _ in range(200):
-        link.send(machine.tick(), 0.0)
+        sampled(link, machine)
     assert (link.report.unheard, link.report.sent) == (200, 0)
     port = opened(link)
-    link.send(machine.tick(), 0.0)
-    hello, state = Decoder().feed(port.read(1.0))
+    sampled(link, machine)
+    hello, details, law, state = Decoder().feed(port.read(1.0))
     assert isinstance(hello, Hello) and hello.info is not None and hello.info.delta_u_max == pytest.approx(0.1)
+    assert isinstance(details, Details) and isinstance(law, LawFrame)
     assert isinstance(state, State) and state.sequence >= 200
     port.close()
 
@@ -164,16 +171,16 @@ def test_nobody_listening_costs_nothing_and_leaves_nothing_stale(link: BoxLink, 
 def test_a_reader_that_does_not_read_loses_whole_frames_only(link: BoxLink, machine: Machine) -> None:
     port = opened(link)
     for _ in range(2000):
-        link.send(machine.tick(), 0.0)
+        sampled(link, machine)
     assert link.report.blocked > 1000
     decoder = Decoder()
     for _ in range(20):
         decoder.feed(port.read(0.05))
-        link.send(machine.tick(), 0.0)
+        sampled(link, machine)
     while piece := port.read(0.2):
         decoder.feed(piece)
     assert decoder.counts.crc_errors == decoder.counts.malformed == 0
-    assert decoder.counts.frames == link.report.sent + 1
+    assert decoder.counts.frames == link.report.sent + 3, "HELLO, DETAILS and LAW go with the first"
     port.close()
 
 
@@ -187,7 +194,7 @@ def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link
     assert not link.terminal.plugged
     link.poll(12.0)
     again = opened(link)
-    link.send(machine.tick(), 12.0)
+    sampled(link, machine, 12.0)
     assert again.read(1.0)
     again.close()
 

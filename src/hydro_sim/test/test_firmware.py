@@ -1,34 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box in C against the compiled Python box: the same bytes and measurements in, the same samples out."""
+"""The firmware as a library: its records, its two ways in, what it sends, and its single precision."""
 
 from __future__ import annotations
 
 import struct
+import subprocess
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import astuple, replace
 from math import inf, nan
+from pathlib import Path
 from random import Random
-from typing import Any
 
 import numpy as np
 import pytest
 
+from hydro_bridge.conformance.reference import shape
 from hydro_bridge.serial.protocol import (
-    VERSION,
+    CommandFrame,
+    Details,
+    Frame,
+    Hello,
+    LawFrame,
+    decode,
     encode_command,
     encode_hello,
+    encode_state,
 )
+from hydro_bridge.serial.stream import Decoder
+from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
-from hydro_sim.box.box import Box, BoxConfig, box_details, box_info, law_state
-from hydro_sim.box.firmware import Firmware
-from hydro_sim.box.header import NAME
-from hydro_sim.emulator.line.faults import LinkFaults
-from hydro_sim.emulator.line.link import BoxLink
+from hydro_sim.box import firmware
+from hydro_sim.box.box import NAME, Box, BoxConfig, box_info, law_state
+from hydro_sim.box.firmware import STRUCTURES, Precision, reference_force
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
+from tests.checks import compiled
 
+FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 BROKEN = (nan, inf, -inf, 1e30, -1e30, 5001.0)
 
 
@@ -60,29 +70,11 @@ def drawn_command(random: Random) -> Command:
     )
 
 
-def drawn_bytes(random: Random, sequence: int, command: Command) -> bytes:
-    """What a host sends in one millisecond: mostly the command, at times nothing, a greeting, garbage, old frames."""
-    frame = encode_command(sequence, 0, command, random.choice((1, 2, *[VERSION] * 30)))
-    draw = random.random()
-    if draw < 0.9:
-        return frame
-    if draw < 0.92:
-        return encode_hello(sequence, 0) + frame * random.randint(0, 2)
-    if draw < 0.94:
-        return frame + encode_hello(sequence, 0)
-    if draw < 0.96:
-        return random.randbytes(random.randint(1, 400)) + frame
-    if draw < 0.98:
-        return encode_command(sequence - random.choice((0, 1, 5, 2**31)), 0, command) + frame[: random.randint(1, 60)]
-    return b""
-
-
-def streams(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
-    """Bytes of the host and a measurement for each millisecond."""
-    random, sequence, command, silent = Random(seed), 0, Command(), 0
+def streams(seed: int, samples: int) -> Iterator[tuple[Command | None, FloatArray]]:
+    """A command of the host, or none, and a measurement for each millisecond."""
+    random, command, silent = Random(seed), Command(), 0
     x = np.array([0.0, 0.0, 0.0, 0.0, 3.7e6, 6.2e6, 0.04, 0.0])
     for k in range(samples):
-        sequence = (sequence + 1) & 0xFFFFFFFF
         if random.random() < 0.01:
             command = drawn_command(random)
         elif random.random() < 0.002:
@@ -94,17 +86,88 @@ def streams(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
         y = x + wave * np.array([300.0, 4e3, 300.0, 4e3, 3e6, 5e6, 0.03, 0.2])
         if random.random() < 0.002:
             y[random.randrange(8)] = random.choice((*BROKEN, 720.0, -750.0))
-        yield (b"" if silent else drawn_bytes(random, sequence, command)), y
+        yield (None if silent or random.random() < 0.05 else command), y
 
 
-def pair(line: Any, integral: str = "bumpless") -> tuple[Box, BoxLink, Firmware]:
-    """The Python box on a line, and the box in C, alike."""
-    bench, config = Bench.nominal(), BoxConfig(integral=integral)  # type: ignore[arg-type]
-    box = Box(bench, config)
-    details = box_details(bench, config, Sensors(), epoch=7)
-    told = (lambda: box.refused, config.compensated, lambda: law_state(box.state[0]))
-    link = BoxLink(line, box_info(bench, config, NAME), LinkFaults(), 0, details, *told)
-    return box, link, Firmware(bench, config, epoch=7)
+def places(kind: np.dtype[np.void], within: str = "") -> Iterator[tuple[str, int]]:
+    """Every field by its C name with its offset, those of inner structures and of an array's last one, too."""
+    assert kind.fields is not None
+    for name, (inner, offset, *_) in kind.fields.items():
+        yield within + name, offset
+        of, shape_of = inner.subdtype or (inner, ())
+        if of.names:
+            begin = offset + (shape_of[0] - 1) * of.itemsize if shape_of else offset
+            last = f"[{shape_of[0] - 1}]" if shape_of else ""
+            yield from ((path, begin + place) for path, place in places(of, f"{within}{name}{last}."))
+
+
+@pytest.mark.parametrize("precision", STRUCTURES)
+def test_the_records_lie_in_memory_as_the_c_compiler_lays_them_out(precision: Precision, tmp_path: Path) -> None:
+    names = {"config": "hydro_config", "command": "hydro_command", "box": "hydro_box"}
+    kinds = {c: getattr(STRUCTURES[precision], name) for name, c in names.items()}
+    expected = [(c, path, place) for c, kind in kinds.items() for path, place in places(kind)]
+    lines = "".join(f'    printf("%zu\\n", offsetof({c}, {path}));\n' for c, path, _ in expected)
+    source = tmp_path / "offsets.c"
+    source.write_text(f'#include <stdio.h>\n#include "hydro/box.h"\n\nint main(void)\n{{\n{lines}    return 0;\n}}\n')
+    words = ("-DHYDRO_SINGLE",) if precision == "single" else ()
+    done = subprocess.run(
+        [compiled(source, tmp_path / "offsets", f"-I{FIRMWARE}", *words)], capture_output=True, check=True
+    )
+    found = list(map(int, done.stdout.split()))
+    assert [(c, path) for (c, path, place), at in zip(expected, found, strict=True) if place != at] == []
+    assert len(found) > 150
+
+
+def test_a_library_that_is_missing_or_of_another_version_is_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    with pytest.raises(SettingsError, match=r"libhydro_box_double\.so is not built: run `make setup`"):
+        firmware.library_path("double")
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "older.c").write_text("int older = 1;\n")
+    compiled(tmp_path / "older.c", tmp_path / "lib" / "libhydro_box_double.so", "-fPIC", "-shared")
+    with pytest.raises(SettingsError, match="of another version: run `make setup`"):
+        firmware.library.__wrapped__("double")
+
+
+def test_a_greeted_box_tells_what_it_was_configured_with() -> None:
+    bench, config, sensors = (
+        Bench.nominal(),
+        BoxConfig(integral="paper", feedback="hydraulic"),
+        Sensors(velocity_age=2e-3),
+    )
+    box = Box(bench, config, sensors, epoch=7)
+    box.take(encode_hello(0, 0))
+    box.tick(np.zeros(8), 0.25)
+    frames: dict[type[Frame], Frame] = {type(frame): frame for frame in Decoder().feed(b"\0" + box.frames())}
+    hello, details, law = frames[Hello], frames[Details], frames[LawFrame]
+    assert isinstance(hello, Hello) and isinstance(details, Details) and isinstance(law, LawFrame)
+    assert hello.time_us == details.time_us == law.time_us == 250_000
+    assert single(astuple(hello.info)) == single(astuple(box_info(bench, config, NAME)))
+    told = details.details
+    assert (told.epoch, told.bench_digest, told.feedback, told.laws) == (7, bench.digest, "hydraulic", 3)
+    assert single(astuple(told)[4:]) == single((
+        config.load_force_limit, config.force_range, config.pressure_min, config.pressure_max, -config.position_margin,
+        bench.stroke + config.position_margin, config.hold_timeout, config.trip_timeout, sensors.force_rate_age, 2e-3,
+    ))  # fmt: skip
+    assert single(astuple(law.record)) == single(astuple(config.compensated))
+
+
+def single(values: tuple[object, ...]) -> list[object]:
+    """Numbers as float32."""
+    flat = [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
+    return [np.float32(one) if isinstance(one, float) else one for one in flat]
+
+
+@pytest.mark.parametrize("waveform", Waveform)
+def test_planning_sees_the_reference_that_conformance_derives(waveform: Waveform) -> None:
+    signal = ReferenceSignal(waveform=waveform, amplitude=120.0, offset=-20.0, frequency=1.7, phase=0.4)
+    times = np.linspace(0.0, 3.0, 3001)
+    values, rates = reference_force(signal, times)
+    expected = np.array([shape(signal, time)[:2] for time in times])
+    np.testing.assert_allclose(values, expected[:, 0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(rates, expected[:, 1], rtol=0.0, atol=1e-6)
 
 
 def bits(sample: np.void) -> bytes:
@@ -113,36 +176,35 @@ def bits(sample: np.void) -> bytes:
 
 
 @pytest.mark.parametrize(("seed", "integral"), [(1, "bumpless"), (2, "bumpless"), (3, "paper")])
-def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(memory: Any, seed: int, integral: str) -> None:
-    box, link, firmware = pair(memory, integral)
-    config = box.config.compensated
+def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(seed: int, integral: str) -> None:
+    """Hostile commands and measurements; the frames are the bytes that the Python codec makes of the same sample."""
+    config = BoxConfig(integral=integral)  # type: ignore[arg-type]
+    line, past = Box(Bench.nominal(), config), Box(Bench.nominal(), config)
+    moved = cut = 0
     seen: set[int] = set()
-    moved = held = cut = 0
-    for k, (data, x) in enumerate(streams(seed, 20_000)):
-        memory.down += data
-        command = link.poll(k * 1e-3)
+    for k, (command, x) in enumerate(streams(seed, 20_000)):
         if command is not None:
-            box.receive(command, k * 1e-3)
-        firmware.take(data)
-        expected, found = box.tick(x, k * 1e-3), firmware.tick(x, k * 1e-3)[0]
-        assert bits(found) == bits(expected), k
-        acting = law_state(box.state[0])
-        assert repr(firmware.law_state()) == repr(acting), k  # with NaN where a sensor shows it
-        if int(expected["flags"]) & Flag.ARMED and acting.law is Law.COMPENSATED:
+            frame = encode_command(k + 1, 0, command)
+            sent = decode(frame[1:-1])
+            assert isinstance(sent, CommandFrame)
+            line.take(frame)
+            past.receive(sent.command, k * 1e-3)
+        sample = line.tick(x, k * 1e-3)
+        assert bits(sample) == bits(past.tick(x, k * 1e-3)), k
+        acting = law_state(line.state[0])
+        assert repr(acting) == repr(law_state(past.state[0])), k  # with NaN where a sensor shows it
+        _, sequence, *values, flags = sample.item()
+        last = int(line.state["confirmed"][0])
+        told = line.refused, acting
+        state = encode_state(sequence, 1000 * k, values, flags, last, *told)
+        assert line.frames()[-len(state) :] == state, k
+        seen.add(flags)
+        if flags & Flag.ARMED and acting.law is Law.COMPENSATED:
             moved += acting.coefficients != NEUTRAL
-            held += int(box.state["law_wanted"][0]) != Law.COMPENSATED
-            cut += abs(acting.compensated_reference) == config.reference_max and not acting.compensated_reference_rate
-        link.send(expected, k * 1e-3)
-        assert firmware.frames() == memory.up, k
-        memory.up = b""
-        seen.add(int(expected["flags"]))
-    counts = firmware.counts()
-    assert (counts["refused"], counts["refused_references"]) == box.refused
-    assert (counts["taken"], counts["stale"], counts["greetings"]) == (
-        link.report.commands, link.report.refused, link.report.hellos,
-    )  # fmt: skip
+            cut += abs(acting.compensated_reference) == config.compensated.reference_max
+    assert line.refused == past.refused and line.refused[1] > 20
     assert {int(Flag.ARMED), int(Flag.ARMED | Flag.SATURATED)} & seen and len(seen) > 12
-    assert moved > 2000 and held > 200 and cut > 20
+    assert moved > 1000 and cut > 10
 
 
 def calm(seed: int, samples: int, law: Law) -> Iterator[tuple[bytes, FloatArray]]:
@@ -164,7 +226,7 @@ def calm(seed: int, samples: int, law: Law) -> Iterator[tuple[bytes, FloatArray]
                 )  # never cut off
                 command = replace(command, law=law, delta_kp=0.0, reference=slow, coefficients=shaping)
                 command = replace(command, velocity_compensation=0.3)
-        current = yield encode_command(k + 1, 0, command, VERSION), x
+        current = yield encode_command(k + 1, 0, command), x
         x = plant.step(current)
 
 
@@ -172,17 +234,17 @@ def calm(seed: int, samples: int, law: Law) -> Iterator[tuple[bytes, FloatArray]
 def test_single_precision_stays_within_its_rounding(law: Law) -> None:
     """Both boxes see the bench that the double one moves: each sample's difference is rounding, none is chaos."""
     bench = Bench.nominal()
-    double, single = Firmware(bench), Firmware(bench, precision="single")
+    double, single = Box(bench), Box(bench, precision="single")
     source, worst = calm(5, 20_000, law), dict.fromkeys((*STATE_FIELDS, "f_c", "f_c'"), 0.0)
     data, x = next(source)
     for k in range(20_000 - 1):
         for box in (double, single):
             box.take(data)
-        a, b = double.tick(x, k * 1e-3)[0], single.tick(x, k * 1e-3)[0]
+        a, b = double.tick(x, k * 1e-3), single.tick(x, k * 1e-3)
         assert (int(a["flags"]) ^ int(b["flags"])) & ~Flag.SATURATED == 0
         for name in STATE_FIELDS:
             worst[name] = max(worst[name], abs(float(a[name]) - float(b[name])))
-        acting, other = double.law_state(), single.law_state()
+        acting, other = law_state(double.state[0]), law_state(single.state[0])
         assert acting.law is other.law is (law if k else Law.PAPER)
         worst["f_c"] = max(worst["f_c"], abs(acting.compensated_reference - other.compensated_reference))
         worst["f_c'"] = max(worst["f_c'"], abs(acting.compensated_reference_rate - other.compensated_reference_rate))

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_sim.box import force_law
+from hydro_sim.box import firmware
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -38,9 +39,10 @@ def test_put_into_the_model_the_law_gives_the_wanted_force_rate(
     velocity: float,
     gain: float,
 ) -> None:
-    record = Bench.nominal().constants()[0]
+    record, config = Bench.nominal().constants()[0], BoxConfig().constants(Bench.nominal())
+    config["gain_floor"] = 1.0
     x = np.array([0.0, 0.0, 0.0, 0.0, *pressures, 0.03, velocity])
-    u = force_law.nominal_current(record, x, error, action, rate, gain, 1.0)
+    u = firmware.nominal_current(config, x, error, action, rate, gain)
     h = hydraulics.velocity_term(record, 0.03, velocity)
     g = hydraulics.input_gain(record, 0.03, *pressures, u)
     wanted = rate + gain * error + action

@@ -124,7 +124,9 @@ def late(host: Host, bench: Bench) -> str:
 def refused(host: Host, bench: Bench, values: int, references: int) -> str:
     """Check how many values and references the box counted as refused in this step, per accepted command."""
     before, after = host.states[host.marked - 1], host.states[-1]
-    found = [((b or 0) - (a or 0)) for a, b in zip(before[5:7], after[5:7], strict=True)]
+    found = [
+        after.refused - before.refused, after.refused_references - before.refused_references
+    ]  # fmt: skip
     return "" if found == [values, references] else f"it counted {found[0]} values and {found[1]} references"
 
 
@@ -183,16 +185,6 @@ def greeted(host: Host, bench: Bench, within: int) -> str:
     if answers[0][1].sequence == 0:
         return "the answer has sequence 0, which says power-on"
     return ""
-
-
-def speaks(host: Host, bench: Bench, version: int = 0) -> str:
-    """Check that STATE and DETAILS are of this version, 0: of the conversation's, once the greeting is answered."""
-    version = version or host.version
-    begin = next((n for n, _ in host.hellos if n >= host.greeted_at), host.greeted_at)
-    found = {(state.refused is not None) + (state.law_state is not None) + 1 for state in host.states[begin + 1 :]}
-    if found != {version}:
-        return f"STATE of version {sorted(found)}"
-    return "" if (host.details is not None) == (version > 1) else "DETAILS are there from version 2 on"
 
 
 def details(host: Host, bench: Bench) -> str:
@@ -386,7 +378,7 @@ def law_told(host: Host, bench: Bench) -> str:
     if not (law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max):
         return "its limits of the gains do not hold 0"
     for state in settled(host):
-        acting = _acting(state)
+        acting = state.law_state
         if acting.law is not Law.COMPENSATED or not all(map(near, acting.coefficients, NEUTRAL)):
             return f"law {acting.law.name} with {acting.coefficients} acts in STATE {state.sequence}"
         if acting.compensated_reference != value(state, followed(host)) or acting.compensated_reference_rate != 0.0:
@@ -418,7 +410,7 @@ def _compensation(host: Host, points: Sequence[Point | None], tolerance: float) 
         shown = value(state, "proportional_gain"), value(state, "integral_gain")
         if not all(map(near, shown, gains)):
             return f"the gains are {shown} in STATE {state.sequence}, {gains} is right"
-        found = _numbers(_acting(state))
+        found = _numbers(state.law_state)
         for number, last, new, least, most, fastest, off in zip(found, old, wanted, low, high, rate, room, strict=True):
             right = last + min(max(new - last, -fastest * SAMPLE_PERIOD), fastest * SAMPLE_PERIOD)
             if not abs(number - right) <= off or not least - off <= number <= most + off:
@@ -438,7 +430,7 @@ def _reference(
     law: BoxLaw, state: State, old: Sequence[float], terms: Sequence[float], slopes: Sequence[float], tolerance: float
 ) -> str:
     """Compare f_c and f_c' with their formula; what is wrong, or nothing."""
-    acting = _acting(state)
+    acting = state.law_state
     a, changes = acting.coefficients, [new - last for new, last in zip(acting.coefficients, old[:4], strict=True)]
     right = sum(number * term for number, term in zip(a, terms, strict=True))
     moved = sum(change * term for change, term in zip(changes, terms, strict=True)) / SAMPLE_PERIOD
@@ -478,16 +470,11 @@ def _record(host: Host) -> BoxLaw:
     return host.law
 
 
-def _acting(state: State) -> LawState:
-    assert state.law_state is not None
-    return state.law_state
-
-
 CHECKS: dict[str, Callable[..., str]] = {
     check.__name__: check
     for check in (
         flags, field, taken, unchanged, first_flag, late, refused, idle,
-        undisturbed, clock, hello, greeted, speaks, details, believes,
+        undisturbed, clock, hello, greeted, details, believes,
         current, law, reference, follows, rates, units,
         law_told, compensation,
     )

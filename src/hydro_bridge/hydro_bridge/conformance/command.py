@@ -39,7 +39,7 @@ class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     moving: bool = False
     """Whether the case arms the box, or asks it to arm: the piston may move."""
     needs: str = ""
-    """Precondition, `version 2`, `bench`, `compensated law`, or both of these; empty: none."""
+    """Precondition, `bench`, `compensated law`, or both of these; empty: none."""
 
     def __post_init__(self) -> None:
         for step in self.steps:
@@ -122,8 +122,6 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
         begin(host)
         if bench is not None:
             host.correction = min(1.0, host.size * NOMINAL_FORCE_GAIN / force_gain(bench))
-        if case.needs == "version 2" and host.version < 2:
-            return Result(case, LEFT_OUT, "the box speaks version 1")
         if "compensated law" in case.needs and host.law is None:
             return Result(case, LEFT_OUT, "the box runs the paper's law only")
         for step in case.steps:

@@ -17,7 +17,6 @@ from cobs import cobs
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.serial.protocol import (
-    VERSION,
     BoxLaw,
     Details,
     Hello,
@@ -25,6 +24,7 @@ from hydro_bridge.serial.protocol import (
     State,
     encode_command,
     encode_hello,
+    foreign_box,
     wrap,
 )
 from hydro_bridge.serial.stream import Decoder
@@ -76,7 +76,6 @@ class Host:
 
     line: Line
     clock: Callable[[], float] = time.monotonic
-    version: int = 1
     sequence: int = 0
     hello: Hello | None = None
     details: Details | None = None
@@ -148,7 +147,7 @@ class Host:
         self.command = changed(self.command, changes)
         self.sequence = (self.sequence + 1 if sequence is None else sequence) % _CIRCLE
         self.sent.append(Sent(self.sequence, self.command, len(self.states)))
-        self.line.write(encode_command(self.sequence, int(1e6 * self.clock()), self.command, self.version))
+        self.line.write(encode_command(self.sequence, int(1e6 * self.clock()), self.command))
 
     def listen(self, samples: int, each: Callable[[], None] | None = None) -> None:
         """Wait for a number of states, and call a function after each.
@@ -181,6 +180,8 @@ class Host:
 
     def _give_up(self) -> None:
         counts = self.decoder.counts
+        if self.decoder.foreign_version is not None and not self.states:
+            raise UnreadableError(foreign_box(self.decoder.foreign_version))
         if counts.frames:
             raise SilentError(f"the box sent no STATE for {_PATIENCE:g} s")
         if not counts.bytes:
@@ -261,7 +262,6 @@ def begin(host: Host) -> None:
     else:
         raise SilentError(f"the box answered no HELLO within {3 * ANSWER} samples")
     host.listen(2)
-    host.version = min(VERSION, host.hello.version_max) if host.hello else 1
     host.sequence = (host.states[-1].last_command + _APART) % 2**32  # not a number of the previous conversation
     host.command = Command()
     host.mark()
@@ -322,13 +322,10 @@ def _once(host: Host, words: dict[str, Any]) -> None:
 
 
 def _greet(host: Host, words: dict[str, Any]) -> None:
-    """Greet as a host of the given versions; checks begin after the answer, if there is one."""
-    low, high = words.get("versions", (1, VERSION))
-    body = bytearray(cobs.decode(encode_hello(0, int(1e6 * host.clock()))[1:-1])[:-4])
-    body[14:16] = bytes((low, high))
+    """Greet; checks begin after the answer, if there is one."""
     host.mark()
     host.details, host.law, host.greeted_at = None, None, len(host.states)
-    host.line.write(wrap(bytes(body)))
+    host.greet()
     for _ in range(ANSWER):
         if host.hellos and host.hellos[-1][0] >= host.greeted_at:
             host.mark()
@@ -358,7 +355,7 @@ def _garbage(host: Host, words: dict[str, Any]) -> None:
 def _damaged(host: Host, words: dict[str, Any]) -> None:
     """Send a command that would change the gains, damaged in a way that a box must detect."""
     changes = {key: value for key, value in words.items() if key != "how"}
-    frame = encode_command(host.sequence + 1, 0, changed(Command(), changes), host.version)
+    frame = encode_command(host.sequence + 1, 0, changed(Command(), changes))
     host.mark()
     host.line.write(damaged(frame, str(words["how"])))
     host.listen(10 + host.lag)

@@ -26,7 +26,6 @@ from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import (
     VERSION,
-    VERSION_MIN,
     BoxDetails,
     BoxInfo,
     BoxLaw,
@@ -36,37 +35,25 @@ from hydro_bridge.serial.protocol import (
     Hello,
     LawFrame,
     State,
-    WrongVersionError,
     encode_command,
     encode_hello,
-    negotiate,
+    foreign_box,
 )
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, Law, flag_names
 
-LEAST_BAUD = 1_300_000
-"""bit/s below which version 3, and with it the other law, is not spoken: its STATE does not fit between two samples."""
 NO_LAW = "only the paper's force law can be run: the box offers no other"
-SLOW_LINE = f"only the paper's force law can be run: another needs a line of {LEAST_BAUD} bit/s (--baud)"
 
 
-def incomplete(version: int, details: BoxDetails | None) -> str:
-    """Return a sentence on a box of version 2 or more whose HELLO is not followed by what belongs to it."""
+def incomplete(details: BoxDetails | None) -> str:
+    """Return a sentence on a box whose HELLO is not followed by what belongs to it."""
     said, missing = ("DETAILS", "LAW") if details else ("HELLO", "DETAILS")
-    return f"the box speaks protocol version {version} and sends no {missing} behind its {said}: no command is sent"
+    return f"the box sends no {missing} behind its {said}: no command is sent"
 
 
-MISSED = (
-    "the box speaks protocol version 1: it cannot tell its force and sensor limits, which bench it believes, which "
-    "references it refused, and a restart whose HELLO was lost is seen by its sequence only"
-)
-
-
-def connection_remarks(
-    wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None, law: BoxLaw | None, baud: int
-) -> list[str]:
+def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails, law: BoxLaw | None) -> list[str]:
     """Return sentences for the log; none for a box with both laws that allows everything the guard is set to."""
-    said = ([] if details else [MISSED]) + ([] if law else [NO_LAW if baud >= LEAST_BAUD else SLOW_LINE])
+    said = [] if law else [NO_LAW]
     allowed = narrowed(wanted, info)
     changed = [
         f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"
@@ -76,7 +63,7 @@ def connection_remarks(
     ]
     if changed:
         said.append(f"the box narrows the guard: {', '.join(changed)}")
-    if details and 0.0 < details.force_range < wanted.reference_force_max:
+    if 0.0 < details.force_range < wanted.reference_force_max:
         said.append(
             f"the box refuses references beyond {details.force_range:g} N, the guard those beyond "
             f"{wanted.reference_force_max:g} N"
@@ -161,7 +148,7 @@ class Link:
         Knows whose answers each sample of an emulator waits for.
     on_state
         Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE and PACED
-        filled in; the sample's `law_state` is None before version 3.
+        filled in.
     log
         Called with a sentence when something changes.
     warn
@@ -192,13 +179,12 @@ class Link:
         self.clock, self.host_clock = BoxClock(), HostClock()
         self.box: BoxInfo | None = None
         self.details: BoxDetails | None = None
-        """The box's DETAILS, from version 2 on; None for a box of version 1."""
+        """The box's DETAILS."""
         self.law: BoxLaw | None = None
         """The box's compensated law; None: it runs the paper's only, and a command for another goes out as the safe
         one."""
-        self.version = VERSION_MIN
         self.refused: tuple[int | None, int | None] = (None, None)
-        """Values and references that the box refused since its power-on; None: not reported by a box of version 1."""
+        """Values and references that the box refused since its power-on; None: no sample came yet."""
         self.state = LinkState.CLOSED
         self.flags = 0
         self._wanted_limits = guard.settings
@@ -210,9 +196,8 @@ class Link:
         self._corrected = True
         self._connected_before = False
         self._complaint = ""
-        self._spoken = VERSION if port.settings.baud >= LEAST_BAUD else VERSION - 1
-        self._greeted: tuple[int, BoxInfo] | None = None
-        """Version and HELLO of a box of version 2 or more, until its DETAILS arrive, and its LAW if it offers one."""
+        self._greeted: BoxInfo | None = None
+        """HELLO of a box, until its DETAILS arrive, and its LAW if it offers one."""
         self._told: BoxDetails | None = None
         """DETAILS of such a box, until its LAW arrives."""
         self._clock_told: ClockFrame | None = None  # of the box that greets
@@ -284,7 +269,7 @@ class Link:
             if command.law is not Law.PAPER and self.law is None:
                 command = Command()  # this box would add the changes to the paper's gains
             time_us = int(1e6 * now) if self.emulated is None else self._box_us - self._offset_us
-            frame = encode_command(self._sequence, time_us, command, self.version)
+            frame = encode_command(self._sequence, time_us, command)
             try:
                 if not self.port.write(frame):
                     return
@@ -325,7 +310,7 @@ class Link:
             data = self.port.read(min(_READ_TIMEOUT, self.pace.poll()) if self.paced else _READ_TIMEOUT)
             now = time.monotonic()
             if self.state is LinkState.OPEN and now >= next_hello:
-                self.port.write(encode_hello(0, int(1e6 * now), version_max=self._spoken))
+                self.port.write(encode_hello(0, int(1e6 * now), follows=True))
                 next_hello = now + _HELLO_PERIOD
             if data:
                 for frame in self._decoder.feed(data):
@@ -334,7 +319,7 @@ class Link:
             elif now - last_byte > (limit := (self.pace if self.paced else self.port).settings.silence_max):
                 raise PortLostError(f"{self.port.settings.path}: no byte for {limit:g} s")
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
-                self._complain(_foreign(self._decoder.foreign_version))
+                self._complain(foreign_box(self._decoder.foreign_version))
 
     def _take(self, frame: Frame, now: float) -> None:
         if isinstance(frame, State):
@@ -347,7 +332,7 @@ class Link:
         elif isinstance(frame, Details):
             self._take_details(frame.details)
         elif isinstance(frame, LawFrame) and self._greeted is not None and self._told is not None:
-            self._connect(*self._greeted, self._told, frame.record if frame.law is Law.COMPENSATED else None)
+            self._connect(self._greeted, self._told, frame.record if frame.law is Law.COMPENSATED else None)
 
     def _take_state(self, frame: State, now: float) -> None:
         restarts = self.counts.restarts
@@ -379,7 +364,7 @@ class Link:
     def _note_refused(self, frame: State) -> None:
         """Report once per connection that the box refuses references; its counts are on /diagnostics."""
         before, self.refused = self.refused, (frame.refused, frame.refused_references)
-        if before[1] == 0 and (frame.refused_references or 0) > 0:
+        if before[1] == 0 and frame.refused_references > 0:
             self._warn("the box refused a reference and keeps the one before")
 
     def _stamp(self, frame: State) -> int:
@@ -392,49 +377,41 @@ class Link:
         return self.host_clock.ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
 
     def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
-        try:
-            version = min(negotiate(frame), self._spoken)
-        except WrongVersionError as error:
-            self._complain(_foreign(error.version))
+        if not frame.version_min <= VERSION <= frame.version_max:
+            self._complain(foreign_box(frame.version_max))
             return
         if self.state is LinkState.CONNECTED:
             if frame.sequence != 0:
                 return
             self._restarted()
-        if version == VERSION_MIN:
-            self._connect(version, info)
-        elif frame.sequence != 0:  # the HELLO at power-on is not followed by DETAILS
+        if frame.sequence != 0:  # the HELLO of power-on answers no greeting
             if self._greeted is not None:
-                self._complain(incomplete(version, self._told))
-            self._greeted, self._told = (version, info), None
+                self._complain(incomplete(self._told))
+            self._greeted, self._told = info, None
 
     def _take_details(self, details: BoxDetails) -> None:
         if self.state is LinkState.CONNECTED:
             if self.details is not None and details.epoch != self.details.epoch:
                 self._restarted()
         elif self._greeted is not None:
-            if self._greeted[0] > 2 and details.laws >> Law.COMPENSATED & 1:
+            if details.laws >> Law.COMPENSATED & 1:
                 self._told = details
             else:
-                self._connect(*self._greeted, details)
+                self._connect(self._greeted, details)
 
-    def _connect(
-        self, version: int, info: BoxInfo, details: BoxDetails | None = None, law: BoxLaw | None = None
-    ) -> None:
+    def _connect(self, info: BoxInfo, details: BoxDetails, law: BoxLaw | None = None) -> None:
         self._greeted = self._told = None
         with self.lock:
             self.box, self.details, self.law = info, details, law
-            self.version, self.state = version, LinkState.CONNECTED
+            self.state = LinkState.CONNECTED
             self._follow_clock()
             self.guard.settings = narrowed(self._wanted_limits, info)
             self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
         self.report.reconnects += self._connected_before
         self._connected_before, self._corrected, self._complaint = True, False, ""
-        self._log(
-            f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
-        )
-        for sentence in connection_remarks(self._wanted_limits, info, details, law, self.port.settings.baud):
+        self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}; disarmed")
+        for sentence in connection_remarks(self._wanted_limits, info, details, law):
             self._log(sentence)
         self._on_box(info)
 
@@ -455,7 +432,7 @@ class Link:
                 self._news.notify_all()
 
     def _restarted(self) -> None:
-        """Disarm and restart the conversation: the box may have lost the version, or be another one."""
+        """Disarm and restart the conversation: the box may be another one."""
         self._warn("the box was restarted, by itself or by its power: it stays disarmed until it is armed again")
         with self.lock:
             self.guard.set_arm(False)
@@ -490,10 +467,3 @@ class Link:
         if sentence != self._complaint:
             self._complaint = sentence
             self._warn(sentence)
-
-
-def _foreign(version: int) -> str:
-    return (
-        f"the box speaks protocol version {version}, here {VERSION_MIN} to {VERSION} are spoken: no command is sent "
-        "until one is updated"
-    )

@@ -41,7 +41,6 @@ class BridgeSide(Link):
             "port": self.port.settings.path,
             "box": self.box.name if self.box else "",
             "box differs": self.foreign or "no",
-            "protocol version": self.version,
             "refused by the box": self.refused[0],
             "references refused by the box": self.refused[1],
             **asdict(self.counts),

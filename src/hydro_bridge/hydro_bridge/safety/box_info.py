@@ -53,7 +53,7 @@ def known_box(
 ) -> KnownBox:
     """Describe a box by its own reports and its bench file; where they differ, the box's values are used.
 
-    The digest is therefore that of the file only if the box does not contradict it. A box of version 2 reports its own
+    The digest is therefore that of the file only if the box does not contradict it. A box reports its own
     digest; if the file has another, its numbers are unknown.
     """
     believed = details.bench_digest if details else ""

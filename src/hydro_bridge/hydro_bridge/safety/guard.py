@@ -35,10 +35,7 @@ _KEPT = 256
 
 _SHAPING = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
 
-NOT_OFFERED = (
-    "the compensated law is refused: this box does not offer it, which needs protocol version 3, or its line is too "
-    "slow for that; the bridge said which when it connected (protocol.md)"
-)
+NOT_OFFERED = "the compensated law is refused: this box does not offer it (protocol.md)"
 KEPT_WHILE_ARMED = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
 UNFILTERED_LAW = (
     "compensated law: its gains pass within the law's own limits, whether or not the filter decides "

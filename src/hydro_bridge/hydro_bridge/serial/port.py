@@ -35,8 +35,8 @@ class PortSettings:
 
     path: str = "/dev/ttyUSB0"
     """Device, or link to one."""
-    baud: Annotated[int, quantity("Bit/s", 1000000, 12000000)] = 2_000_000
-    """Speed of the line; a STATE of version 3 each millisecond takes 1290000, one of version 2 930000."""
+    baud: Annotated[int, quantity("Bit/s", 1300000, 12000000)] = 2_000_000
+    """Speed of the line; a STATE each millisecond takes 1290000."""
     silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
     """Without a byte, after which the port is closed and opened again."""
     backoff_first: Annotated[float, quantity("s", 0.01, 10.0)] = 0.1

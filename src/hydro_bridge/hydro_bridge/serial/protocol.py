@@ -22,10 +22,8 @@ from cobs import cobs
 
 from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Coefficients, Command, Law, ReferenceSignal, Waveform
 
-VERSION_MIN = 1
-"""Lowest supported protocol version."""
 VERSION = 3
-"""Highest supported protocol version."""
+"""The protocol version that is spoken; no other is."""
 
 
 class FrameType(IntEnum):
@@ -35,9 +33,7 @@ class FrameType(IntEnum):
     STATE = 2
     COMMAND = 3
     DETAILS = 4
-    """From version 2 on."""
     LAW = 5
-    """From version 3 on."""
     CLOCK = 128
     """Of an emulator alone, before its answer to a HELLO: its time is not the host's."""
 
@@ -58,7 +54,7 @@ class WrongVersionError(MalformedError):
     """A frame of another version, given by `version`."""
 
     def __init__(self, version: int) -> None:
-        super().__init__(f"frame of version {version}, here {VERSION_MIN} to {VERSION} are spoken")
+        super().__init__(f"frame of version {version}, here version {VERSION} is spoken")
         self.version = version
 
 
@@ -100,7 +96,7 @@ FEEDBACKS = ("", "load", "hydraulic")
 
 @dataclass(frozen=True, kw_only=True)
 class BoxDetails:
-    """A box's DETAILS, from protocol version 2 on; 0 or empty: not reported."""
+    """A box's DETAILS; 0 or empty: not reported."""
 
     epoch: int = 0
     """Number of its power-on, [1, 2^32 - 1]: a change means that the box was restarted."""
@@ -109,7 +105,7 @@ class BoxDetails:
     feedback: str = ""
     """Force that its law follows, one of `FEEDBACKS`."""
     laws: int = 0
-    """Force laws that it offers, bit n for the `Law` n; 0, and before version 3: the paper's alone."""
+    """Force laws that it offers, bit n for the `Law` n; 0: the paper's alone."""
     load_force_limit: float = 0.0
     """N, magnitude of the load force beyond which it trips while armed."""
     force_range: float = 0.0
@@ -134,7 +130,7 @@ class BoxDetails:
 
 @dataclass(frozen=True, kw_only=True)
 class BoxLaw:
-    """A box's compensated law, from protocol version 3 on: one record, absolute limits, its own safe state.
+    """A box's compensated law: one record, absolute limits, its own safe state.
 
     Without commands the law's base gains, base C_1 and C_2, and `NEUTRAL` coefficients hold.
     """
@@ -202,11 +198,12 @@ class BoxLaw:
         return replace(
             self, reference_max=force * self.reference_max, coefficient_min=level(self.coefficient_min),
             coefficient_max=level(self.coefficient_max), coefficient_rate=level(self.coefficient_rate),
-            **{name: gain * getattr(self, name) for name in _GAINS},
+            **{name: gain * getattr(self, name) for name in GAIN_FIELDS},
         )  # fmt: skip
 
 
-_GAINS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max")
+GAIN_FIELDS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max")
+"""Gains of a law: base values, and the limits of their changes."""
 
 PAPER_LAW = BoxLaw(
     velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,
@@ -216,18 +213,22 @@ PAPER_LAW = BoxLaw(
 
 
 class LawState(NamedTuple):
-    """Force law of a box as it acts in one sample, from version 3 on; f_c is the force itself while disarmed."""
+    """Force law of a box as it acts in one sample; f_c is the force itself while disarmed."""
 
-    law: Law
-    compensated_reference: float
+    law: Law = Law.PAPER
+    compensated_reference: float = 0.0
     """f_c [N]."""
-    compensated_reference_rate: float
+    compensated_reference_rate: float = 0.0
     """f_c' [N/s]."""
-    coefficients: Coefficients
-    velocity_compensation: float
+    coefficients: Coefficients = NEUTRAL
+    velocity_compensation: float = 1.0
     """C_1."""
-    valve_gain_scale: float
+    valve_gain_scale: float = 1.0
     """C_2."""
+
+
+AT_REST = LawState()
+"""The paper's law of a disarmed box that shows no force."""
 
 
 class Hello(NamedTuple):
@@ -243,8 +244,7 @@ class Hello(NamedTuple):
 class State(NamedTuple):
     """One sample: `values` in STATE_FIELDS order, flags, and the sequence number of the box's latest command.
 
-    From version 2 on also the numbers of values and of references that the box refused since its power-on, from
-    version 3 on its force law.
+    Also the numbers of values and of references that the box refused since its power-on, and its force law.
     """
 
     sequence: int
@@ -252,9 +252,9 @@ class State(NamedTuple):
     values: tuple[float, ...]
     flags: int
     last_command: int
-    refused: int | None = None
-    refused_references: int | None = None
-    law_state: LawState | None = None
+    refused: int
+    refused_references: int
+    law_state: LawState
 
 
 class Details(NamedTuple):
@@ -298,11 +298,8 @@ MAX_ENCODED = 160
 """Maximum number of bytes between two delimiters; more is noise."""
 
 _HEADER = Struct("<BBIQ")
-_STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fII")
-_STATE_2 = Struct(f"<BBIQ{len(STATE_FIELDS)}fIIII")
-_STATE_3 = Struct(f"<BBIQ{len(STATE_FIELDS)}fIIIII8f")
-_COMMAND = Struct("<BBIQIIfffIffff")
-_COMMAND_3 = Struct("<BBIQIIfffIffffI7f")
+_STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fIIIII8f")
+_COMMAND = Struct("<BBIQIIfffIffffI7f")
 _DETAILS = Struct("<BBIQI12sBBBB10f")
 _LAW = Struct("<BBIQI26f")
 _HELLO = Struct("<BBIQBBBB32s9f")
@@ -311,7 +308,7 @@ _CRC = Struct("<I")
 _LAW_NAMES = [entry.name for entry in fields(BoxLaw)]
 _ARM, _FILTER_FRESH = 1, 2
 _FEED_FORWARD = 0.0
-"""Reserved number of a COMMAND of version 3."""
+"""Reserved number of a COMMAND."""
 
 
 def encode_state(
@@ -320,10 +317,10 @@ def encode_state(
     values: Sequence[float],
     flags: int,
     last_command: int,
-    refused: tuple[int, int] | None = None,
-    law_state: LawState | None = None,
+    refused: tuple[int, int] = (0, 0),
+    law_state: LawState = AT_REST,
 ) -> bytes:
-    """Encode one sample: version 3 if it tells the force law, version 2 if it counts refusals, else version 1.
+    """Encode one sample.
 
     Parameters
     ----------
@@ -340,57 +337,52 @@ def encode_state(
     refused
         Numbers of values and of references that the box refused since its power-on.
     law_state
-        Force law as it acts; needs `refused`.
+        Force law as it acts.
     """
-    tail: tuple[float, ...] = () if refused is None else tuple(count & 0xFFFFFFFF for count in refused)
-    version, layout = (VERSION_MIN, _STATE) if refused is None else (2, _STATE_2)
-    if law_state is not None:
-        law, value, rate, coefficients, *scales = law_state
-        version, layout, tail = 3, _STATE_3, (*tail, law, value, rate, *coefficients, *scales)
-    head = (version, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
-    return _pack(layout, *head, *values, flags, last_command, *tail)
+    law, value, rate, coefficients, *scales = law_state
+    counts = (count & 0xFFFFFFFF for count in refused)
+    head = (VERSION, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
+    return _pack(_STATE, *head, *values, flags, last_command, *counts, law, value, rate, *coefficients, *scales)
 
 
-def encode_command(sequence: int, time_us: int, command: Command, version: int = VERSION_MIN) -> bytes:
-    """Encode one command; `time_us` is the host's clock, `version` the one negotiated.
-
-    Before version 3 a command names no law: a box then runs the paper's.
-    """
+def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
+    """Encode one command; `time_us` is the host's clock."""
     reference = command.reference
     bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     shape = (reference.amplitude, reference.offset, reference.frequency, reference.phase)
-    head = (version, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
-    if version < 3:
-        return _pack(_COMMAND, *head, *numbers, reference.waveform, *shape)
+    head = (VERSION, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
     shaping = (command.law, *command.coefficients, command.velocity_compensation, command.valve_gain_scale)
-    return _pack(_COMMAND_3, *head, *numbers, reference.waveform, *shape, *shaping, _FEED_FORWARD)
+    return _pack(_COMMAND, *head, *numbers, reference.waveform, *shape, *shaping, _FEED_FORWARD)
 
 
-def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, version_max: int = VERSION) -> bytes:
-    """Encode the frame that opens a connection; a box gives its `info`, the host none."""
+def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, follows: bool = False) -> bytes:
+    """Encode the frame that opens a connection; a box gives its `info`, the host none.
+
+    `follows`: whether the host answers each STATE of an emulator that waits for it; of no meaning to a box.
+    """
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
-    who = (VERSION_MIN, version_max, info is not None, INTEGRAL_FORMS.index(integral))
+    who = (VERSION, VERSION, info is not None, INTEGRAL_FORMS.index(integral) if info else follows)
     head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
     return wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
 
 
-def encode_details(sequence: int, time_us: int, details: BoxDetails, version: int = VERSION) -> bytes:
-    """Encode the frame that follows each HELLO of a box from version 2 on."""
+def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
+    """Encode the frame that follows each HELLO of a box."""
     epoch, digest, feedback, laws, *numbers = astuple(details)
-    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws if version > 2 else 0, 0, 0)
-    return wrap(_DETAILS.pack(version, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
+    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws, 0, 0)
+    return wrap(_DETAILS.pack(VERSION, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
 
 
 def encode_clock(time_us: int, *, waits: bool) -> bytes:
     """Encode an emulator's frame about its clock; `waits`: each sample waits for the COMMAND with its time."""
-    return wrap(_CLOCK.pack(3, FrameType.CLOCK, 0, time_us, waits))
+    return wrap(_CLOCK.pack(VERSION, FrameType.CLOCK, 0, time_us, waits))
 
 
 def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
-    """Encode the compensated law of a box, which follows its DETAILS from version 3 on."""
+    """Encode the compensated law of a box, which follows its DETAILS if these offer it."""
     *numbers, lowest, highest, fastest = astuple(record)
-    head = (3, FrameType.LAW, sequence & 0xFFFFFFFF, time_us, Law.COMPENSATED)
+    head = (VERSION, FrameType.LAW, sequence & 0xFFFFFFFF, time_us, Law.COMPENSATED)
     return _pack(_LAW, *head, *numbers, *lowest, *highest, *fastest)
 
 
@@ -410,9 +402,9 @@ def decode(encoded: bytes) -> Frame:
     if len(body) < _HEADER.size:
         raise MalformedError(f"{len(body)} bytes are too few for a header")
     version, kind = body[0], body[1]
-    if version != HANDSHAKE if kind == FrameType.HELLO else not VERSION_MIN <= version <= VERSION:
+    if version != (HANDSHAKE if kind == FrameType.HELLO else VERSION):
         raise WrongVersionError(version)
-    layout, unpack = _LAYOUTS.get((version, kind), (None, None))
+    layout, unpack = _LAYOUTS.get(kind, (None, None))
     if layout is None or unpack is None:
         raise UnknownFrameError(f"frame type {kind}")
     if len(body) != layout.size:
@@ -420,14 +412,14 @@ def decode(encoded: bytes) -> Frame:
     return unpack(layout.unpack(body))
 
 
-def negotiate(hello: Hello) -> int:
-    """Return the highest protocol version that both ends support.
-
-    Raises WrongVersionError: there is none; the message names the versions of each end.
-    """
-    if hello.version_min <= VERSION and hello.version_max >= VERSION_MIN:
-        return min(VERSION, hello.version_max)
-    raise WrongVersionError(hello.version_max)
+def foreign_box(version: int) -> str:
+    """Return the sentence with which a box is refused that speaks this other version."""
+    if version > VERSION:
+        return f"the box speaks a newer protocol than version {VERSION}, and no command is sent: update hydro"
+    return (
+        f"the box speaks an older protocol than version {VERSION}, and no command is sent: rebuild its firmware from "
+        "firmware/ of this version (your_own_box.md)"
+    )
 
 
 def wrap(body: bytes) -> bytes:
@@ -450,14 +442,11 @@ def _single(value: float) -> float:
 
 
 def _state(values: tuple[float, ...]) -> State:
-    state = State(int(values[2]), int(values[3]), values[4:18], int(values[18]), int(values[19]))
-    if len(values) > 20:
-        state = state._replace(refused=int(values[20]), refused_references=int(values[21]))
-    if len(values) > 22:
-        law, value, rate, a_0, a_1, a_2, a_3, *scales = values[22:]
-        law_state = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), *scales)
-        state = state._replace(law_state=law_state)
-    return state
+    _, _, sequence, time_us, *values_of, flags, last_command, refused, references = values[:22]
+    law, value, rate, a_0, a_1, a_2, a_3, *scales = values[22:]
+    law_state = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), *scales)
+    counts = (int(flags), int(last_command), int(refused), int(references))
+    return State(int(sequence), int(time_us), tuple(values_of), *counts, law_state)
 
 
 def _known_law(number: float) -> Law:
@@ -484,7 +473,8 @@ def _details(values: tuple[float, ...]) -> Details:
 
 
 def _command(values: tuple[float, ...]) -> CommandFrame:
-    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase, *shaping) = values[4:]
+    bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase = values[4:14]
+    law, a_0, a_1, a_2, a_3, c_1, c_2, _ = values[14:]
     if waveform > Waveform.SMOOTH_STEP:
         raise MalformedError(f"waveform {waveform}")
     reference = ReferenceSignal(
@@ -498,13 +488,11 @@ def _command(values: tuple[float, ...]) -> CommandFrame:
         reference=reference,
         corrects=int(corrects),
         filter_fresh=bool(int(bits) & _FILTER_FRESH),
+        law=_known_law(law),
+        coefficients=(a_0, a_1, a_2, a_3),
+        velocity_compensation=c_1,
+        valve_gain_scale=c_2,
     )
-    if shaping:
-        law, a_0, a_1, a_2, a_3, c_1, c_2, _ = shaping
-        coefficients = (a_0, a_1, a_2, a_3)
-        command = replace(
-            command, law=_known_law(law), coefficients=coefficients, velocity_compensation=c_1, valve_gain_scale=c_2
-        )
     return CommandFrame(int(values[2]), int(values[3]), command)
 
 
@@ -517,16 +505,11 @@ def _hello(values: tuple[float, ...]) -> Hello:
     return Hello(int(sequence), int(time_us), int(version_min), int(version_max), info)
 
 
-_LAYOUTS: dict[tuple[int, int], tuple[Struct, Callable[[tuple[float, ...]], Frame]]] = {
-    (HANDSHAKE, FrameType.HELLO): (_HELLO, _hello),
-    (1, FrameType.STATE): (_STATE, _state),
-    (1, FrameType.COMMAND): (_COMMAND, _command),
-    (2, FrameType.STATE): (_STATE_2, _state),
-    (2, FrameType.COMMAND): (_COMMAND, _command),
-    (2, FrameType.DETAILS): (_DETAILS, _details),
-    (3, FrameType.STATE): (_STATE_3, _state),
-    (3, FrameType.COMMAND): (_COMMAND_3, _command),
-    (3, FrameType.DETAILS): (_DETAILS, _details),
-    (3, FrameType.LAW): (_LAW, _law),
-    (3, FrameType.CLOCK): (_CLOCK, lambda values: ClockFrame(int(values[3]), bool(values[4]))),
+_LAYOUTS: dict[int, tuple[Struct, Callable[[tuple[float, ...]], Frame]]] = {
+    FrameType.HELLO: (_HELLO, _hello),
+    FrameType.STATE: (_STATE, _state),
+    FrameType.COMMAND: (_COMMAND, _command),
+    FrameType.DETAILS: (_DETAILS, _details),
+    FrameType.LAW: (_LAW, _law),
+    FrameType.CLOCK: (_CLOCK, lambda values: ClockFrame(int(values[3]), bool(values[4]))),
 }

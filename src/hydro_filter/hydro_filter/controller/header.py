@@ -23,7 +23,8 @@ from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import SUBSTEPS, closing_current, without_disturbances
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import NONE, Loop
-from hydro_sim.box.header import BENCH_FIELDS, header_file, initializer, wrapped
+from hydro_sim.box.firmware import BENCH_FIELDS
+from hydro_sim.box.header import header_file, initializer, wrapped
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel

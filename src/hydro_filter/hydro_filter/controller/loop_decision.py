@@ -113,7 +113,7 @@ def workspace(parts: LoopParts) -> Workspace:
 
 @njit(inline="always")
 def integral_term(bench, gain_floor, x, nominal_current, proportional_gain, law):
-    """Return I [N/s] of `hydro_sim.box.force_law`, of either form, and C_2 g [N/s/A], from the law's current.
+    """Return I [N/s] of the force law, of either form, and C_2 g [N/s/A], from the law's current.
 
     `law`: f_c [N], f_c' [N/s], C_1, C_2.
     """

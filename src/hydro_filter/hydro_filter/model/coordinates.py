@@ -28,7 +28,7 @@ K = du/dx follows from the force law (paper eq. fl_rl) in closed form::
 The paper's law has f_c = f_r and C_1 = C_2 = 1. K does not depend on f_c: a reference that is shaped leaves the loop
 alone. With F(x, u) = h + g u the right side of eq. q13, and h linear in the velocity, C_1 h + C_2 g u is F at C_1 x_p'
 and C_2 u: K is its slope at held u over -C_2 g, except along f_l. F's slopes by the pressures go by way of the roots of
-the pressure drops (paper eq. q13-q15 with physics.md's erratum). As in `hydro_sim.box.force_law`, C_2 g is no less
+the pressure drops (paper eq. q13-q15 with physics.md's erratum). As in `firmware/hydro/force_law.h`, C_2 g is no less
 than a floor (there dg/dx = 0) and the position is one within the stroke. The integral I, of either form, is the law's
 own memory and no function of x: K_i has no place in K, and the certificate does not see it.
 

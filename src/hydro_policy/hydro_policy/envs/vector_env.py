@@ -49,8 +49,9 @@ from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories
 from hydro_policy.envs import FilterName
 from hydro_policy.task.mdp import ACTIONS, TaskSettings, observe
-from hydro_sim.box import kernel
+from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
+from hydro_sim.box.firmware import COEFFICIENTS, VALVE_GAIN_SCALE, VELOCITY_COMPENSATION
 from hydro_sim.jit import njit
 from hydro_sim.model import plant as plants_of
 from hydro_sim.model.bench import Bench
@@ -207,10 +208,9 @@ class VectorBench:
         self.plants, self.rows, count = list(plants), make(plants), len(plants)
         for index, plant in enumerate(plants):
             self._copy(self.rows, index, plant)
-        self.benches = np.concatenate([bench.constants() for bench in benches])
         self.settings = np.concatenate([self.config.constants(bench) for bench in benches])
-        self.boxes = np.zeros(count, kernel.STATE_DTYPE)
-        self.commands = np.zeros(count, kernel.COMMAND_DTYPE)
+        self.boxes = np.zeros(count, firmware.DOUBLE.box)
+        self.commands = np.zeros(count, firmware.DOUBLE.command)
         self.links = np.zeros(count, LINK_DTYPE)
         self.links["gain_delay"] = 1
         self.samples: StateArray = np.zeros((count, SAMPLES_PER_STEP), STATE_DTYPE)
@@ -223,7 +223,6 @@ class VectorBench:
 
     def replace(self, index: int, bench: Bench, plant: Plant, gain_delay: int = 1, dead_time: int = 0) -> None:
         """Replace the bench at this index; call `begin` for it next."""
-        self.benches[index] = bench.constants()[0]
         self.settings[index] = self.config.constants(bench)[0]
         self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
         self.plants[index] = plant
@@ -241,27 +240,23 @@ class VectorBench:
         one = slice(index, index + 1)
         read = self.plants[index].reset(seed)
         self._copy(self.rows, index, self.plants[index])
-        kernel.reset(self.boxes[one])
-        fill_command(self.commands[one], Command())
-        kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
-        fill_command(
-            self.commands[one],
-            Command(
-                arm=True,
-                reference=reference,
-                delta_kp=changes[0],
-                delta_ki=changes[1],
-                filter_fresh=self.filters.fresh,
-                law=law,
-                velocity_compensation=float(self.settings[index][law.name.lower()]["velocity_compensation"]),
-                valve_gain_scale=float(self.settings[index][law.name.lower()]["valve_gain_scale"]),
-            ),
-        )
+        code, safe = firmware.library(), self.settings[index]["laws"][law]["safe"]
+        box, command = self.boxes[one], self.commands[one]
+        memory = firmware.at(box), firmware.at(self.settings[one])
+        code.hydro_c_power_on(*memory, 1)
+        fill_command(command, Command())
+        code.hydro_c_receive(*memory, firmware.at(command), 0.0)
+        wanted = Command(
+            arm=True, reference=reference, delta_kp=changes[0], delta_ki=changes[1], filter_fresh=self.filters.fresh,
+            law=law, velocity_compensation=float(safe[VELOCITY_COMPENSATION]),
+            valve_gain_scale=float(safe[VALVE_GAIN_SCALE]),
+        )  # fmt: skip
+        fill_command(command, wanted)
         self.links[index]["held"] = 0.0
         reset_memory(self.filters, index)
-        box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
-        _exchange(*box, self.filters, index, read, self.samples[index, -1:])
-        self.compensated[index, -1] = self.boxes[index]["compensated_reference"]
+        first = self.samples[index, -1:]
+        _exchange(firmware.calls(), self.settings[one], box, command, self.filters, index, read, first)
+        self.compensated[index, -1] = box["acting"]["reference"][0]
 
     def step(self, changes: FloatArray, coefficients: FloatArray | None = None) -> StateArray:
         """Advance ten samples; returns `samples`.
@@ -274,8 +269,8 @@ class VectorBench:
             Of the compensated reference, shape (benches, 4); absent: as they were.
         """
         if coefficients is None:
-            coefficients = self.commands["shaping"]["coefficients"]
-        box = self.benches, self.settings, self.boxes, self.commands
+            coefficients = self.commands["shaping"][:, :COEFFICIENTS]
+        box = firmware.calls(), self.settings, self.boxes, self.commands
         noise = np.stack([plant.noise.rows(SAMPLES_PER_STEP) for plant in self.plants])  # type: ignore[attr-defined]
         step = _step if type(self.rows).__module__.startswith("hydro_policy.") else _step_foreign
         actions = np.ascontiguousarray(changes), np.array(coefficients)
@@ -285,20 +280,19 @@ class VectorBench:
 
 
 @njit
-def _exchange(bench, settings, box, command, filters, i, measurement, sample):
+def _exchange(code, settings, box, command, filters, i, measurement, sample):
     """Run one sample of the box: command in, state out, and the filter's correction for the next command."""
     time = box[0].sequence * SAMPLE_PERIOD
-    kernel.receive(settings, box, command, time)
-    kernel.tick(bench, settings, box, measurement, time, sample)
-    followed, acting = (box[0].compensated_reference, box[0].compensated_reference_rate), box[0].acting
-    law = followed[0], followed[1], acting.velocity_compensation, acting.valve_gain_scale
+    firmware.receive(code.receive, box, settings, command, time)
+    firmware.tick(code.tick, box, settings, measurement, time, sample)
+    acting = box[0].acting
+    scales = acting.shaping[VELOCITY_COMPENSATION], acting.shaping[VALVE_GAIN_SCALE]
+    law = acting.reference, acting.reference_rate, scales[0], scales[1]
     command[0].delta_u = correct(filters, i, measurement, sample[0], law)
 
 
 @njit
-def _step(
-    benches, settings, boxes, commands, filters, plants, links, changes, coefficients, noise, samples, compensated
-):  # fmt: skip
+def _step(code, settings, boxes, commands, filters, plants, links, changes, coefficients, noise, samples, compensated):
     count, length = samples.shape
     for i in range(count):
         one, link = slice(i, i + 1), links[i]
@@ -307,12 +301,12 @@ def _step(
             advance(plants, i, noise[i, k], _delayed(link, current))
             if k == link.gain_delay - 1:
                 commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
-                for j in range(4):
-                    commands[i].shaping.coefficients[j] = coefficients[i, j]
+                for j in range(COEFFICIENTS):
+                    commands[i].shaping[j] = coefficients[i, j]
             sample = samples[i, k : k + 1]
             read = measurement(plants, i)
-            _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, read, sample)
-            current, compensated[i, k] = sample[0].valve_current, boxes[i].compensated_reference
+            _exchange(code, settings[one], boxes[one], commands[one], filters, i, read, sample)
+            current, compensated[i, k] = sample[0].valve_current, boxes[i].acting.reference
 
 
 # Kinds defined elsewhere (in a benchmark): the cache's index would name a module that others cannot import.

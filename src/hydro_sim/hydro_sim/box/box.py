@@ -17,23 +17,20 @@ person or the trainer must arm again. Outcomes: the failure table of failures.md
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field, fields, replace
-from typing import Annotated, Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from hydro_bridge.serial.protocol import INTEGRAL_FORMS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, LawState
+from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
 from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_bridge.size import resized
-from hydro_sim.box import kernel
+from hydro_sim.box import firmware
+from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records
 from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.sensors import Sensors
-
-_LAW_TOLD = np.dtype([(name, np.float32, kernel.LAW_DTYPE[name].shape) for name in kernel.LAW_DTYPE.names or ()])
-"""The compensated law as LAW tells it: a host that keeps to the limits that it was told never exceeds them."""
 
 RATE_RANGE = 1e6 / 3.0
 """1/s, largest differentiated force over the bench's force: a load cell's full range within a tenth of a sample."""
@@ -42,10 +39,10 @@ VELOCITY_RANGE = 125.0
 """1/s, largest differentiated position over the stroke."""
 
 Integral = Literal["bumpless", "paper"]
-"""Forms of the force law's integral (`hydro_sim.box.force_law`)."""
+"""Forms of the force law's integral: int K_i e dt, or K_i int e dt."""
 
-LAWS = 1 << Law.PAPER | 1 << Law.COMPENSATED
-"""Laws of this box, as DETAILS has them."""
+NAME = "hydro firmware"
+"""Name of a box on the line."""
 
 EMULATED_BOX = "hydro emulator"
 """Name of the emulator's box on the line: no person stands beside that one."""
@@ -108,27 +105,57 @@ class BoxConfig:
         law = self.compensated.enlarged(bench.size.force / NOMINAL.force, gain)
         return replace(resized(self, NOMINAL, bench.size), compensated=law)
 
-    def constants(self, bench: Bench) -> npt.NDArray[np.void]:
-        """Return the settings for the compiled box: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""
-        record = np.zeros(1, kernel.SETTINGS_DTYPE)
-        for name in (set(record.dtype.names or ()) & {entry.name for entry in fields(self)}) - {"compensated"}:
-            record[name] = getattr(self, name)
-        record["compensated"] = np.array(astuple(self.compensated), _LAW_TOLD)
-        own = {entry.name: getattr(self, entry.name) for entry in fields(BoxLaw) if hasattr(self, entry.name)}
-        record["paper"] = astuple(replace(PAPER_LAW, **own))
-        record["integral_form"] = INTEGRAL_FORMS.index(self.integral)
-        rest = hydraulics.rest_state(bench.constants()[0])
-        still = hydraulics.input_gain(bench.constants()[0], rest[2], rest[0], rest[1], 1.0)
-        record["gain_floor"] = self.gain_floor_share * still
-        record["feedback_channel"] = 2 if self.feedback == "load" else 0
-        force = float(np.float32(self.force_range))  # as DETAILS tells it: no reference within that is refused
-        rate, velocity = RATE_RANGE * bench.size.force, VELOCITY_RANGE * bench.stroke
+    def constants(
+        self, bench: Bench, sensors: Sensors | None = None, name: str = NAME, precision: Precision = "double"
+    ) -> Records:
+        """Return hydro_config of a box: one record of `firmware.structures`, shape (1,).
+
+        Parameters
+        ----------
+        bench
+            What its force law believes.
+        sensors
+            Ages of its rates; absent: the defaults.
+        name
+            What it calls itself on the line.
+        precision
+            Of its numbers.
+        """
+        kinds, believed, ages = firmware.STRUCTURES[precision], bench.constants()[0], sensors or Sensors()
+        gains = {entry: getattr(self, entry) for entry in GAIN_FIELDS}
+        # What HELLO, DETAILS and LAW tell as float32 is so inside, too: a host that keeps to it never exceeds it.
+        compensated = np.array(_law(self.compensated), firmware.SINGLE.law)
+        force = float(np.float32(self.force_range))
+        still = hydraulics.rest_state(believed)
+        forces = ((-force, force), (-RATE_RANGE * bench.size.force, RATE_RANGE * bench.size.force))
         pressure = (self.pressure_min, self.pressure_max)
         position = (-self.position_margin, bench.stroke + self.position_margin)
-        loads = ((-force, force), (-rate, rate))
-        ranges = (*loads, *loads, pressure, pressure, position, (-velocity, velocity))
-        record["low"], record["high"] = np.transpose(ranges)
+        velocity = VELOCITY_RANGE * bench.stroke
+        low, high = np.transpose((*forces, *forces, pressure, pressure, position, (-velocity, velocity)))
+        numbers: dict[str, Any] = {
+            "delta_u_max": self.delta_u_max, "load_force_limit": self.load_force_limit,
+            "gain_floor": self.gain_floor_share * hydraulics.input_gain(believed, still[2], still[0], still[1], 1.0),
+            "force_range": force, "recovery_margin": self.recovery_margin, "low": low, "high": high,
+            "force_rate_age": ages.force_rate_age, "velocity_age": ages.velocity_age,
+            "hold_timeout": self.hold_timeout, "trip_timeout": self.trip_timeout,
+            "feedback": 2 if self.feedback == "load" else 0, "integral_form": INTEGRAL_FORMS.index(self.integral),
+            "name": np.frombuffer(name.encode()[:32].ljust(32, b"\0"), np.uint8),
+            "digest": np.frombuffer(bench.digest.encode()[:12].ljust(12, b"\0"), np.uint8),
+        }  # fmt: skip
+        record = np.zeros(1, kinds.config)
+        for entry in BENCH_FIELDS:
+            record["bench"][entry] = believed[entry]
+        record["laws"][0, Law.PAPER] = np.array(_law(replace(PAPER_LAW, **gains)), kinds.law)
+        record["laws"][0, Law.COMPENSATED] = compensated
+        for entry, number in numbers.items():
+            record[entry] = number
         return record
+
+
+def _law(law: BoxLaw) -> tuple[Any, ...]:
+    """Numbers of hydro_law."""
+    low, safe, high, rate = map(tuple, law.shaping)
+    return (*(getattr(law, name) for name in GAIN_FIELDS), law.reference_max, safe, low, high, rate)
 
 
 def stiffness_ratio(bench: Bench) -> float:
@@ -143,24 +170,52 @@ _NOMINAL_RATIO = stiffness_ratio(Bench.nominal())
 
 
 class Box:
-    """One box. Times are seconds of the box's clock, which starts anywhere and never goes back."""
+    """One box: the C firmware with its memory. Times are seconds of the box's clock, which never goes back.
 
-    def __init__(self, bench: Bench, config: BoxConfig | None = None) -> None:
-        self.config = config or BoxConfig()
-        self.bench = bench.constants()
-        self.settings = self.config.constants(bench)
-        self.state = np.zeros(1, kernel.STATE_DTYPE)
-        self._command = np.zeros(1, kernel.COMMAND_DTYPE)
-        self.reset()
+    Parameters
+    ----------
+    bench, config, sensors
+        What its force law believes, its settings, and the ages of its rates.
+    name, epoch
+        What it calls itself on the line, and the number of its power-on.
+    precision
+        Of its numbers.
 
-    def reset(self) -> None:
-        """Reset to power-up: disarmed, no command seen, sequence 0."""
-        kernel.reset(self.state)
+    Raises SettingsError: the firmware is not built.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        config: BoxConfig | None = None,
+        sensors: Sensors | None = None,
+        *,
+        name: str = NAME,
+        epoch: int = 1,
+        precision: Precision = "double",
+    ) -> None:
+        self.config, self.precision, self.epoch = config or BoxConfig(), precision, epoch
+        kinds = firmware.STRUCTURES[precision]
+        self.settings = self.config.constants(bench, sensors, name, precision)
+        """hydro_config, shape (1,)."""
+        self.state = np.zeros(1, kinds.box)
+        """hydro_box, shape (1,)."""
+        self._command = np.zeros(1, kinds.command)
+        self.reset(epoch)
+
+    def reset(self, epoch: int | None = None) -> None:
+        """Power it on anew, as the next epoch unless one is given: disarmed, no command seen, sequence 0."""
+        self.epoch = self.epoch % 0xFFFFFFFF + 1 if epoch is None else epoch
+        self._code.hydro_c_power_on(*self._memory, self.epoch)
 
     def receive(self, command: Command, time: float) -> None:
-        """Process a command that arrived at box time [s]."""
+        """Take a command in at box time [s], past the line: its numbers stay float64."""
         fill_command(self._command, command)
-        kernel.receive(self.settings, self.state, self._command, time)
+        self._code.hydro_c_receive(*self._memory, firmware.at(self._command), time)
+
+    def take(self, data: bytes) -> None:
+        """Process bytes that arrived over the line; the next `tick` takes the newest command in."""
+        self._code.hydro_c_bytes(firmware.at(self.state), data, len(data))
 
     def tick(self, measurement: FloatArray, time: float) -> np.void:
         """Run one sample at box time [s] on a measurement x, shape (8,); return a record of `STATE_DTYPE`.
@@ -168,14 +223,30 @@ class Box:
         Its `valve_current` is what to hold until the next sample; always finite and within the valve's limit.
         """
         output: StateArray = np.zeros(1, STATE_DTYPE)
-        kernel.tick(self.bench, self.settings, self.state, measurement, time, output)
+        read = np.ascontiguousarray(measurement, np.float64)
+        self._code.hydro_c_tick(*self._memory, firmware.at(read), time, firmware.at(output))
         sample: np.void = output[0]
         return sample
+
+    def frames(self) -> bytes:
+        """Return the bytes that go up the line after a `tick`."""
+        out = np.empty(firmware.BURST_MAX, np.uint8)
+        count = self._code.hydro_c_frames(*self._memory, firmware.at(out))
+        return out[:count].tobytes()
 
     @property
     def refused(self) -> tuple[int, int]:
         """Numbers of values in commands that were not finite or out of range, and of references, since the reset."""
-        return int(self.state["refused"][0]), int(self.state["refused_references"][0])
+        values, references = self.state["guard"]["refused"][0].tolist()
+        return values, references
+
+    @property
+    def _code(self) -> Any:
+        return firmware.library(self.precision)
+
+    @property
+    def _memory(self) -> tuple[int, int]:
+        return firmware.at(self.state), firmware.at(self.settings)
 
 
 def with_base_gains(kp: float, ki: float) -> BoxConfig:
@@ -197,29 +268,18 @@ def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
     return BoxInfo(name=name, valve_current_max=bench.valve_current_max, **settings)
 
 
-def box_details(bench: Bench, config: BoxConfig, ages: Sensors, epoch: int) -> BoxDetails:
-    """The DETAILS of a box with these settings; `ages` of its rates, `epoch` of its power-on."""
-    names = ("feedback", "load_force_limit", "force_range", "pressure_min", "pressure_max", "hold_timeout")
-    return BoxDetails(
-        epoch=epoch, bench_digest=bench.digest, laws=LAWS, trip_timeout=config.trip_timeout,
-        position_min=-config.position_margin, position_max=bench.stroke + config.position_margin,
-        force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age,
-        **{name: getattr(config, name) for name in names},
-    )  # fmt: skip
-
-
 def law_state(state: np.void) -> LawState:
-    """Force law as it acted in the last sample, of a record of `kernel.STATE_DTYPE`."""
-    a_0, a_1, a_2, a_3 = state["acting"]["coefficients"].tolist()
-    scales = float(state["acting"]["velocity_compensation"]), float(state["acting"]["valve_gain_scale"])
-    reference = float(state["compensated_reference"]), float(state["compensated_reference_rate"])
-    return LawState(Law(int(state["law"])), *reference, (a_0, a_1, a_2, a_3), *scales)
+    """Force law as it acted in the last sample, of a record of hydro_box."""
+    acting = state["acting"]
+    a_0, a_1, a_2, a_3, c_1, c_2 = acting["shaping"].tolist()
+    followed = float(acting["reference"]), float(acting["reference_rate"])
+    return LawState(Law(int(acting["law"])), *followed, (a_0, a_1, a_2, a_3), c_1, c_2)
 
 
-def fill_command(record: npt.NDArray[np.void], command: Command) -> None:
-    """Write a command into one record of `kernel.COMMAND_DTYPE`, shape (1,)."""
+def fill_command(record: Records, command: Command) -> None:
+    """Write a command into one record of hydro_command, shape (1,)."""
     signal = command.reference
     reference = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
     gains = (command.delta_kp, command.delta_ki, command.delta_u)
-    shaping = (command.coefficients, command.velocity_compensation, command.valve_gain_scale)
-    record[0] = (command.arm, command.filter_fresh, *gains, reference, command.law, shaping)
+    shaping = (*command.coefficients, command.velocity_compensation, command.valve_gain_scale)
+    record[0] = (0, command.corrects, command.arm, command.filter_fresh, 0, *gains, reference, command.law, shaping)

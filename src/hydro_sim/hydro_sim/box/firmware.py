@@ -1,7 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box in C (`firmware/`) as a shared library: bytes of the line in, one sample each millisecond, bytes out.
+"""The C firmware (`firmware/`) as a library: its structures as numpy records, and its calls, also from compiled code.
 
-`make setup` builds it in double and in single precision as the package hydro_firmware.
+::
+
+    code = calls()                                  addresses in this process, for compiled loops
+    receive(code.receive, box, config, command, t)  take a command in at box time t [s]
+    tick(code.tick, box, config, x, t, sample)      run one sample on the measurement x, shape (8,)
+
+The four records have shape (1,): `DOUBLE.box`, `DOUBLE.config`, `DOUBLE.command` and `signals.STATE_DTYPE`. The caller
+owns all memory and gives the configuration with each call: a record may be copied and pickled. `make setup` builds the
+library in double and in single precision as the package hydro_firmware.
 """
 
 from __future__ import annotations
@@ -10,29 +18,98 @@ import ctypes
 import os
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba import types
+from numba.extending import intrinsic
 
-from hydro_bridge.serial.protocol import LawState
+from hydro_bridge.serial.protocol import GAIN_FIELDS
 from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import STATE_DTYPE, FloatArray, Law, StateArray
-from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.header import NAME, filled, structure, values
-from hydro_sim.model.bench import Bench
-from hydro_sim.model.sensors import Sensors
+from hydro_bridge.signals import FloatArray, ReferenceSignal
+from hydro_sim.model.machine_code import call
 
 Precision = Literal["double", "single"]
+Records = npt.NDArray[np.void]
+Pointer = ctypes.c_void_p
 
-SINGLE_DTYPE = np.dtype(
-    [(name, np.float32 if index > 1 and name != "flags" else STATE_DTYPE[name]) for index, name in
-     enumerate(STATE_DTYPE.names or ())], align=True,
+BURST_MAX = 516
+"""HYDRO_BURST_MAX: bytes that a box sends after one sample at most."""
+
+COEFFICIENTS = 4
+"""Coefficients a_0 to a_3 at the beginning of a law's shaping."""
+VELOCITY_COMPENSATION, VALVE_GAIN_SCALE = 4, 5
+"""Places of C_1 and C_2 in it."""
+
+BENCH_FIELDS = (
+    "bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure", "dead_volume_a",
+    "dead_volume_b", "valve_gain", "valve_current_max",
 )  # fmt: skip
-"""`hydro_sample` of the library in single precision."""
 
-_BURST_MAX = 516
-_COUNTS = ("taken", "stale", "greetings", "refused", "refused_references", "last_command")
+
+class Structures(NamedTuple):
+    """Structures of `hydro/box.h` in one precision, under the names of their fields."""
+
+    law: np.dtype[np.void]
+    config: np.dtype[np.void]
+    signal: np.dtype[np.void]
+    command: np.dtype[np.void]
+    box: np.dtype[np.void]
+
+
+def structures(real: Any) -> Structures:
+    """Return the structures with `real` as hydro_real."""
+
+    def fields(kind: Any, names: str) -> list[tuple[str, Any]]:
+        return [(name, kind) for name in names.split()]
+
+    def structure(*groups: list[tuple[str, Any]]) -> np.dtype[np.void]:
+        return np.dtype([entry for group in groups for entry in group], align=True)
+
+    shaping, measured, whole, time, flag = (real, (6,)), (real, (8,)), np.uint32, np.float64, np.bool_
+    bench = structure([(name, real) for name in BENCH_FIELDS])
+    law = structure([(name, real) for name in (*GAIN_FIELDS, "reference_max")], fields(shaping, "safe low high rate"))
+    config = structure(
+        [("bench", bench), ("laws", (law, (2,)))],
+        fields(real, "delta_u_max load_force_limit gain_floor force_range recovery_margin"),
+        fields(measured, "low high"), fields(real, "force_rate_age velocity_age"),
+        fields(time, "hold_timeout trip_timeout"), fields(whole, "feedback integral_form"),
+        [("name", (np.uint8, (32,))), ("digest", (np.uint8, (12,)))],
+    )  # fmt: skip
+    stream = structure([("piece", (np.uint8, (160,)))], fields(whole, "count frames bad unknown foreign"))
+    guard = structure(
+        fields(whole, "law"), fields(real, "delta_kp delta_ki delta_u"), fields(shaping, "shaping"),
+        [("refused", (whole, (2,))), ("heard", flag), ("newest", whole)],
+    )  # fmt: skip
+    arming = structure(
+        fields(flag, "arm_wanted disarm_seen armed tripped filter_fresh"), fields(whole, "faults"),
+        fields(time, "received_at armed_at"), fields(real, "excess"),
+    )  # fmt: skip
+    signal = structure(
+        fields(whole, "waveform"), fields(real, "amplitude offset"), fields(time, "frequency phase start")
+    )
+    reference = structure(fields(signal, "leaving coming wanted"), fields(time, "fade_start"))
+    sample = structure([("time", time), ("sequence", whole), ("values", (real, (14,))), ("flags", whole)])
+    acting = structure(
+        fields(whole, "law"), fields(real, "reference reference_rate"), fields(shaping, "shaping"),
+        fields(real, "second"),
+    )  # fmt: skip
+    command = structure(
+        fields(whole, "sequence corrects"), fields(flag, "arm filter_fresh"), fields(whole, "broken"),
+        fields(real, "delta_kp delta_ki delta_u"), [("reference", signal), ("law", whole), ("shaping", shaping)],
+    )  # fmt: skip
+    box = structure(
+        [("config", np.uintp), ("stream", stream), ("guard", guard), ("arming", arming), ("reference", reference)],
+        [("sample", sample), ("acting", acting), ("integral", real)], fields(command, "now next"),
+        fields(flag, "has_now has_next greeted greeting"),
+        fields(whole, "sequence epoch hellos last_command confirmed taken stale greetings"),
+    )  # fmt: skip
+    return Structures(law, config, signal, command, box)
+
+
+DOUBLE, SINGLE = structures(np.float64), structures(np.float32)
+STRUCTURES: dict[Precision, Structures] = {"double": DOUBLE, "single": SINGLE}
 
 
 def library_path(precision: Precision) -> Path:
@@ -46,82 +123,98 @@ def library_path(precision: Precision) -> Path:
 
 
 @cache
-def _library(precision: Precision) -> ctypes.CDLL:
-    library = ctypes.CDLL(str(library_path(precision)))
-    for function in ("hydro_c_box_size", "hydro_c_config_size", "hydro_c_frames"):
-        getattr(library, function).restype = ctypes.c_size_t
-    return library
+def library(precision: Precision = "double") -> ctypes.CDLL:
+    """Return the library, its functions declared. Raises SettingsError: it is not built, or of another version."""
+    code = ctypes.CDLL(str(library_path(precision)))
+    number, count = ctypes.c_double, ctypes.c_size_t
+    declared: dict[str, tuple[Any, list[Any]]] = {
+        "hydro_c_sizes": (None, [Pointer]),
+        "hydro_c_power_on": (None, [Pointer, Pointer, ctypes.c_uint32]),
+        "hydro_c_receive": (None, [Pointer, Pointer, Pointer, number]),
+        "hydro_c_tick": (None, [Pointer, Pointer, Pointer, number, Pointer]),
+        "hydro_c_bytes": (None, [Pointer, ctypes.c_char_p, count]),
+        "hydro_c_frames": (count, [Pointer, Pointer, Pointer]),
+        "hydro_c_nominal_current": (number, [Pointer, Pointer, *[number] * 6]),
+        "hydro_c_play": (None, [Pointer, Pointer, count, Pointer, Pointer]),
+    }
+    sizes = (count * 4)()
+    try:
+        for name, (result, arguments) in declared.items():
+            function = getattr(code, name)
+            function.restype, function.argtypes = result, arguments
+    except AttributeError:
+        sizes[:] = [0] * 4
+    else:
+        code.hydro_c_sizes(sizes)
+    kinds = STRUCTURES[precision]
+    if list(sizes) != [kind.itemsize for kind in (kinds.box, kinds.config, kinds.command, kinds.signal)]:
+        raise SettingsError("the built firmware is of another version: run `make setup`")
+    return code
 
 
-class Firmware:
-    """One box in C, from its power-on.
+def at(array: npt.NDArray[Any]) -> int:
+    """Return the address of an array's memory."""
+    return array.ctypes.data
+
+
+class Calls(NamedTuple):
+    """Addresses of the library's functions in this process, for `receive` and `tick`."""
+
+    receive: int
+    tick: int
+
+
+@cache
+def calls(precision: Precision = "double") -> Calls:
+    """Return the addresses. Raises SettingsError, as `library`."""
+    code = library(precision)
+    functions = (code.hydro_c_receive, code.hydro_c_tick)
+    return Calls(*(ctypes.cast(function, Pointer).value or 0 for function in functions))
+
+
+@intrinsic
+def receive(typingctx: Any, address: Any, box: Any, config: Any, command: Any, time: Any) -> Any:
+    """Take a command in at box time [s]. For numba."""
+    return call(types.void(types.int64, box, config, command, types.float64), "pppd")
+
+
+@intrinsic
+def tick(typingctx: Any, address: Any, box: Any, config: Any, measurement: Any, time: Any, sample: Any) -> Any:
+    """Run one sample on a measurement, shape (8,), at box time [s] into a record of `STATE_DTYPE`. For numba."""
+    return call(types.void(types.int64, box, config, measurement, types.float64, sample), "pppdp")
+
+
+def nominal_current(
+    config: Records, measurement: FloatArray, error: float, action: float, reference_rate: float, kp: float,
+    velocity_compensation: float = 1.0, valve_gain_scale: float = 1.0,
+) -> float:  # fmt: skip
+    """Return u_nom [A] of the force law, before correction and saturation.
 
     Parameters
     ----------
-    bench, config, sensors
-        What it believes, its settings, and the ages of its rates.
-    precision
-        Of its numbers.
-    epoch
-        Of its power-on.
-    name
-        What it calls itself.
+    config
+        A record of `DOUBLE.config`, shape (1,).
+    measurement
+        x, shape (8,), finite.
+    error
+        e_c = f_c - feedback [N].
+    action
+        I [N/s], the integral action.
+    reference_rate
+        f_c' [N/s].
+    kp
+        K_p + delta K_p [1/s].
+    velocity_compensation, valve_gain_scale
+        C_1, C_2.
     """
+    numbers = (error, action, reference_rate, kp, velocity_compensation, valve_gain_scale)
+    return float(library().hydro_c_nominal_current(at(config), at(np.ascontiguousarray(measurement)), *numbers))
 
-    def __init__(
-        self,
-        bench: Bench,
-        config: BoxConfig | None = None,
-        sensors: Sensors | None = None,
-        precision: Precision = "double",
-        epoch: int = 1,
-        name: str = NAME,
-    ) -> None:
-        self._c = _library(precision)
-        kind = structure(ctypes.c_float if precision == "single" else ctypes.c_double)
-        if ctypes.sizeof(kind) != self._c.hydro_c_config_size():
-            raise SettingsError("the built firmware is of another version: run `make setup`")
-        self._config = filled(kind, values(bench, config or BoxConfig(), sensors or Sensors(), name))
-        self._box = ctypes.create_string_buffer(self._c.hydro_c_box_size())
-        self._out = ctypes.create_string_buffer(_BURST_MAX)
-        self._counts = (ctypes.c_uint32 * len(_COUNTS))()
-        self._sample = np.zeros(1, SINGLE_DTYPE if precision == "single" else STATE_DTYPE)
-        self._measurement = np.zeros(8)
-        self.epoch = epoch
-        self.power_on(epoch)
 
-    def power_on(self, epoch: int | None = None) -> None:
-        """Reset to power-on, with the given epoch or the next."""
-        self.epoch = self.epoch % 0xFFFFFFFF + 1 if epoch is None else epoch
-        self._c.hydro_c_power_on(self._box, ctypes.byref(self._config), ctypes.c_uint32(self.epoch))
-
-    def take(self, data: bytes) -> None:
-        """Process bytes that arrived over the line."""
-        self._c.hydro_c_bytes(self._box, data, ctypes.c_size_t(len(data)))
-
-    def tick(self, measurement: FloatArray, time: float) -> npt.NDArray[np.void]:
-        """Run one sample on x, shape (8,), at box time [s]; return a record of `STATE_DTYPE`, shape (1,)."""
-        self._measurement[:] = measurement
-        place = ctypes.c_void_p(self._sample.ctypes.data)
-        self._c.hydro_c_tick(
-            self._box, ctypes.c_void_p(self._measurement.ctypes.data), ctypes.c_double(time), place
-        )  # fmt: skip
-        result: StateArray = self._sample.astype(STATE_DTYPE)
-        return result
-
-    def frames(self) -> bytes:
-        """Return the bytes sent up the line after a tick."""
-        count = self._c.hydro_c_frames(self._box, self._out)
-        return ctypes.string_at(self._out, count)
-
-    def law_state(self) -> LawState:
-        """Return the force law as it acted in the last sample."""
-        out = (ctypes.c_double * 9)()
-        self._c.hydro_c_law_state(self._box, out)
-        law, value, rate, a_0, a_1, a_2, a_3, *scales = out
-        return LawState(Law(int(law)), value, rate, (a_0, a_1, a_2, a_3), *scales)
-
-    def counts(self) -> dict[str, int]:
-        """Commands taken, commands old or repeated, greetings; values and references refused; the newest command."""
-        self._c.hydro_c_counts(self._box, self._counts)
-        return dict(zip(_COUNTS, map(int, self._counts), strict=True))
+def reference_force(signal: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return value [N] and rate [N/s] of a signal that began at 0, at `times` [s], shape (n,)."""
+    record, times = np.zeros(1, DOUBLE.signal), np.ascontiguousarray(times, np.float64)
+    record[0] = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
+    values, rates = np.empty(len(times)), np.empty(len(times))
+    library().hydro_c_play(at(record), at(times), len(times), at(values), at(rates))
+    return values, rates

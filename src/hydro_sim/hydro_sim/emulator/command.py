@@ -15,10 +15,9 @@ from hydro_bridge.cli.console import command, number, writable, writable_folder
 from hydro_bridge.process import endings
 from hydro_bridge.safety.pace import parse_pace, refuse_speed
 from hydro_bridge.settings import SettingsError
-from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_details, box_info
+from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator import offline
-from hydro_sim.emulator.firmware import FirmwareLink, FirmwareMachine
 from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
@@ -57,9 +56,8 @@ def _parser() -> argparse.ArgumentParser:
     presets = ", ".join(PRESETS)
     line.add_argument("--faults", default="clean", metavar="FILE", help=f"what goes wrong: a file, or one of {presets}")
     line.add_argument(
-        "--firmware", choices=("python", "c", "c-single"), default="python", help="what runs as the box: the compiled "
-        "Python one, or the one in C (firmware/) in double or in single precision (default: python)",
-    )  # fmt: skip
+        "--precision", choices=get_args(Precision), default="double", help="of the box's numbers (default: double)"
+    )
     line.add_argument(
         "--pace", default="plant", metavar="PACE", help="plant: each sample waits for the host's answer (default); "
         "real: real time; a number: that many times real time",
@@ -87,8 +85,8 @@ def _record(options: argparse.Namespace) -> None:
     """Record offline into a folder and, if asked for, a noise-free file; prints one line."""
     if not options.out:
         raise SettingsError("--offline needs --out, the folder of the recording")
-    if options.firmware != "python":
-        raise SettingsError("--firmware is for a serial line: offline the Python box runs")
+    if options.precision != "double":
+        raise SettingsError("--precision is for a serial line: offline the box computes in double precision")
     began, bench = time.perf_counter(), _believed(options)
     truth = offline.truth(options.truth, bench)
     segments = load_schedule(options.schedule) if options.schedule else offline.default_schedule(bench)
@@ -108,21 +106,10 @@ def _serve(options: argparse.Namespace) -> None:
     bench, pace = _believed(options), parse_pace(options.pace)
     box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.truth(options.truth, bench)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
-    machine: Machine
-    link: BoxLink
-    if options.firmware == "python":
-        machine = Machine(truth, bench, box, options.seed)
-        machine.warm_up()
-        details = box_details(bench, box, machine.sensors, epoch)
-        info, terminal = box_info(bench, box, EMULATED_BOX), Terminal(options.link or default_link())
-        told = (lambda: machine.refused, box.compensated, lambda: machine.law_state)
-        link = BoxLink(terminal, info, faults, options.seed, details, *told)
-    else:
-        precision: Precision = "single" if options.firmware == "c-single" else "double"
-        machine = FirmwareMachine(truth, bench, box, options.seed, precision, epoch)
-        machine.warm_up()
-        terminal = Terminal(options.link or default_link())
-        link = FirmwareLink(terminal, machine.firmware, box_info(bench, box, EMULATED_BOX), faults, options.seed)
+    machine = Machine(truth, bench, box, options.seed, precision=options.precision, epoch=epoch)
+    machine.warm_up()
+    terminal = Terminal(options.link or default_link())
+    link = BoxLink(terminal, machine.box, faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
     felt = load_force.create(options.load_force) if options.load_force else None
     running = Running(machine, link, pace, control, felt)

@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import LawState
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
-from hydro_sim.box import kernel
-from hydro_sim.box.box import Box, BoxConfig, law_state
+from hydro_sim.box import firmware
+from hydro_sim.box.box import EMULATED_BOX, Box, BoxConfig, law_state
+from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.jit import copy_vector, njit
@@ -20,13 +21,13 @@ from hydro_sim.model.bench import Bench
 
 
 @njit
-def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, physical):
+def exchange(code, settings, box, plant, scratch, noise, time, sample, clean, physical):
     """Advance box and plant by one sample, in place.
 
     Parameters
     ----------
-    bench, settings, box
-        Records of the box, shape (1,) each: what it believes, its settings, its state.
+    code, settings, box
+        Addresses of the firmware's calls, and its records of shape (1,): configuration and state.
     plant
         Tuple of the plant's records, shape (1,) each: parameters, differentiation, state, sensors.
     scratch
@@ -43,7 +44,7 @@ def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, p
     parameters, differentiation, state, chain = plant
     copy_vector(clean, chain[0].clean)
     truth.physical(state, physical)
-    kernel.tick(bench, settings, box, chain[0].measurement, time, sample)
+    firmware.tick(code.tick, box, settings, chain[0].measurement, time, sample)
     truth.advance(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)
 
 
@@ -60,16 +61,26 @@ class Machine:
         Settings of the box.
     seed
         Of noise and random force.
+    precision, epoch
+        Of the box's numbers, and of its power-on.
     """
 
     def __init__(
-        self, config: TruthConfig, bench: Bench | None = None, box: BoxConfig | None = None, seed: int = 0
+        self,
+        config: TruthConfig,
+        bench: Bench | None = None,
+        box: BoxConfig | None = None,
+        seed: int = 0,
+        *,
+        precision: Precision = "double",
+        epoch: int = 1,
     ) -> None:
         self._seed = seed
         self.plant = truth.TruthPlant(config, seed)
         self.records = (self.plant.parameters, self.plant.differentiation, self.plant.state, self.plant.chain)
         self.sensors = self.plant.sensors
-        self.box = Box(bench or Bench.nominal(), box)
+        believed = bench or Bench.nominal()
+        self.box = Box(believed, box, self.sensors, name=EMULATED_BOX, epoch=epoch, precision=precision)
         self.clean, self.physical = np.empty(len(PLANT_FIELDS)), np.empty(len(truth.TRUTH_FIELDS))
         self.samples = 0  # since the last power-up
 
@@ -96,7 +107,7 @@ class Machine:
         self.restart()
 
     def restart(self) -> None:
-        """Power-cycle the box: disarmed, sequence and clock from zero. The plant goes on."""
+        """Power-cycle the box: disarmed, sequence and clock from zero, the next epoch. The plant goes on."""
         self.box.reset()
         self.samples = 0
 
@@ -107,9 +118,9 @@ class Machine:
     def tick(self) -> np.void:
         """Run one sample; return a record of `STATE_DTYPE`. `clean` and `physical` then belong to it."""
         sample: StateArray = np.empty(1, STATE_DTYPE)
-        box, plant = self.box, self.plant
+        box, plant, code = self.box, self.plant, firmware.calls(self.box.precision)
         place = (self.time, sample, self.clean, self.physical)
-        exchange(box.bench, box.settings, box.state, self.records, plant.work, plant.noise.row(), *place)
+        exchange(code, box.settings, box.state, self.records, plant.work, plant.noise.row(), *place)
         self.samples += 1
         record: np.void = sample[0]
         return record
@@ -122,7 +133,7 @@ class Machine:
         Parameters
         ----------
         commands
-            Records of `kernel.COMMAND_DTYPE`, shape (m,).
+            Records of hydro_command in the box's precision, shape (m,).
         which
             Index into `commands` for each sample, shape (n,).
 
@@ -134,7 +145,7 @@ class Machine:
         states = np.empty(count, STATE_DTYPE)
         clean, physical = np.empty((count, len(PLANT_FIELDS))), np.empty((count, len(truth.TRUTH_FIELDS)))
         noise = self.plant.noise.rows(count)
-        box = (self.box.bench, self.box.settings, self.box.state)
+        box = (firmware.calls(self.box.precision), self.box.settings, self.box.state)
         _run(box, self.records, self.plant.work, noise, self.samples, commands, which, states, clean, physical)
         self.samples += count
         return states, clean, physical
@@ -142,8 +153,8 @@ class Machine:
 
 @njit
 def _run(box, plant, scratch, noise, first, commands, which, states, clean, physical):
-    bench, settings, memory = box
+    code, settings, memory = box
     for k in range(len(which)):
         time = (first + k) * SAMPLE_PERIOD
-        kernel.receive(settings, memory, commands[which[k] : which[k] + 1], time)
-        exchange(bench, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k])
+        firmware.receive(code.receive, memory, settings, commands[which[k] : which[k] + 1], time)
+        exchange(code, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k])

@@ -17,7 +17,7 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.settings import from_mapping
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
 from hydro_bridge.size import resized
-from hydro_sim.box import kernel
+from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, load_truth, truth_from_mapping
@@ -94,7 +94,7 @@ def with_gain_limits_for(segments: Sequence[Segment], base: BoxConfig | None = N
 
 def _schedule(segments: Sequence[Segment], settings: BoxConfig) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64]]:
     """Commands, shape (m + 1,), the first disarms; and which of them comes before each sample, shape (n,)."""
-    commands = np.zeros(len(segments) + 1, kernel.COMMAND_DTYPE)
+    commands = np.zeros(len(segments) + 1, firmware.DOUBLE.command)
     fill_command(commands[:1], Command())
     for index, segment in enumerate(segments):
         command = Command(

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated bench on its line, a sample at a time: at the pace of its host or of the wall clock; orders by a pipe."""
+"""The emulated bench on its line, at the pace of its host or of the wall clock; orders by a pipe."""
 
 from __future__ import annotations
 
 import contextlib
 import gc
+import math
 import os
 import stat
 import sys
@@ -65,7 +66,6 @@ def execute(order: str, machine: Machine, link: BoxLink, now: float) -> None:
         link.set_faults(LinkFaults())
     elif word == "reboot":
         machine.restart()
-        link.reboot()
     elif word == "stall":
         link.stall(number, now)
     elif word == "unplug":
@@ -86,6 +86,7 @@ def _number(text: str) -> float:
 
 _LOAD_FORCE = TRUTH_FIELDS.index("load_force")
 _CONTROL_EVERY = 20  # samples between looks at the control pipe
+_GREETED_WITHIN = 2.0  # s of wall clock from a port's opening
 _PATIENCE = 0.05  # s of wall clock between looks at the control pipe while the host is awaited
 _LOST_AFTER = 0.02  # s of wall clock after which an answer counts as lost, on a line that loses some
 SILENCE_MAX = 90.0
@@ -99,8 +100,8 @@ class Running:
     pace     when the next sample follows
     ======== ======================================================================================================
     None     once the host has answered the last one by a COMMAND with its time. Before the first sample a host's
-             greeting is awaited. Real time where there is no host, where it sends its own time, and once it has
-             been silent for `SILENCE_MAX`
+             greeting is awaited. Real time where there is no host, where it does not say that it answers, and once it
+             has been silent for `SILENCE_MAX`
     number   that many times as fast as real time
     ======== ======================================================================================================
 
@@ -128,9 +129,7 @@ class Running:
         gc.collect()
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
         try:
-            while self._waits and not self.link.host.greetings and not stopped():
-                self._obey(0.0)
-                self.link.receive(0.0, _PATIENCE)
+            self._await_greeting(stopped)
             self.pacer.restart()
             while (count is None or self.samples < count) and not stopped():
                 self._sample(self.samples * SAMPLE_PERIOD)
@@ -143,16 +142,25 @@ class Running:
             gc.enable()
         self.cpu = time.process_time() - cpu
 
+    def _await_greeting(self, stopped: Callable[[], bool]) -> None:
+        """Stand still until a host greets, or has the port open and does not greet."""
+        opened = math.inf
+        while self._waits and not self.link.host.greetings and not stopped():
+            now = time.monotonic()
+            opened = min(opened, now) if self.link.open else math.inf
+            if now - opened > _GREETED_WITHIN:
+                return
+            self._obey(0.0)
+            self.link.receive(0.0, _PATIENCE)
+
     def _sample(self, now: float) -> None:
         if self.samples % _CONTROL_EVERY == 0:
             self._obey(now)
-        command = self.link.poll(now)
-        if command is not None:
-            self.machine.receive(command)
+        self.link.poll(now)
         sample = self.machine.tick()
         if self.load_force is not None:
             load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
-        self.link.send(sample, now)
+        self.link.send(now)
         self._sent_us = round(1e6 * float(sample["time"]))
 
     def _answered(self, stopped: Callable[[], bool]) -> bool:
@@ -162,15 +170,15 @@ class Running:
         while not stopped():
             if not link.open:
                 return False
-            if host.time_us == self._sent_us:
-                host.follows, self._deserted = True, False
+            if host.time_us == self._sent_us and host.follows:
+                self._deserted = False
                 return True
             if host.greetings > greetings and not greeted:
                 return True
             if host.greetings > greetings:  # greeted again before the answer came, which is in the last sample's frames
                 greetings = host.greetings
                 link.send_again(now)
-            if self._deserted or (host.time_us is not None and not host.follows):
+            if self._deserted or not host.follows:
                 return False
             waited = time.monotonic() - began
             if link.faulty and waited > _LOST_AFTER:

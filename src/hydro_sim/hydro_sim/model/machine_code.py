@@ -107,14 +107,17 @@ def _machine() -> str:
     return " ".join([platform.machine(), os.environ.get("CC", ""), *FLAGS, *features])
 
 
-def _call(signature: Any, letters: str) -> Any:
+def call(signature: Any, letters: str) -> Any:
     """A call by address, the first argument; of the others, whether each is an array (p), a number (d), an int (l)."""
-    kinds = {"p": ir.DoubleType().as_pointer(), "d": ir.DoubleType(), "l": ir.IntType(64)}
+    kinds = {"p": ir.IntType(8).as_pointer(), "d": ir.DoubleType(), "l": ir.IntType(64)}
+
+    def memory(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+        return builder.bitcast(context.make_array(kind)(context, builder, value).data, kinds["p"])
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         at, *values = arguments
         given = [
-            context.make_array(kind)(context, builder, value).data if letter == "p" else value
+            memory(context, builder, kind, value) if letter == "p" else value
             for kind, value, letter in zip(signature.args[1:], values, letters, strict=True)
         ]
         function = ir.FunctionType(ir.VoidType(), [kinds[letter] for letter in letters])
@@ -127,16 +130,16 @@ def _call(signature: Any, letters: str) -> Any:
 @intrinsic
 def sample(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any) -> Any:
     """Call `bench_sample` at an address: y, in place, and readings z after a sample at a current [A]. For numba."""
-    return _call(types.void(types.int64, k, y, types.float64, z), "ppdp")
+    return call(types.void(types.int64, k, y, types.float64, z), "ppdp")
 
 
 @intrinsic
 def jacobian(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any, dy: Any, dz: Any) -> Any:
     """Call `bench_jacobian`: as `sample`, with d y/d(y, u) and d z/d(y, u) by rows into dy and dz. For numba."""
-    return _call(types.void(types.int64, k, y, types.float64, z, dy, dz), "ppdppp")
+    return call(types.void(types.int64, k, y, types.float64, z, dy, dz), "ppdppp")
 
 
 @intrinsic
 def rates(typingctx: Any, address: Any, k: Any, count: Any, y: Any, currents: Any, slopes: Any) -> Any:
     """Call `bench_rates`: y' at each of `count` states and currents, by rows into `slopes`. For numba."""
-    return _call(types.void(types.int64, k, types.int64, y, currents, slopes), "plppp")
+    return call(types.void(types.int64, k, types.int64, y, currents, slopes), "plppp")

@@ -5,7 +5,7 @@
 
     k:   receive(command_k)   tick(x_k) -> u_k, BenchState_k   plant holds u_k -> x_{k+1}
 
-Box and bench model run in one compiled loop; another `Plant` runs the same compiled box sample by sample.
+Box and bench model run in one compiled loop; another `Plant` runs with the same box sample by sample.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hydro_bridge.signals import (
     ReferenceSignal,
     StateArray,
 )
-from hydro_sim.box import kernel
+from hydro_sim.box import firmware
 from hydro_sim.box.box import Box, BoxConfig, fill_command
 from hydro_sim.jit import njit
 from hydro_sim.model import plant as plants
@@ -97,23 +97,23 @@ def simulate(
             output[k] = box.tick(measurement, now)
             measurement = plant.step(float(output["valve_current"][k]))
         return output
-    command = np.zeros(1, kernel.COMMAND_DTYPE)
+    command = np.zeros(1, firmware.DOUBLE.command)
     fill_command(command, begin)
     noise = plant.noise.rows(schedule.samples)
-    records = (plant.constants, plant.sensors, plant.state, box.bench, box.settings, box.state, command)
-    _loop(*records, gains, correction, noise, output)
+    records = (plant.constants, plant.sensors, plant.state, box.settings, box.state, command)
+    _loop(firmware.calls(), *records, gains, correction, noise, output)
     return output
 
 
 @njit
-def _loop(constants, sensors, plant_state, bench, settings, box_state, command, gains, correction, noise, output):
+def _loop(code, constants, sensors, plant_state, settings, box, command, gains, correction, noise, output):
     for k in range(len(output)):
         row = min(k // SAMPLES_PER_STEP, len(gains) - 1)
         command[0].delta_kp, command[0].delta_ki = gains[row, 0], gains[row, 1]
         if len(correction) > 0:
             command[0].delta_u = correction[k]
-        kernel.receive(settings, box_state, command, k * SAMPLE_PERIOD)
-        kernel.tick(bench, settings, box_state, plant_state[0].x, k * SAMPLE_PERIOD, output[k : k + 1])
+        firmware.receive(code.receive, box, settings, command, k * SAMPLE_PERIOD)
+        firmware.tick(code.tick, box, settings, plant_state[0].x, k * SAMPLE_PERIOD, output[k : k + 1])
         plants.advance(constants, sensors, plant_state, noise[k], output[k].valve_current)
 
 

@@ -107,7 +107,7 @@ class Simulation:
     def law_state(self) -> LawState | None:
         """Force law as it acted in the present sample, for `on_state` alone; None: the paper's."""
         state = self._box.state[0]
-        return law_state(state) if state["law"] else None
+        return law_state(state) if state["acting"]["law"] else None
 
     def now(self) -> float:
         """Time [s] by which commands and leases age: the host's monotonic clock, or the simulation's own."""

@@ -71,8 +71,8 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--pace",
         metavar="PACE",
-        help="of sim or emulator: plant (default): its clock waits for the graph's answers, as fast as they come, and a "
-        "run is a function of its seed; real: real time; a number: that many times real time",
+        help="of sim or emulator: plant (default): its clock waits for the graph's answers, as fast as they come, and "
+        "a run is a function of its seed; real: real time; a number: that many times real time",
     )
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
     site.add_site_option(group, "--bench, --base-gains and --filter, of --model where --plant is sim")

@@ -11,15 +11,12 @@ from cobs import cobs
 from hydro_bridge.serial.protocol import HANDSHAKE, MAX_ENCODED, FrameType
 
 _HEADER = Struct("<BBIQ")
+_FOLLOWS = _HEADER.size + 3  # place in a HELLO
 _CRC = Struct("<I")
 
 
 class Host:
-    """Follows the frames that a host sends, without taking them.
-
-    A host that goes by the emulator's clock sends, for each STATE, a COMMAND with that sample's time; any other one
-    sends its own time.
-    """
+    """Hears the frames that a host sends, without taking them."""
 
     def __init__(self) -> None:
         self._pending = b""
@@ -30,7 +27,7 @@ class Host:
         self.time_us: int | None = None
         """Time in its last COMMAND, us; None: none since the last HELLO."""
         self.follows = False
-        """Whether one of its COMMANDs since the last HELLO had a sample's time."""
+        """Whether it said in its HELLO that it answers each STATE by a COMMAND with that sample's time."""
 
     def reset(self) -> None:
         """Forget the host: the port was unplugged, or closed."""
@@ -52,6 +49,7 @@ class Host:
             return
         version, kind, _, time_us = _HEADER.unpack_from(raw)
         if kind == FrameType.HELLO and version == HANDSHAKE:
-            self.greetings, self.fresh, self.time_us, self.follows = self.greetings + 1, True, None, False
+            self.greetings, self.fresh, self.time_us = self.greetings + 1, True, None
+            self.follows = raw[_FOLLOWS : _FOLLOWS + 1] == b"\1"
         elif kind == FrameType.COMMAND:
             self.fresh, self.time_us = False, time_us
