@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong while a policy is trained on the emulator over the serial link, and what the user is told.
+"""What goes wrong while a policy is trained on the emulator over the serial link in real time, and what is told.
 
 One training goes through all of it, in the order of the tests, and is gone on with after each end.
 """
@@ -52,7 +52,7 @@ class Training:
     def begin(self, stack: ExitStack, *words: str) -> Trainer:
         """Start, and wait until it learns."""
         self.probe.forget()
-        self.process = stack.enter_context(trainer("--plant", "emulator", *words))
+        self.process = stack.enter_context(trainer("--plant", "emulator", "--pace", "real", *words))
         self.probe.wait(self.learns, 150.0)
         return self.process
 

@@ -34,7 +34,7 @@ def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     with ExitStack() as stack:
         stack.enter_context(own_domain())
         folder = Path(tmp_path_factory.mktemp("graph"))
-        start_companions(stack, PlantOptions(plant=request.param), GainRange(), folder, print)
+        start_companions(stack, PlantOptions(plant=request.param, pace="real"), GainRange(), folder, print)
         watcher = Probe()
         stack.callback(watcher.close)
         watcher.wait(lambda: len(watcher.heard[STATE]) > 100)

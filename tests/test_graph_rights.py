@@ -23,7 +23,7 @@ from rclpy.node import Node
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.keys import enclave_of
-from hydro_bridge.ros.topics import CLOCK, FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
+from hydro_bridge.ros.topics import FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
 from hydro_bridge.signals import STATE_DTYPE
 from tests.graph_probe import own_domain
 
@@ -38,7 +38,6 @@ QUERIES = {
 SETTLED = 2.0  # s that nothing may be added in, once all is there that is expected
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "exam.every:=0")
 CLOSING = {LAW, LAW_STATE, FREEZE_SERVICE}  # what a trainer does in its closing comparison only
-NO_CLOCK = {"filter": {CLOCK}, "sim": {CLOCK}}  # in real time
 Does = dict[str, dict[str, dict[str, set[str]]]]
 """By enclave, node and kind."""
 
@@ -86,13 +85,13 @@ def check(*executables: str, without: Mapping[str, set[str]] | None = None) -> N
 def test_a_training_on_the_emulator(start: Callable[..., Companion], tmp_path: Path) -> None:
     words = ("--plant", "emulator", "--runs", tmp_path, "--name", "run", "--episodes", "50")
     start("hydro_policy trainer", *words, *SHORT)
-    check("trainer", "bridge", "filter", "recorder", without=NO_CLOCK | {"trainer": CLOSING})
+    check("trainer", "bridge", "filter", "recorder", without={"trainer": CLOSING})
 
 
 def test_a_recorded_evaluation_on_the_simulation(start: Callable[..., Companion], tmp_path: Path) -> None:
     words = ("--plant", "sim", "--fixed", "90", "15", "--law", "compensated", "--runs", tmp_path)
     start("hydro_policy evaluate", *words)
-    check("evaluate", "sim", "filter", "recorder", without=NO_CLOCK)
+    check("evaluate", "sim", "filter", "recorder")
 
 
 def test_collecting_from_a_simulation_off_real_time(start: Callable[..., Companion], tmp_path: Path) -> None:
