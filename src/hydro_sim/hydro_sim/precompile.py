@@ -51,12 +51,19 @@ def _learning() -> None:
 
 
 def _emulator() -> None:
-    truth = profile("default")
-    machine = Machine(truth)
+    machine = Machine(profile("default"))
     machine.warm_up()
     machine.plant.step(0.0)
-    record_offline(truth, excitation.draw(0.1, 0))
 
 
-STEPS: dict[str, Callable[[], None]] = {"simulation": _simulation, "learning": _learning, "emulator": _emulator}
+def _emulator_offline() -> None:
+    record_offline(profile("default"), excitation.draw(0.1, 0))
+
+
+STEPS: dict[str, Callable[[], None]] = {
+    "simulation": _simulation,
+    "learning": _learning,
+    "emulator": _emulator,
+    "emulator, offline": _emulator_offline,
+}
 """By the message shown while each runs."""
