@@ -86,20 +86,20 @@ def _make(
     if needed.build:
         workspace.link_sources(layout)
         builds = [
-            beside.submit(build, "build the box's C code", ("hydro_firmware",)),
-            beside.submit(build, "build messages and packages with colcon"),
+            beside.submit(build, "C code of the box", ("hydro_firmware",)),
+            beside.submit(build, "messages and packages"),
         ]
     if needed.wheels:
-        _install(layout, steps, "wheels", "the wheels of all programs", ["requirements.txt"])
+        _install(layout, steps, "wheels", "wheels of all programs", ["requirements.txt"])
         stamp.write(layout.wheels_stamp, digests.wheels)
     if needed.checks:
-        _install(layout, steps, "wheels-checks", "the wheels of checks and tests", ["requirements-dev.txt"])
+        _install(layout, steps, "wheels-checks", "wheels of checks and tests", ["requirements-dev.txt"])
         stamp.write(layout.checks_stamp, digests.checks)
     for box in builds[:1]:
         box.result()
     if needed.kernels:
         log = layout.log("kernels")
-        with steps.step("compile the main job's kernels" if main_job else "compile all kernels (minutes)", log):
+        with steps.step("kernels of the main job" if main_job else "all kernels (minutes)", log):
             compiling.compile_steps(layout, digests.machine, environment, main_job, log)
     for packages in builds[1:]:
         packages.result()
@@ -117,7 +117,7 @@ def _make_environment(layout: Layout, ros: Path | None, steps: Steps) -> None:
         venv.install_uv(layout, log)
     files = ["requirements-ros.txt"] if ros is None else []
     files += ["requirements-build.txt"] if ros is None or not _brings_colcon(layout) else []
-    _install(layout, steps, "wheels-build", "the wheels to build with", ["numpy", *files])
+    _install(layout, steps, "wheels-build", "wheels to build with", ["numpy", *files])
     if ros is None:
         wheels.repair_include_paths(layout.venv, *wheels.include_folders(layout))
         wheels.write_local_setup(layout)
@@ -126,10 +126,11 @@ def _make_environment(layout: Layout, ros: Path | None, steps: Steps) -> None:
 
 def _install(layout: Layout, steps: Steps, name: str, title: str, requirements: Sequence[str]) -> None:
     log = layout.log(name)
-    with steps.step(f"install {title}", log):
+    with steps.step(title, log):
         venv.install(layout, requirements, log)
     megabytes, seconds = venv.downloads(log)
-    steps.say(f"  of this {seconds:.0f} s to download and unpack {megabytes:.0f} MB (wheels above 1 MiB)")
+    if megabytes:
+        steps.say(f"  of this {seconds:.0f} s to download and unpack {megabytes:.0f} MB (wheels above 1 MiB)")
 
 
 def _needed(layout: Layout, digests: Digests, checks: bool, kernels: str) -> Needed:

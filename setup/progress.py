@@ -21,7 +21,7 @@ class Steps:
     """Steps, two of which may run at a time.
 
     Each is announced when it begins, and its time when it ends well. At a terminal the last line shows the steps that
-    are waited for, with the time and the newest line of their logs.
+    are waited for, and the newest line of the log of the one that began last.
     """
 
     def __init__(self) -> None:
@@ -64,8 +64,9 @@ class Steps:
     def _show(self) -> None:
         while not self._ended.wait(0.5):
             running = list(self._running.items())
-            waits = "; ".join(f"{title}: {(lines(log) or ['begins'])[-1]}" for title, log in running)
-            text = f"[{time.monotonic() - self._started:3.0f} s] waits for {waits}"
+            titles = " and ".join(title for title, _ in running)
+            newest = [line for _, log in running for line in lines(log)][-1:]
+            text = ": ".join([f"[{time.monotonic() - self._started:3.0f} s] waits for {titles}", *newest])
             with self._lock:
                 print(f"\r{text[: shutil.get_terminal_size().columns - 1]}\x1b[K", end="", flush=True)
         print("\r\x1b[K", end="", flush=True)
