@@ -19,7 +19,7 @@ test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz: e
 # Tests and benchmarks have nodes of their own, which no keystore knows.
 test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 
-.PHONY: help setup environment build train prove test test-slow test-exhaustive graph-repeat check lint fast-tests colcon-test demo
+.PHONY: help setup main-job-setup test-setup lint-setup build train prove test test-slow test-exhaustive graph-repeat check lint fast-tests colcon-test demo
 .PHONY: bench bench-peers paper fuzz fuzz-line soak firmware format reference docs coverage clean
 
 help:  ## list the targets
@@ -28,43 +28,49 @@ help:  ## list the targets
 setup:  ## environment, pinned wheels, built packages, compiled kernels; at once when nothing changed
 	@$(PYTHON) -m setup.bootstrap
 
-environment:
-	@$(PYTHON) -m setup.bootstrap --without-kernels
+main-job-setup:
+	@$(PYTHON) -m setup.bootstrap --main-job
+
+test-setup:
+	@$(PYTHON) -m setup.bootstrap --checks
+
+lint-setup:
+	@$(PYTHON) -m setup.bootstrap --checks --without-kernels
 
 build: setup  ## the same: rebuilds and compiles after a change of messages, executables, launch files or kernels
 
-train: setup  ## a short training on the emulated bench over the serial line, recorded and evaluated
+train: main-job-setup  ## a short training on the emulated bench over the serial line, recorded and evaluated
 	@$(SOURCED) ros2 run hydro_policy trainer --demo $(ARGS)
 
 prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261124" repeats docs/reports/proof.md)
 	@$(SOURCED) .venv/bin/python -m benchmarks.prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
-test: lint setup  ## all checks and all tests but the studies
+test: lint test-setup  ## all checks and all tests but the studies
 	@$(SOURCED) .venv/bin/python -m pytest -m "not study" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
-test-slow: setup  ## before a release: the studies among the tests, and the tests of the benchmarks
+test-slow: test-setup  ## before a release: the studies among the tests, and the tests of the benchmarks
 	@$(SOURCED) .venv/bin/python -m pytest -m "study and not exhaustive" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
-test-exhaustive: setup  ## every effect of the table: hours, not in CI
+test-exhaustive: test-setup  ## every effect of the table: hours, not in CI
 	@$(SOURCED) .venv/bin/python -m pytest -m exhaustive $(BOTH_CORES) $(ARGS)
 
-graph-repeat: setup  ## the graph tests N times beside a busy process, until one fails (N=100 ARGS="-k recorder")
+graph-repeat: test-setup  ## the graph tests N times beside a busy process, until one fails (N=100 ARGS="-k recorder")
 	@$(SOURCED) { yes > /dev/null & trap "kill $$!" EXIT; for n in $$(seq $(N)); do echo "repetition $$n"; \
 	  .venv/bin/python -m pytest -q -x -m graph $(ARGS) || exit 1; done; }
 
 check: lint fast-tests  ## format, lint, types, import rules and the fast tests
 
-lint: environment
+lint: lint-setup
 	@.venv/bin/ruff format --check .
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy $(CORES) benchmarks demo
 	@$(SOURCED) .venv/bin/lint-imports --no-logo
 	@.venv/bin/python -m setup.words
 
-fast-tests: setup
+fast-tests: test-setup
 	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph and not study" $(ARGS)
 
-colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
+colcon-test: test-setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
 	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src firmware $(if $(ARGS),--pytest-args " $(ARGS)") \
 	  && .venv/bin/python -m colcon test-result --verbose
 
@@ -103,11 +109,11 @@ docs:  ## the manual as a site in site/, in an environment of its own (.venv-doc
 	@.venv-docs/bin/python -m pip install -q -r requirements-docs.txt
 	@.venv-docs/bin/mkdocs build --strict --quiet && echo "site/index.html"
 
-coverage: setup  ## the fast tests with the share of lines that they reach, by package (ARGS="-k bag")
+coverage: test-setup  ## the fast tests with the share of lines that they reach, by package (ARGS="-k bag")
 	@$(SOURCED) .venv/bin/python -m coverage run -m pytest -m "not slow and not graph and not study" $(ARGS)
 	@.venv/bin/python -m coverage report
 
-format: environment  ## rewrite the sources in the house format
+format: lint-setup  ## rewrite the sources in the house format
 	@.venv/bin/ruff format . && .venv/bin/ruff check --fix .
 
 clean:  ## remove what is built; the environment stays (`rm -r .venv` removes that too)

@@ -3,7 +3,12 @@
 
 Does nothing where nothing has changed.
 
-Usage: python3 -m setup.bootstrap [--force] [--without-kernels]
+Usage: python3 -m setup.bootstrap [--force] [--checks] [--main-job | --without-kernels]
+
+    --force             everything again
+    --checks            install what checks and tests need, too
+    --main-job          compile only the kernels that `make train` runs
+    --without-kernels   compile none
 """
 
 # This file must parse on old Pythons, to say in a sentence that they are too old: no `from __future__`, late imports.
@@ -29,7 +34,9 @@ def main():
     from setup import plan, progress
 
     try:
-        plan.carry_out(force="--force" in sys.argv[1:], kernels="--without-kernels" not in sys.argv[1:])
+        words = sys.argv[1:]
+        kernels = "none" if "--without-kernels" in words else "main-job" if "--main-job" in words else "all"
+        plan.carry_out(force="--force" in words, checks="--checks" in words, kernels=kernels)
     except progress.SetupError as error:
         sys.stderr.write("setup: {}\n".format(error))
         return 2

@@ -22,7 +22,11 @@ from numba.core import caching
 from hydro_sim import compiled
 
 PACKAGES = ("hydro_policy", "hydro_sim", "hydro_filter", "hydro_diagnosis")
-"""In whose `precompile` the steps are. The learner first: it shares no kernel with the rest, and takes long."""
+"""In whose `precompile` the steps are."""
+
+MAIN_JOB = (("hydro_filter", "filter"), ("hydro_policy", "learner"), ("hydro_policy", "estimator"),
+            ("hydro_sim", "emulator"))  # fmt: skip
+"""Package and step of what `make train` runs, the longest first."""
 
 FOLDERS = ("hydro_bridge", "hydro_sim", "hydro_filter", "hydro_policy", "hydro_diagnosis")
 """Packages whose sources count."""
@@ -38,15 +42,20 @@ def main() -> None:
     """Compile, and write down what that read and what it left."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machine", required=True, help="written into the stamp")
+    parser.add_argument("--main-job", action="store_true", help="only what the main job needs")
     parser.add_argument("--stamp", type=Path, required=True, help="file to write")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # `run_all` ends its processes
-    modules = [importlib.import_module(f"{package}.precompile") for package in PACKAGES]
+    packages = {package for package, _ in MAIN_JOB} if options.main_job else PACKAGES
+    modules = {package: importlib.import_module(f"{package}.precompile") for package in packages}
     folders = tuple(Path(str(importlib.import_module(name).__file__)).resolve().parent for name in FOLDERS)
     sources = compiled.file_stats(
-        compiled.imported_sources([Path(str(m.__file__)).resolve() for m in modules], folders)
+        compiled.imported_sources([Path(str(m.__file__)).resolve() for m in modules.values()], folders)
     )
-    run_all([(module.__name__, step) for module in modules for step in module.STEPS])
+    steps = dict.fromkeys(MAIN_JOB)
+    if not options.main_job:
+        steps |= dict.fromkeys((package, step) for package, module in modules.items() for step in module.STEPS)
+    run_all(list(steps))
     compiled_files = (path for folder in folders for kind in ("*.nbi", "*.so") for path in folder.rglob(kind))
     caches = sorted(str(path) for path in compiled_files if "__pycache__" in path.parts)
     part = options.stamp.with_suffix(".part")
@@ -55,14 +64,14 @@ def main() -> None:
 
 
 def run_all(steps: Sequence[tuple[str, str]]) -> None:
-    """Run (module, step) side by side, and say how far it is."""
+    """Run (package, step) side by side, and say how far it is."""
     # Forked, not by `jobs`, which spawns: the packages are imported once. Nothing runs yet that a fork would break.
     context = multiprocessing.get_context("fork")
     with (
         tempfile.NamedTemporaryFile() as lock,
         ProcessPoolExecutor(min(PROCESSES, len(os.sched_getaffinity(0))), context, save_alone, (lock.name,)) as pool,
     ):
-        names = {pool.submit(run, module, step): step for module, step in steps}
+        names = {pool.submit(run, package, step): step for package, step in steps}
         try:
             for done, future in enumerate(as_completed(names), 1):
                 future.result()
@@ -75,9 +84,9 @@ def run_all(steps: Sequence[tuple[str, str]]) -> None:
             raise
 
 
-def run(module: str, step: str) -> None:
+def run(package: str, step: str) -> None:
     """Run one step."""
-    importlib.import_module(module).STEPS[step]()
+    importlib.import_module(f"{package}.precompile").STEPS[step]()
 
 
 def save_alone(lock: str) -> None:

@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from setup import stamp
+from setup import stamp, workspace
 from setup.layout import Layout
 from setup.progress import run_logged
 
@@ -28,10 +28,15 @@ def machine_digest(wheels_digest: str) -> str:
     return stamp.digest([wheels_digest, f"cache {cache}", f"processor {_processor()}"])
 
 
-def are_current(layout: Layout, machine: str) -> bool:
-    """Say whether all kernels are compiled, of the sources as they are."""
+def are_current(layout: Layout, machine: str, main_job: bool) -> bool:
+    """Say whether all kernels, or those of the main job, are compiled, of the sources as they are."""
+    stamps = (layout.kernels_stamp(False), *([layout.kernels_stamp(True)] if main_job else []))
+    return any(_is_current(path, machine) for path in stamps)
+
+
+def _is_current(path: Path, machine: str) -> bool:
     try:
-        found = json.loads(layout.kernels_stamp.read_text())
+        found = json.loads(path.read_text())
         sources = {path: [(stat := os.stat(path)).st_mtime_ns, stat.st_size] for path in found["sources"]}
     except (OSError, ValueError, KeyError):
         return False
@@ -40,16 +45,23 @@ def are_current(layout: Layout, machine: str) -> bool:
     )
 
 
-def compile_all(layout: Layout, machine: str, environment: Mapping[str, str]) -> None:
+def compile_steps(layout: Layout, machine: str, environment: Mapping[str, str], main_job: bool, log: Path) -> None:
     """Compile what is not compiled yet, in processes of the environment, and write the stamp.
 
-    Raises SetupError: a kernel cannot be compiled.
+    Colcon may still build the packages: they are imported by `workspace.link_sources`. Raises SetupError: a kernel
+    cannot be compiled.
     """
-    layout.kernels_stamp.unlink(missing_ok=True)
-    sourced = ["bash", "-c", 'source "$0" && exec "$@"', str(layout.install / "setup.bash")]
-    words = ["-m", "setup.compile_kernels", "--machine", machine, "--stamp", str(layout.kernels_stamp)]
+    target = layout.kernels_stamp(main_job)
+    target.unlink(missing_ok=True)
     quiet = {name: value for name, value in environment.items() if name != RECORDING}
-    run_logged([*sourced, str(layout.python), *words], layout.log("kernels"), quiet, HINT, layout.root)
+    for name, folders in (
+        ("PYTHONPATH", workspace.link_sources(layout)),
+        ("AMENT_PREFIX_PATH", [str(layout.install / "hydro_firmware")]),
+    ):
+        quiet[name] = os.pathsep.join(filter(None, [*folders, quiet.get(name)]))
+    words = ["-m", "setup.compile_kernels", "--machine", machine, "--stamp", str(target)]
+    words += ["--main-job"] if main_job else []
+    run_logged([str(layout.python), *words], log, quiet, HINT, layout.root)
 
 
 def _processor() -> str:

@@ -34,14 +34,18 @@ class Layout:
         return self.venv / "hydro-setup.stamp"
 
     @property
+    def checks_stamp(self) -> Path:
+        """Digest of what the checks and tests need on top; gone when the environment is deleted."""
+        return self.venv / "hydro-checks.stamp"
+
+    @property
     def build_stamp(self) -> Path:
         """Digest of what the packages were built from; gone when `install/` is deleted."""
         return self.install / "hydro-setup.stamp"
 
-    @property
-    def kernels_stamp(self) -> Path:
-        """What the compiled kernels were made from and where they are; gone when `.cache/` is deleted."""
-        return self.root / ".cache" / "setup" / "kernels.json"
+    def kernels_stamp(self, main_job: bool) -> Path:
+        """What the kernels, all or the main job's, were made from and where they are; gone with `.cache/`."""
+        return self.root / ".cache" / "setup" / ("kernels-main-job.json" if main_job else "kernels.json")
 
     def log(self, name: str) -> Path:
         """Where the output of a step goes."""

@@ -45,6 +45,7 @@ def repair_include_paths(prefix: Path, python_include: str, numpy_include: str) 
         text = path.read_text()
         repaired = repair_text(text, python_include, numpy_include)
         if repaired != text:
+            path.unlink()  # a hard link into uv's cache, which other environments share
             path.write_text(repaired)
             changed += 1
     return changed
@@ -70,5 +71,6 @@ def install_stand_in(layout: Layout) -> None:
     """Put the stand-in `ros2` into the environment, run by the environment's Python."""
     source = Path(__file__).with_name("ros2.py").read_text()
     target = layout.venv / "bin" / "ros2"
+    target.unlink(missing_ok=True)
     target.write_text(f"#!{layout.python}\n{source}")
     target.chmod(0o755)

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from setup.layout import Layout
 from setup.progress import run_logged
 
 
-def build(layout: Layout, environment: Mapping[str, str]) -> None:
-    """Build every package below `src/` into `install/`.
+def build(layout: Layout, environment: Mapping[str, str], packages: Sequence[str], log: Path) -> None:
+    """Build these packages of `src/` and `firmware/` into `install/`; all where none is named.
 
     Colcon runs on the environment's Python, whichever colcon it is: that Python is the one the executables start with.
     """
@@ -19,7 +20,21 @@ def build(layout: Layout, environment: Mapping[str, str]) -> None:
     command += ["--base-paths", str(layout.root / "src"), str(layout.root / "firmware")]
     command += ["--build-base", str(layout.root / "build")]
     command += ["--install-base", str(layout.install), "--symlink-install", "--metas", str(layout.root / "colcon.meta")]
-    run_logged(command, layout.log("build"), environment)
+    command += ["--packages-select", *packages] if packages else []
+    run_logged(command, log, environment)
+
+
+def link_sources(layout: Layout) -> list[str]:
+    """Link the Python packages into `build/` as colcon does, and return the folders to import them from."""
+    folders = []
+    for source in sorted(layout.root.glob("src/*/setup.py")):
+        name = source.parent.name
+        link = layout.root / "build" / name / name
+        link.parent.mkdir(parents=True, exist_ok=True)
+        if not link.exists():
+            link.symlink_to(source.parent / name)
+        folders.append(str(link.parent))
+    return folders
 
 
 def forget(layout: Layout) -> None:

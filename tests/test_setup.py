@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from setup import compile_kernels, host, kernels, plan, stamp, venv
+from setup import compile_kernels, host, kernels, plan, stamp, venv, wheels
 from setup.layout import Layout
+from setup.progress import SetupError
 from tests.checks import ran
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,8 +36,6 @@ def test_sourced_jazzy_is_used(tmp_path: Path) -> None:
     built_in = host.build_environment(environment, layout.venv, ros)
     assert built_in["AMENT_PREFIX_PATH"] == str(tmp_path / "jazzy")
     assert built_in["PATH"].startswith(f"{layout.venv}/bin:{tmp_path}/jazzy/bin")
-    names = [path.name for path in venv.requirement_files(layout, with_ros=False, with_build_tools=False)]
-    assert names == ["requirements.txt", "requirements-dev.txt"]
     assert host.sourced_ros(fake_ros(layout.venv, "jazzy"), layout.venv) is None, "the stand-in"
     assert host.sourced_ros({"PATH": "/usr/bin"}, layout.venv) is None
 
@@ -56,18 +57,83 @@ def test_kernels_are_compiled_anew_where_a_source_a_cache_or_the_machine_changed
     cache.touch()
     stat = source.stat()
     content = {"machine": "this", "sources": {str(source): [stat.st_mtime_ns, stat.st_size]}, "caches": [str(cache)]}
-    layout.kernels_stamp.parent.mkdir(parents=True)
-    layout.kernels_stamp.write_text(json.dumps(content))
-    assert kernels.are_current(layout, "this") and not kernels.are_current(layout, "that")
+    layout.kernels_stamp(False).parent.mkdir(parents=True)
+    layout.kernels_stamp(False).write_text(json.dumps(content))
+    assert kernels.are_current(layout, "this", False) and not kernels.are_current(layout, "that", False)
     cache.unlink()
-    assert not kernels.are_current(layout, "this")
+    assert not kernels.are_current(layout, "this", False)
     cache.touch()
     source.write_text("another")
-    assert not kernels.are_current(layout, "this")
+    assert not kernels.are_current(layout, "this", False)
     source.unlink()
-    assert not kernels.are_current(layout, "this")
-    layout.kernels_stamp.write_text("{")
-    assert not kernels.are_current(layout, "this")
+    assert not kernels.are_current(layout, "this", False)
+    layout.kernels_stamp(False).write_text("{")
+    assert not kernels.are_current(layout, "this", False)
+
+
+def test_all_kernels_are_the_main_jobs_too_and_not_the_reverse(tmp_path: Path) -> None:
+    content = json.dumps({"machine": "this", "sources": {}, "caches": []})
+    for written in (True, False):
+        layout = Layout(root=tmp_path / str(written))
+        layout.kernels_stamp(written).parent.mkdir(parents=True)
+        layout.kernels_stamp(written).write_text(content)
+        assert kernels.are_current(layout, "this", True)
+        assert kernels.are_current(layout, "this", False) is not written
+    for package, step in compile_kernels.MAIN_JOB:
+        assert f'"{step}":' in (ROOT / "src" / package / package / "precompile.py").read_text()
+
+
+def test_uv_is_configured_as_pip(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("UV_FIND_LINKS", "UV_INDEX", "UV_DEFAULT_INDEX", "SSL_CERT_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)
+    monkeypatch.setenv("PIP_FIND_LINKS", "/one /two")
+    monkeypatch.setenv("PIP_INDEX_URL", "file:///mirror")
+    monkeypatch.setenv("PIP_CERT", "/cert.pem")
+    layout = Layout(root=ROOT)
+    found = venv.uv_environment(layout)
+    assert (found["UV_FIND_LINKS"], found["UV_DEFAULT_INDEX"]) == ("/one,/two", "file:///mirror")
+    assert found["SSL_CERT_FILE"] == "/cert.pem"
+    monkeypatch.setenv("UV_FIND_LINKS", "/three")
+    assert venv.uv_environment(layout)["UV_FIND_LINKS"] == "/three", "its own setting counts"
+
+
+def test_downloads_are_read_from_the_log_of_uv(tmp_path: Path) -> None:
+    log = tmp_path / "wheels.log"
+    log.write_text(
+        "Downloading casadi (88.9MiB)\nDownloading six (1000.0KiB)\n Downloaded casadi\nPrepared 2 packages in 1m 02s\n"
+    )
+    assert venv.downloads(log) == pytest.approx((88.9 * 1.048576 + 1.024, 62.0))
+    log.write_text("Prepared 2 packages in 250ms\n")
+    assert venv.downloads(log) == pytest.approx((0.0, 0.25))
+    log.write_text("Audited 2 packages in 250ms\n")
+    assert venv.downloads(log) == (0, 0)
+
+
+def test_a_wheel_in_the_cache_of_uv_stays_as_it_is(tmp_path: Path) -> None:
+    cached = tmp_path / "cached.cmake"
+    cached.write_text("/opt/python/cp311-cp311/include/python3.11")
+    linked = tmp_path / "venv" / "share" / "rig" / "cmake" / "rig.cmake"
+    linked.parent.mkdir(parents=True)
+    linked.hardlink_to(cached)
+    assert wheels.repair_include_paths(tmp_path / "venv", "/python", "/numpy") == 1
+    assert (linked.read_text(), cached.read_text()) == ("/python", "/opt/python/cp311-cp311/include/python3.11")
+
+
+def test_a_failed_step_leaves_out_what_waits_beside_it() -> None:
+    begun, released = threading.Event(), threading.Event()
+
+    def build() -> None:
+        begun.set()
+        released.wait(10)
+
+    with pytest.raises(SetupError), plan._beside() as beside:
+        beside.submit(build)
+        waiting = beside.submit(build)
+        assert begun.wait(10)
+        threading.Timer(0.2, released.set).start()
+        raise SetupError("no network")
+    assert waiting.cancelled()
 
 
 def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
@@ -79,7 +145,7 @@ def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
 
 def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    answer = ran(sys.executable, "-m", "setup.bootstrap", cwd=ROOT, timeout=60)
+    answer = ran(sys.executable, "-m", "setup.bootstrap", "--checks", cwd=ROOT, timeout=60)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     took = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     assert took < 2.0, "s of CPU, however busy the machine"
