@@ -70,7 +70,9 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("graph")
     port, bag = str(folder / "port"), folder / "bag"
     with own_domain(), ExitStack() as stack:
-        emulator = stack.enter_context(running("launch", "hydro_sim", "emulator.launch.py", f"port:={port}", "pace:=real"))
+        emulator = stack.enter_context(
+            running("launch", "hydro_sim", "emulator.launch.py", f"port:={port}", "pace:=real")
+        )
         until(emulator, port)
         words = ("launch", "hydro_bridge", "bridge.launch.py", f"port:={port}", "dashboard:=false")
         bridge = stack.enter_context(running(*words))
