@@ -183,10 +183,10 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
         rclpy.try_shutdown()
 
 
-_EXECUTORS: WeakKeyDictionary[Node, EventsExecutor] = WeakKeyDictionary()
+_EXECUTORS: WeakKeyDictionary[Node, Any] = WeakKeyDictionary()
 
 
-def executor_of(node: Node) -> EventsExecutor:
+def executor_of(node: Node) -> Any:
     """Return the executor of a node, one for its life: messages that wait in it would be handled late by another."""
     if node not in _EXECUTORS:
         _EXECUTORS[node] = EventsExecutor()

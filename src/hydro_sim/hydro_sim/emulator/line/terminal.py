@@ -63,7 +63,7 @@ class Terminal:
 
     def wait(self, seconds: float) -> None:
         """Return once something has arrived, `seconds` later at most."""
-        if self.opened:
+        if self._master is not None and self.opened:
             select.select([self._master], [], [], seconds)
         else:
             time.sleep(seconds)
