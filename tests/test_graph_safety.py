@@ -119,7 +119,7 @@ def test_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
     create_subscription(probe.node, LAW_STATE, heard.append)
     words = ("--law", "compensated", "--rearm", "auto", "--frequencies", "2", "--runs", tmp_path, "--no-dashboard")
     with ExitStack() as plant:
-        start_companions(plant, PlantOptions(plant="emulator"), GainRange(), tmp_path, print)
+        start_companions(plant, PlantOptions(plant="emulator", pace="real"), GainRange(), tmp_path, print)
         probe.wait(lambda: probe.heard[STATE], 120.0)
         estimating = start("hydro_policy evaluate", *words, "--name", "run")
         probe.wait(lambda: heard and heard[-1].a_1 > 0.01, 150.0)

@@ -21,7 +21,7 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="The bench as a model: hydraulics, what the box runs, the sim node, and an emulated MicroLabBox.",
     license="Apache-2.0",
-    install_requires=["hydro_bridge", "casadi", "matplotlib", "numba", "numpy", "pyyaml", "safetensors"],
+    install_requires=["hydro_bridge", "casadi", "cobs", "matplotlib", "numba", "numpy", "pyyaml", "safetensors"],
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [

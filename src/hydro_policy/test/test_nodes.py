@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ import rclpy
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import CompanionError, executable_path
 from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
-from hydro_bridge.safety.readiness import NotReadyError
+from hydro_bridge.safety.readiness import NotReadyError, Readiness
 from hydro_bridge.signals import Flag
 from hydro_filter.controller.factory import LEARNED
 from hydro_msgs.msg import BenchState, BoxInfo
@@ -75,7 +76,7 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     acted = recording["/hydro/gains"]["time"][0] - recording.state["time"][armed]
     assert -0.05 < acted < AT_ONCE, "learner, policy and recorder were ready"
     assert recording["/hydro/training"]["updates"].max() > 0  # how many is the machine's affair
-    gains, steps = recording["/hydro/gains"], recording["/hydro/policy"]
+    gains, steps = recording["/hydro/gains"], recording["/hydro/policy"][:-1]  # of the last step no gains are sent
     drawn = dict(zip(gains["step"].tolist(), gains["delta_kp"].tolist(), strict=True))
     assert len(steps) >= 500 and set(steps["step"].tolist()) <= set(drawn)
     apart = [drawn[row["step"]] - row["mean_delta_kp"] for row in steps]
@@ -118,6 +119,7 @@ class Counted:
     """A session that counts what it gets, and wants more."""
 
     finished = False
+    watch = SimpleNamespace(readiness=Readiness([], print))
 
     def __init__(self) -> None:
         self.samples = self.ticks = 0

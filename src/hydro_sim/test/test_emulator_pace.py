@@ -104,9 +104,14 @@ def test_a_silent_host_counts_as_dead_until_it_answers(host: Host, monkeypatch: 
     host.read()
     host.answer(0)
     wait(lambda: host.running.samples > 50)
-    while not host.stands():
+
+    def answers() -> bool:
         for frame in host.read():
             host.answer(frame.time_us)
+        return not host.running._deserted
+
+    wait(answers, 20.0)
+    wait(host.stands)
 
 
 def test_without_a_host_time_goes_on(host: Host) -> None:

@@ -346,6 +346,7 @@ class Link:
             self._met = True
         missed, self._corrected = not self._corrected, False
         with self.lock:
+            self._offset_us = max(self._offset_us, self._box_us - frame.time_us)  # a restarted box begins anew
             self._box_us = frame.time_us + self._offset_us
             self.report.state_arrived(frame.sequence, frame.last_command, now)
             self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
@@ -418,11 +419,7 @@ class Link:
     def _follow_clock(self) -> None:
         """Go by the clock of the box that has greeted: the host's, or an emulator's own, which never goes back."""
         before, self.emulated, self._clock_told = self.emulated, self._clock_told, None
-        if self.emulated is None:
-            return
-        self._offset_us = max(0, self._box_us - self.emulated.time_us) if before else 0
-        self._box_us = self.emulated.time_us + self._offset_us
-        if before is None:
+        if self.emulated is not None and before is None:
             self._log("it is emulated: time is its own" + (", and waits for answers" if self.emulated.waits else ""))
 
     def _note_flags(self, flags: int) -> None:

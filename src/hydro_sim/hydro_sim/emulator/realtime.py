@@ -157,6 +157,7 @@ class Running:
         if self.samples % _CONTROL_EVERY == 0:
             self._obey(now)
         self.link.poll(now)
+        self._deserted = self._deserted and self.link.host.time_us != self._sent_us
         sample = self.machine.tick()
         if self.load_force is not None:
             load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))

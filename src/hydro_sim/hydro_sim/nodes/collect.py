@@ -130,6 +130,7 @@ class CollectNode(Node):
         with endings.undisturbed():  # a second Ctrl-C waits
             self._driving = False
             self._commander.reference(Signal())
+            self._commander.flush()
             if unconfirmed := self._commander.give_back():
                 _warn(unconfirmed)
             if self._bar is not None:  # after the plant: there may be no terminal any more

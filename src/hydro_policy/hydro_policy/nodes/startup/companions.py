@@ -183,8 +183,8 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         started.append(("hydro_filter", "filter", [*bench, *scheduling, *options.filter]))
         peers.append("filter")
     guard = guard_parameters(gains, options.filter)
-    if not options.real_time:
-        guard = [*(guard or ["--ros-args"]), "-p", f"pace.peers:={' '.join(peers)}"]
+    if peers and not options.real_time:
+        guard = ["--ros-args", "-p", f"pace.peers:={' '.join(peers)}", *guard[1:]]
     if options.plant == "sim":
         words = [*scheduling, "--seed", str(options.seed), "--pace", options.pace]
         words += _with_base_gains(guard, options.base_gains)
