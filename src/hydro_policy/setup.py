@@ -21,7 +21,17 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="Soft Actor-Critic over the PI gains: training on whichever plant publishes, and evaluation.",
     license="Apache-2.0",
-    install_requires=["hydro_filter", "msgspec", "numba", "numpy", "pyyaml", "safetensors", "tensorboardX", "torch", "tqdm"],
+    install_requires=[
+        "hydro_filter",
+        "msgspec",
+        "numba",
+        "numpy",
+        "pyyaml",
+        "safetensors",
+        "tensorboardX",
+        "torch",
+        "tqdm",
+    ],
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
