@@ -128,7 +128,8 @@ class Pace:
             return
         with self._lock:
             if name not in self._peers:
-                self._log(f"under the plant's clock with {name}")
+                if self._unmet or self._newest is not None:  # else the plant may run in real time
+                    self._log(f"under the plant's clock with {name}")
                 self._peers[name] = _Peer(window, self._answered_before(window))
             peer = self._peers[name]
             peer.window, peer.commands, peer.heard = window, commands, time.monotonic()
