@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hydro_bridge.serial.port import Port, PortSettings
-from hydro_bridge.serial.protocol import ClockFrame, Frame, Hello, State, encode_command, encode_hello
+from hydro_bridge.serial.protocol import ClockFrame, Frame, Hello, State, encode_clock, encode_command, encode_hello
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import Command
 from hydro_sim.emulator import realtime
@@ -103,6 +103,11 @@ def test_a_silent_host_counts_as_dead_until_it_answers(host: Host, monkeypatch: 
     host.greet()
     host.read()
     host.answer(0)
+    (state,) = host.read()
+    for _ in range(8):  # its graph is at work
+        host.port.write(encode_clock(state.time_us, waits=True))
+        time.sleep(0.1)
+    assert host.running.samples == 2
     wait(lambda: host.running.samples > 50)
 
     def answers() -> bool:

@@ -35,6 +35,7 @@ from hydro_bridge.serial.protocol import (
     Hello,
     LawFrame,
     State,
+    encode_clock,
     encode_command,
     encode_hello,
     foreign_box,
@@ -83,6 +84,7 @@ _WRAP = 0xFFFFFFFF
 _NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
+_SIGN_PERIOD = 1.0
 _GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no complaint; an emulator loads longer
 
 
@@ -305,7 +307,7 @@ class Link:
 
     def _converse(self) -> None:
         """Read until the port is lost."""
-        last_byte, next_hello = time.monotonic(), 0.0
+        last_byte, next_hello, next_sign = time.monotonic(), 0.0, 0.0
         while not self._stopping.is_set():
             data = self.port.read(min(_READ_TIMEOUT, self.pace.poll()) if self.paced else _READ_TIMEOUT)
             now = time.monotonic()
@@ -316,17 +318,33 @@ class Link:
                 for frame in self._decoder.feed(data):
                     self._take(frame, now)
                 last_byte = time.monotonic()
-            elif now - last_byte > (limit := (self.pace if self.paced else self.port).settings.silence_max):
+            elif self.state is LinkState.CONNECTED and self.paced and self.pace.pending:
+                last_byte = now  # the emulator waits for this end
+                if now >= next_sign:
+                    self._give_sign()
+                    next_sign = now + _SIGN_PERIOD
+            elif now - last_byte > (limit := self._silence_max):
                 raise PortLostError(f"{self.port.settings.path}: no byte for {limit:g} s")
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
                 self._complain(foreign_box(self._decoder.foreign_version))
+
+    @property
+    def _silence_max(self) -> float:
+        """Time [s] of the wall clock without a byte after which the port is opened anew."""
+        waits = self.state is LinkState.CONNECTED and self.paced
+        return (self.pace if waits else self.port).settings.silence_max
+
+    def _give_sign(self) -> None:
+        """Tell an emulator that waits that the graph is still at work on its sample."""
+        with self.lock:
+            self.port.write(encode_clock(self._box_us - self._offset_us, waits=True))
 
     def _take(self, frame: Frame, now: float) -> None:
         if isinstance(frame, State):
             if self.state is LinkState.CONNECTED:
                 self._take_state(frame, now)
         elif isinstance(frame, ClockFrame):
-            self._clock_told = frame
+            self._clock_told = frame if self.port.pseudo_terminal else None  # a device runs in real time
         elif isinstance(frame, Hello) and frame.info is not None:
             self._take_hello(frame, frame.info)
         elif isinstance(frame, Details):
@@ -342,7 +360,7 @@ class Link:
             self._restarted()
             return
         if self.paced and not self._met:
-            self.pace.meet()
+            self.pace.meet(self._give_sign)
             self._met = True
         missed, self._corrected = not self._corrected, False
         with self.lock:

@@ -86,7 +86,7 @@ class RecorderNode(Node):
         self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self._answers, self._answered = Answers(self, RECORDS, self._heard[STATE], lambda: not self.failed), -1
+        self._answers, self._answered = Answers(self, RECORDS, self._heard[STATE]), -1
         self._plant_clock = PlantClock()
         self.get_logger().info(f"recording into {self._writer.folder}; {scheduling}")
 

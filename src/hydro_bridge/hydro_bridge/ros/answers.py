@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -20,11 +18,10 @@ class Answers:
     """Announces a node to the plant once it hears it, and tells what it has answered.
 
     `node`: the node. `window`: samples that the plant may be ahead of it. `states`: its subscription to the states.
-    `works`: whether it will answer although it takes long; called once a second.
     """
 
-    def __init__(self, node: Node, window: int, states: Subscription, works: Callable[[], bool] = lambda: True) -> None:
-        self._states, self._works = states, works
+    def __init__(self, node: Node, window: int, states: Subscription) -> None:
+        self._states = states
         self._publisher = create_publisher(node, ANSWERED)
         self._message = Answered(node=node.get_name(), window=window)
         self._looks, self._met = 0, False
@@ -36,15 +33,9 @@ class Answers:
         message.answers, message.sequence, message.commands = True, sequence, commands
         self._publisher.publish(message)
 
-    def leave(self) -> None:
-        """Tell that this node answers no more."""
-        self._message.window = 0
-        self._publisher.publish(self._message)
-
     def _look(self) -> None:
         """Announce this node to a plant that it hears by now, and repeat once a second what it said last."""
         met, self._met = self._met, self._states.get_publisher_count() > 0
         self._looks += 1
-        repeat = self._looks % _ALIVE == 0 and self._works()
-        if self._met and (repeat or not met) and self._message.window:
+        if self._met and (not met or self._looks % _ALIVE == 0):
             self._publisher.publish(self._message)

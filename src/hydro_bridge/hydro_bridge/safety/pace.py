@@ -121,11 +121,13 @@ class Pace:
         """Names of the present peers; for /diagnostics."""
         return ", ".join(sorted(self._peers)) or "nobody"
 
+    @property
+    def pending(self) -> bool:
+        """Whether the newest sample has not all its answers yet."""
+        return self._resend is not None
+
     def answered(self, name: str, sequence: int | None, window: int, commands: int = 0) -> None:
-        """Note what a peer says: it is ready (None), has answered a sample, or leaves (a window of 0)."""
-        if window == 0:
-            self._forget(name, "leaves")
-            return
+        """Note what a peer says: it is ready (None), or has answered a sample."""
         with self._lock:
             if name not in self._peers:
                 if self._unmet or self._newest is not None:  # else the plant may run in real time
@@ -161,7 +163,7 @@ class Pace:
 
     def keep(self, names: set[str]) -> None:
         """Forget the peers that are not among these nodes of the graph."""
-        for name in self._peers.keys() - names:
+        for name in set(self._peers) - names:
             self._forget(name, "is gone")
 
     def release(self) -> None:
@@ -188,11 +190,18 @@ class Pace:
         self._closed = True
         self._go_on()
 
-    def meet(self) -> None:
-        """Return once all nodes that are to be met are ready; for the plant's thread, before the first sample."""
+    def meet(self, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Return once all nodes that are to be met are ready; for the plant's thread, before the first sample.
+
+        `meanwhile`: called once a second.
+        """
         give_up, told = time.monotonic() + self.settings.meet_max, time.monotonic() + 10.0
+        looks = 0
         while self._unmet and not self._closed:
             time.sleep(0.02)
+            looks += 1
+            if looks % 50 == 0:
+                meanwhile()
             if (now := time.monotonic()) >= give_up:
                 self._log(f"{_named(self._unmet)} did not come: beginning without")
                 self._unmet.clear()

@@ -59,6 +59,11 @@ class Port:
         self._serial: serial.Serial | None = None
         self._unwritten = b""
 
+    @property
+    def pseudo_terminal(self) -> bool:
+        """Whether no device is behind it: an emulator can be there, and a box only through another program."""
+        return os.path.realpath(self.settings.path).startswith("/dev/pts/")
+
     def open(self) -> None:
         """Open the port; raises PortLostError with the reason, PortTakenError if another program has it."""
         self.close()

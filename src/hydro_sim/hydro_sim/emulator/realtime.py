@@ -90,7 +90,7 @@ _GREETED_WITHIN = 2.0  # s of wall clock from a port's opening
 _PATIENCE = 0.05  # s of wall clock between looks at the control pipe while the host is awaited
 _LOST_AFTER = 0.02  # s of wall clock after which an answer counts as lost, on a line that loses some
 SILENCE_MAX = 90.0
-"""s of wall clock after which a host counts as dead; longer than the host waits for its own peers."""
+"""s of wall clock without a frame after which a host counts as dead; while its graph works it sends one a second."""
 
 
 class Running:
@@ -184,7 +184,7 @@ class Running:
             waited = time.monotonic() - began
             if link.faulty and waited > _LOST_AFTER:
                 return True
-            if waited > SILENCE_MAX:
+            if time.monotonic() - max(began, host.heard) > SILENCE_MAX:
                 self._deserted = True
                 print(
                     f"no answer of the host for {SILENCE_MAX:g} s: going on in real time until it is back", flush=True

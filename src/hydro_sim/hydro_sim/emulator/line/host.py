@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from struct import Struct
 from zlib import crc32
 
@@ -22,6 +23,8 @@ class Host:
         self._pending = b""
         self.greetings = 0
         """HELLOs since the port was plugged in."""
+        self.heard = 0.0
+        """When its last frame came, s of the monotonic clock."""
         self.fresh = False
         """Whether no COMMAND has come since the last HELLO."""
         self.time_us: int | None = None
@@ -48,6 +51,7 @@ class Host:
         if len(raw) < _HEADER.size + 4 or raw[-4:] != _CRC.pack(crc32(raw[:-4])):
             return
         version, kind, _, time_us = _HEADER.unpack_from(raw)
+        self.heard = time.monotonic()
         if kind == FrameType.HELLO and version == HANDSHAKE:
             self.greetings, self.fresh, self.time_us = self.greetings + 1, True, None
             self.follows = raw[_FOLLOWS : _FOLLOWS + 1] == b"\1"
