@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
+from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 import pytest
@@ -47,11 +50,45 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         items.sort(key=lambda item: (not item.get_closest_marker("graph"), not item.get_closest_marker("slow")))
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A worker gives way to the graph tests of the other one, which run in real time, from its first other test on."""
-    if WORKER in os.environ and not item.get_closest_marker("graph"):
-        os.nice(19)  # 19 is the most there is, however often it is asked for
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
+    """What runs in real time has the machine for itself: where tests are shared out, the other worker waits for it."""
+    if WORKER not in os.environ:
+        return (yield)
+    alone = item.get_closest_marker("realtime") is not None
+    _MACHINE.take(item.config, alone=alone)
+    try:
+        return (yield)
+    finally:
+        if not (alone and nextitem is not None and nextitem.get_closest_marker("realtime")):
+            _MACHINE.give()  # else what runs goes on between the two
+
+
+class Machine:
+    """A lock of all workers of a run: one test alone, or one of each worker."""
+
+    def __init__(self) -> None:
+        self._held: int | None = None
+
+    def take(self, config: pytest.Config, *, alone: bool) -> None:
+        """Wait for the machine; whoever wants it alone comes before the others' next tests."""
+        if self._held is not None:
+            return
+        folder = Path(gettempdir(), f"hydro-tests-{config.workerinput['testrunuid']}")  # type: ignore[attr-defined]
+        folder.mkdir(exist_ok=True)
+        turn, self._held = (os.open(folder / name, os.O_CREAT | os.O_RDWR) for name in ("turn", "machine"))
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        fcntl.flock(self._held, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        os.close(turn)
+
+    def give(self) -> None:
+        """Let the others go on."""
+        assert self._held is not None
+        os.close(self._held)
+        self._held = None
+
+
+_MACHINE = Machine()
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ from hydro_policy.runs.run import Checkpoint, RunDirectory, load_checkpoint
 from tests.checks import ran
 from tests.graph_probe import SHORT, Probe, Trainer, own_domain, trainer
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.realtime]
 
 
 class Training:
@@ -232,9 +232,10 @@ def test_a_closed_terminal_ends_a_training_as_ctrl_c_does(training: Training) ->
 
 def test_a_disk_that_takes_no_checkpoint_ends_the_training_with_the_one_before(training: Training) -> None:
     first, run = training.checkpoint(), training.run
+    stamp = modified(run.latest)
     with ExitStack() as stack:
         process = training.resumed(stack)
-        training.probe.spin(1.0)  # the checkpoint of the first episode is written meanwhile
+        training.probe.wait(lambda: modified(run.latest) > stamp, 60.0)  # of the first episode, whole by then
         before = training.checkpoint().produced
         obstacle = run.latest.with_name("latest.partial")
         while not obstacle.is_file():  # in the way of the next one, once none is being written

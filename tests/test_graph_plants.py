@@ -23,7 +23,7 @@ from hydro_policy.nodes.startup.companions import PlantOptions, start_companions
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import Probe, own_domain
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.realtime]
 
 STALE = 0.15
 """s between two gains of this test, from which on they may be stale to a plant (after 0.2 s), rightly."""

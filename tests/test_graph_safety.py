@@ -112,6 +112,7 @@ CURVATURE = 0.1
 """N by which a sine of 300 N and 2 Hz leaves its tangent within a sample, and single precision: 0.03 N."""
 
 
+@pytest.mark.realtime
 def test_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
     probe: Probe, start: Callable[..., Companion], tmp_path: Path
 ) -> None:

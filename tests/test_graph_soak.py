@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 from tests.soak.faults import FAULTS
 from tests.soak.soak import soaking
 
-pytestmark = [pytest.mark.graph, pytest.mark.study]
+pytestmark = [pytest.mark.graph, pytest.mark.realtime, pytest.mark.study]
 
 CAUSES = (
     "unplug", "stall of commands", "corrupt bytes", "corrupt bytes alone", "SIGSTOP bridge", "SIGSTOP filter",

@@ -23,6 +23,8 @@ from hydro_sim.emulator.realtime import Running
 from hydro_sim.emulator.truth.config import profile
 from tests.checks import wait
 
+pytestmark = pytest.mark.realtime
+
 
 class Host:
     """A host at the port of a running emulator."""

@@ -126,6 +126,7 @@ def test_under_its_own_clock_each_sample_carries_the_correction_of_the_one_befor
     assert running.stamps[:600] == [1_000_000 * k for k in range(600)]
 
 
+@pytest.mark.realtime
 def test_at_a_factor_of_real_time_nobody_is_waited_for_and_time_is_the_simulations(graph: Callable[..., Graph]) -> None:
     running, began = graph(lambda *_: None, pace="4"), time.monotonic()
     wait(lambda: len(running.samples) >= 400, 20.0)
@@ -134,6 +135,7 @@ def test_at_a_factor_of_real_time_nobody_is_waited_for_and_time_is_the_simulatio
     assert running.stamps[:400] == [1_000_000 * k for k in range(400)]
 
 
+@pytest.mark.realtime
 def test_real_time_stamps_are_a_millisecond_apart_and_commands_age_by_the_host(graph: Callable[..., Graph]) -> None:
     running = graph(lambda *_: None, pace="real")
     wait(lambda: len(running.samples) >= 300, 20.0)
