@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole graph on this machine: box frame in to correction frame out, CPU per process, lost samples.
 
-Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes; gains come at 100 Hz from here, as a
-trainer's would. The bridge measures the latency, from a state frame's arrival to the command frame that carries its
+Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes, then again with bridge and filter in
+one; gains come at 100 Hz from here, as a trainer's would. The bridge measures the latency, from a state frame's arrival to the command frame that carries its
 correction, and tells it on /diagnostics. Under `--law compensated` this process has the law's estimator too, and the
 filter needs --model and --metric of a bench file (learn_metric makes the metric).
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 import tempfile
 import time
@@ -119,33 +120,41 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def start(stack: ExitStack, driver: Driver, folder: Path, metric: Sequence[str]) -> dict[str, Companion]:
+def start(
+    stack: ExitStack, driver: Driver, folder: Path, metric: Sequence[str], together: bool
+) -> dict[str, Companion]:
     """Start the graph one after the other; the percentiles in the diagnostics begin with a graph that is whole."""
     port = folder / "box"
-    commands = {
+    line = ["--port", str(port), "--realtime"]
+    plant = {
         "filter": ("hydro_filter", [*metric, "--realtime"]),
-        "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
+        "bridge": ("hydro_bridge", line),
+    }
+    if together:
+        plant = {"filtered_plant": ("hydro_filter", ["bridge", f"--filter={shlex.join(metric)}", *line])}
+    commands = {
         "emulator": ("hydro_sim", ["--link", str(port), "--pace", "real"]),
-        "bridge": ("hydro_bridge", ["--port", str(port), "--realtime"]),
+        **plant,
+        "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
     }
     running: dict[str, Companion] = {}
     for name, (package, arguments) in commands.items():
         running[name] = stack.enter_context(Companion(package, name, arguments))
-        if name == "filter":  # which may have to compile
-            driver.wait(lambda: "filter" in driver.told, "the filter does not tell its diagnostics", 120.0)
         if name == "emulator":
             driver.wait(port.exists, f"{port} does not appear")
+        elif name in plant and name != "bridge":  # which may have to compile
+            driver.wait(lambda: "filter" in driver.told, "the filter does not tell its diagnostics", 120.0)
     driver.arm()
     return running
 
 
-def measure(asked: argparse.Namespace, folder: Path) -> Table:
-    """Run the graph and make the table."""
+def measure(asked: argparse.Namespace, folder: Path, *, together: bool) -> dict[str, str]:
+    """Run the graph; return what was seen by row of the table."""
     metric = ["--metric", asked.metric, *(["--model", str(asked.model)] if asked.model else [])]
     with ExitStack() as stack:
         driver = Driver(Law[asked.law.upper()])
         stack.callback(driver.close)
-        running = start(stack, driver, folder, metric)
+        running = start(stack, driver, folder, metric, together)
         driver.run(2.0)
         before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}
         begin = time.monotonic()
@@ -155,21 +164,21 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
         driver.run(1.2)  # the last diagnostics
     states = read_bag(folder / "bag").state
     bridge, own = driver.told.get("bridge", {}), driver.told.get("filter", {})
-    title = (f"Graph under the {asked.law} law with the {asked.metric} metric for {asked.seconds:g} s on "
-             f"{os.cpu_count()} cores, SCHED_FIFO for bridge and filter")  # fmt: skip
-    table = Table({"what": "", "value": ""}, title=title)
-    table.add(what="box frame in to correction frame out", value=bridge.get("state in to correction out", "not told"))
-    table.add(what="command out to confirmation in", value=bridge.get("command out to confirmation in", "not told"))
-    work = "  ".join(f"{key} {own.get(f'work_{key}_ms', '?')}" for key in ("p50", "p99", "p99_9"))
-    table.add(what="filter: callback to publication", value=f"{work} ms")
     statuses = ("pass", "modified", "relaxed", "infeasible", "nan", "stale")
-    told = ", ".join(f"{own.get(key, '?')} {key}" for key in (*statuses, "missing_states"))
-    table.add(what="filter: corrections", value=told)
-    for name, used in cpu.items():
-        table.add(what=f"{name}: share of a core", value=f"{used / elapsed:.1%}")
-    table.add(what="recording: samples, missing sequence numbers", value=f"{len(states)}, {continuity(states).lost}")
-    table.add(what="bridge: heartbeats (commands without a correction)", value=bridge.get("heartbeats", "not told"))
-    return table
+    plant = sum(cpu.get(name, 0.0) for name in ("bridge", "filter", "filtered_plant"))
+    return {
+        "box frame in to correction frame out": bridge.get("state in to correction out", "not told"),
+        "command out to confirmation in": bridge.get("command out to confirmation in", "not told"),
+        "filter: sample to decision": "  ".join(
+            f"{key} {own.get(f'work_{key}_ms', '?')}" for key in ("p50", "p99", "p99_9")
+        )
+        + " ms",
+        "filter: corrections": ", ".join(f"{own.get(key, '?')} {key}" for key in (*statuses, "missing_states")),
+        "bridge and filter: share of a core": f"{plant / elapsed:.1%}",
+        **{f"{name}: share of a core": f"{cpu[name] / elapsed:.1%}" for name in ("emulator", "recorder")},
+        "recording: samples, missing sequence numbers": f"{len(states)}, {continuity(states).lost}",
+        "bridge: heartbeats (commands without a correction)": bridge.get("heartbeats", "not told"),
+    }
 
 
 @command()
@@ -181,8 +190,16 @@ def main() -> None:
     options.add_argument("--model", type=Path, metavar="FILE", help="bench file of that metric")
     options.add_argument("--law", default="paper", choices=("paper", "compensated"), help="default %(default)s")
     asked = options.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        measure(asked, Path(folder)).show(asked.json)
+    seen = []
+    for together in (False, True):
+        with tempfile.TemporaryDirectory() as folder:
+            seen.append(measure(asked, Path(folder), together=together))
+    title = (f"Graph under the {asked.law} law with the {asked.metric} metric for {asked.seconds:g} s on "
+             f"{os.cpu_count()} cores, SCHED_FIFO for bridge and filter")  # fmt: skip
+    table = Table({"what": "", "apart": "bridge and filter as two processes", "one": "in one"}, title=title)
+    for what in seen[0]:
+        table.add(what=what, apart=seen[0][what], one=seen[1][what])
+    table.show(asked.json)
 
 
 if __name__ == "__main__":

@@ -52,9 +52,10 @@ def test_only_who_has_to_may_command_the_plant() -> None:
     drivers = {"trainer", "evaluate", "collect"}
     assert allowed("topic", "publish", GAINS) == drivers
     assert allowed("topic", "publish", REFERENCE) == drivers
-    assert allowed("topic", "publish", CORRECTION) == {"filter"}
-    assert allowed("topic", "publish", STATE) == {"bridge", "sim", "replayer"}
-    assert allowed("topic", "publish", AUTHORITY) == {"bridge", "sim"}
+    assert allowed("topic", "publish", CORRECTION) == {"filter", "filtered_plant"}
+    assert allowed("topic", "publish", STATE) == {"bridge", "sim", "filtered_plant", "replayer"}
+    assert allowed("topic", "publish", AUTHORITY) == {"bridge", "sim", "filtered_plant"}
+    assert "filtered_plant" not in allowed("topic", "subscribe", CORRECTION), "its own alone"
     assert not allowed("service", "request", ARM_SERVICE), "who has a key disarms by name"
     assert allowed("service", "request", CLAIM_SERVICE) == drivers | {"arm", "dashboard"}
     assert allowed("service", "request", OVERRIDE_SERVICE) == {"override", "dashboard"}

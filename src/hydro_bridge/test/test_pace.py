@@ -36,7 +36,7 @@ class Plant:
             sequence = len(self.samples)
             self.samples.append(sequence)
             answered.clear()
-            self.pace.published(sequence, lambda sequence=sequence: self.again.append(sequence))
+            self.pace.publishes(sequence, lambda sequence=sequence: self.again.append(sequence))
             while not answered.is_set():
                 answered.wait(self.pace.poll())
 

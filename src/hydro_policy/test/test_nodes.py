@@ -30,7 +30,7 @@ from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.evaluation import box_mismatch
 from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.nodes.startup.companions import PlantOptions, commands
+from hydro_policy.nodes.startup.companions import NO_FILTER, PlantOptions, commands
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.settings import SacSettings
@@ -229,10 +229,12 @@ def test_companions_of_each_plant() -> None:
         plant: [executable for _, executable, _ in commands(PlantOptions(plant=plant), GainRange(), Path("run"))]
         for plant in ("sim", "emulator", "bench", "external")
     }
+    alone = commands(PlantOptions(plant="bench", filter=NO_FILTER), GainRange(), Path("run"))
+    assert [executable for _, executable, _ in alone] == ["bridge"]
     assert started == {
-        "sim": ["filter", "sim"],
-        "emulator": ["filter", "emulator", "bridge"],
-        "bench": ["filter", "bridge"],
+        "sim": ["filtered_plant"],
+        "emulator": ["emulator", "filtered_plant"],
+        "bench": ["filtered_plant"],
         "external": [],
     }
 
@@ -243,5 +245,5 @@ def test_a_guard_that_is_opened_is_told_what_it_relies_on() -> None:
     assert wide[-1][2][-1] == f"guard.relies_on:=--metric {LEARNED}", "nothing opens the guard in silence"
     named = PlantOptions(plant="sim", filter=("--contraction-rate", "2"))
     started = commands(named, GainRange(delta_kp_max=285.0), Path("run"))
-    assert started[0][2][-2:] == ["--contraction-rate", "2"]
+    assert "--filter=--contraction-rate 2" in started[0][2]
     assert started[-1][2][-1] == "guard.relies_on:=--metric learned --contraction-rate 2"

@@ -157,6 +157,9 @@ class Link:
         Called with a sentence when something is wrong; `log` by default.
     on_box
         Called in the thread of `run` at each connection with the box's self-description.
+    correct
+        Called like `on_state`, before it; by then a filter in this process may have told the guard its correction, and
+        the command goes out before the sample is passed on.
     """
 
     def __init__(
@@ -168,6 +171,7 @@ class Link:
         warn: Callable[[str], None] | None = None,
         on_box: Callable[[BoxInfo], None] | None = None,
         pace: Pace | None = None,
+        correct: Callable[[State, int, int], None] = lambda *sample: None,
     ) -> None:
         self.port, self.guard = port, guard
         self.pace = pace or Pace(PaceSettings(), log)
@@ -190,7 +194,7 @@ class Link:
         self.state = LinkState.CLOSED
         self.flags = 0
         self._wanted_limits = guard.settings
-        self._on_state, self._log, self._warn = on_state, log, warn or log
+        self._on_state, self._correct, self._log, self._warn = on_state, correct, log, warn or log
         self._on_box = on_box or (lambda info: None)
         self._decoder, self._tracker = Decoder(self.counts), SequenceTracker(self.counts)
         self._stopping = threading.Event()
@@ -372,11 +376,13 @@ class Link:
         stale = 0 if self.guard.correction_fresh(self.now()) else Flag.FILTER_STALE
         paced = 0 if self.real_time else Flag.PACED
         self._note_flags(frame.flags | stale | paced)
-        publish = partial(self._on_state, frame, self._stamp(frame), int(self.flags))
-        publish()
+        sample = frame, self._stamp(frame), int(self.flags)
+        self._correct(*sample)
+        publish = partial(self._on_state, *sample)
         if self.paced:
-            self.pace.published(frame.sequence, publish)
-        elif missed:  # no correction for the previous sample: a command is sent regardless
+            self.pace.publishes(frame.sequence, publish)
+        publish()
+        if not self.paced and missed and not self._corrected:  # nor of the sample before: a command is sent regardless
             self.report.heartbeats += 1
             self._send()
 

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.files import bench_file, site
 from hydro_bridge.link.link import Link, LinkState
-from hydro_bridge.nodes.plant_node import PlantNode, mode
+from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import differences, known_box
@@ -62,21 +63,30 @@ class BridgeSide(Link):
 class BridgeNode(PlantNode):
     """Plant node over a serial line; `bench` holds the numbers of the box's bench file, if known."""
 
-    def __init__(self, settings: PortSettings, bench: Mapping[str, Any] | None = None, *, realtime: bool) -> None:
-        super().__init__("bridge")
+    def __init__(
+        self,
+        settings: PortSettings,
+        bench: Mapping[str, Any] | None = None,
+        corrector: Corrector | None = None,
+        *,
+        realtime: bool,
+    ) -> None:
+        super().__init__("bridge", corrector)
         size = Size.if_known(bench)
         usual = GuardSettings() if size is None else GuardSettings.of_size(size)
         guard = CommandGuard(settings=declare_parameters(self, usual, "guard."))
         port = Port(declare_parameters(self, settings))
         logger, self._bench = self.get_logger(), bench
         pace = Pace(declare_parameters(self, PaceSettings(), "pace."), logger.info)
-        self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box, pace)
+        self.link = BridgeSide(
+            port, guard, partial(self._on_sample, self.publish_sample), logger.info, logger.warning, self._on_box, pace,
+            partial(self._on_sample, self.correct),
+        )  # fmt: skip
         self.connect(self.link)
         self.get_logger().info(f"this node runs under {request_realtime(realtime=realtime)}")
 
-    def _publish(self, sample: State, stamp_ns: int, flags: int) -> None:
-        self.publish_law_state(stamp_ns, sample.sequence, sample.law_state)
-        self.publish_state(stamp_ns, sample.sequence, sample.values, flags)
+    def _on_sample(self, do: Callable[..., None], sample: State, stamp_ns: int, flags: int) -> None:
+        do(stamp_ns, sample.sequence, sample.values, flags, sample.law_state)
 
     def _on_box(self, info: BoxInfo) -> None:
         """Handle a new connection, possibly to another box."""
@@ -129,13 +139,22 @@ def refuse_unusable_port(settings: PortSettings) -> None:
             return
 
 
-@command()
-def main() -> None:
-    """Entry point."""
-    own, ros = ros_arguments()
+def plant(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
+    """Return what makes the node that this command line asks for, given a filter in its process.
+
+    Ends the program if the port cannot be used.
+    """
     options = parser().parse_args(own)
     site.take_site(options, bench=site.BENCH)
     port, file = PortSettings(path=options.port, baud=options.baud), options.bench or bench_file.shipped()
     bench = bench_file.read_believed(file) if file else None
     refuse_unusable_port(port)
-    run_node(lambda: BridgeNode(port, bench, realtime=options.realtime), ros)
+    return lambda corrector: BridgeNode(port, bench, corrector, realtime=options.realtime)
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    own, ros = ros_arguments()
+    make = plant(own)
+    run_node(lambda: make(None), ros)

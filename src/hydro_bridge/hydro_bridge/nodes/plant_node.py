@@ -20,6 +20,9 @@ What a person has disarmed only a person arms again, as long as the same node ho
 A publisher is matched with the subscription before its messages can arrive. A second publisher is therefore known by
 the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
 
+A filter in the plant's process is a `Corrector`: it is handed each sample and answers at once, in the plant's thread,
+before the sample is published. Its corrections are published like any; the plant then hears nobody else's.
+
 Where the plant goes by its own clock (`PlantSide.paced`), times are the plant's, and what the plant says about a sample
 (the authority that ends with a trip, /clock, its law) is published before the sample.
 """
@@ -49,6 +52,7 @@ from hydro_bridge.ros.diagnostics import (
 )
 from hydro_bridge.ros.messages import (
     CORRECTIONS,
+    LAW_STATES,
     STATES,
     box_to_message,
     law_command_from_message,
@@ -124,6 +128,19 @@ class PlantSide(Protocol):
         """End `run`."""
 
 
+class Corrector(Protocol):
+    """A filter in the plant's process; see `PlantNode`."""
+
+    def correct(self, state: Any, law: Any, epoch: int) -> Any:
+        """Return the record of the Correction of a sample; None: there is none, another filter answers.
+
+        `state`, `law`: records of the sample's BenchState and LawState, None: the paper's law. `epoch`: the session's.
+        """
+
+    def publish(self) -> None:
+        """Publish the last correction."""
+
+
 _TROUBLED = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
 
 
@@ -159,12 +176,13 @@ class Gate:
         node.create_timer(1.0, self._tell_refused, clock=steady)
 
     def listen(self, topic: str, subscription: Subscription) -> None:
-        """Register `subscription` as the source of the commands of `topic`."""
+        """Register `subscription` as the source of the commands of `topic`; without one they come from this process."""
         self._heard[topic] = subscription
 
     def admits(self, topic: str, epoch: int) -> bool:
         """Return whether to accept a received command; a second publisher of its topic ends the session."""
-        if self._heard[topic].get_publisher_count() > 1:
+        heard = self._heard.get(topic)
+        if heard is not None and heard.get_publisher_count() > 1:
             self.authority.refused[topic] += 1
             self._give_up(topic)
             return False
@@ -328,10 +346,14 @@ class PlantNode(Node):
     """Publishes state and box, and its force law; receives gains, law, corrections, reference and arming.
 
     Call `connect` once the plant's side exists; nothing is subscribed before.
+
+    `name`: name of the node. `corrector`: filter in this process; None: corrections come from /hydro/correction.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, corrector: Corrector | None = None) -> None:
         super().__init__(name)
+        self._corrector = corrector
+        self.components = [] if corrector is None else [corrector]
         self._publisher = create_publisher(self, STATE)
         self._law_publisher = create_publisher(self, LAW_STATE)
         self._box_publisher = create_publisher(self, BOX)
@@ -359,10 +381,11 @@ class PlantNode(Node):
         self._thread = threading.Thread(target=side.run, name="plant", daemon=True)
         self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         gains = create_subscription(self, GAINS, self._on_gains)
-        correction = subscribe(self, CORRECTION, CORRECTIONS, self._on_correction)
         reference = create_subscription(self, REFERENCE, self._on_reference)
         law = create_subscription(self, LAW, self._on_law)
-        for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference), (LAW, law)):
+        if self._corrector is None:
+            self.gate.listen(CORRECTION, subscribe(self, CORRECTION, CORRECTIONS, self._on_correction))
+        for topic, heard in ((GAINS, gains), (REFERENCE, reference), (LAW, law)):
             self.gate.listen(topic, heard)  # no callback runs before the node is spun
         self._answers = create_subscription(self, ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -380,8 +403,24 @@ class PlantNode(Node):
         if self._thread.is_alive():
             self._thread.join(2.0)
 
-    def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
-        """Publish one sample; `values` in STATE_FIELDS order. Call from the plant's thread only."""
+    def correct(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int, law: LawState | None) -> None:
+        """Have a sample corrected by the filter in this process, if there is one; before it is published."""
+        if self._corrector is None:
+            return
+        state, acting = STATES.record(stamp_ns, sequence, *values, flags), None
+        if law is not None and law.law is not Law.PAPER:
+            acting = LAW_STATES.unpack(pack_law_state(stamp_ns, sequence, law))
+        correction = self._corrector.correct(state, acting, self.gate.authority.epoch)
+        if correction is not None:
+            self._on_correction(correction)
+
+    def publish_sample(
+        self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int, law: LawState | None
+    ) -> None:
+        """Publish one sample, behind its force law, the paper's is not worth a message, and before its correction.
+
+        Call from the plant's thread only. `values`: in STATE_FIELDS order.
+        """
         changed, self._flags = flags ^ self._flags, flags
         if not self.side.real_time:
             if changed & (Flag.ARMED | Flag.TRIPPED):
@@ -389,12 +428,11 @@ class PlantNode(Node):
             if sequence % SAMPLES_PER_STEP == 0:
                 self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
                 self._clock_publisher.publish(self._clock_message)
+        if law is not None and law.law is not Law.PAPER:
+            self._law_publisher.publish(pack_law_state(stamp_ns, sequence, law))
         self._publisher.publish(STATES.pack(stamp_ns, sequence, *values, flags))
-
-    def publish_law_state(self, stamp_ns: int, sequence: int, state: LawState | None) -> None:
-        """Publish the force law of a sample, before the sample itself; the paper's law is not worth a message."""
-        if state is not None and state.law is not Law.PAPER:
-            self._law_publisher.publish(pack_law_state(stamp_ns, sequence, state))
+        if self._corrector is not None:
+            self._corrector.publish()
 
     def publish_box(self, box: KnownBox, law: BoxLaw | None) -> None:
         """Publish the box's identity, assumed bench and compensated law, None: it has none, and offer it to the guard.

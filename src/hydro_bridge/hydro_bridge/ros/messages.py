@@ -41,7 +41,7 @@ class Codec:
     def __init__(self, kind: type[Any]) -> None:
         _, *members = kind.get_fields_and_field_types().items()
         self.kind, self._names = kind, [name for name, _ in members]
-        self.record = namedtuple(kind.__name__, ("stamp", *self._names))  # type: ignore[misc]
+        self.record: Callable[..., Any] = namedtuple(kind.__name__, ("stamp", *self._names))  # type: ignore[misc]
         frame = FRAME_ID.encode() + b"\0"
         form, place = f"{len(frame)}s", 12 + len(frame)  # behind sec, nanosec and the size of frame_id
         for _, name in members:

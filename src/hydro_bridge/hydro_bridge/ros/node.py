@@ -88,16 +88,17 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
     return declared
 
 
-def refuse_unknown_parameters(node: Node) -> None:
+def refuse_unknown_parameters(*nodes: Node) -> None:
     """Raise for parameters that were set but not declared; ROS would ignore them, even a misspelt limit.
 
-    Raises SettingsError: the user set a parameter, by name or in a file, that this node does not have.
+    Raises SettingsError: the user set a parameter, by name or in a file, that none of these nodes has.
     """
-    for name in node._parameter_overrides:  # rclpy has no public access to the user's values
-        if not node.has_parameter(name):
-            close = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
+    for name in {name: None for node in nodes for name in node._parameter_overrides}:  # rclpy: no public access
+        if not any(node.has_parameter(name) for node in nodes):
+            known = [known for node in nodes for known in node.get_parameters_by_prefix("")]
+            close = get_close_matches(name, known, 1)
             hint = f"; is {close[0]} meant?" if close else ""
-            raise SettingsError(f"{node.get_name()} has no parameter {name}{hint}")
+            raise SettingsError(f"{' and '.join(node.get_name() for node in nodes)} has no parameter {name}{hint}")
 
 
 def _descriptor(setting: Setting) -> ParameterDescriptor:
@@ -270,13 +271,16 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
     `make`: creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that
     reaches a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a
     callback, since the next one would find no context. Its method `close`, if any, is called while the context is still
-    valid. `ros`: arguments from `--ros-args` on.
+    valid. Its `components`, if any, are further nodes, on the same executor. `ros`: arguments from `--ros-args` on.
     """
     with running_ros(ros):
         node = None
         try:
             node = make()
-            refuse_unknown_parameters(node)
+            components: Sequence[Node] = getattr(node, "components", ())
+            refuse_unknown_parameters(node, *components)
+            for component in components:
+                executor_of(node).add_node(component)
             getattr(node, "begin", lambda: None)()
             spin(node, getattr(node, "done", None))
             return node
@@ -284,4 +288,7 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
             if node is not None:
                 with endings.undisturbed():
                     getattr(node, "close", lambda: None)()
+                    for component in components:
+                        executor_of(node).remove_node(component)
+                        component.destroy_node()
                     leave_graph(node)

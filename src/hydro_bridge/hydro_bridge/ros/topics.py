@@ -92,7 +92,7 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
 """Type and quality of service of every topic that is recorded."""
 
 _UNRECORDED: dict[str, tuple[type[Any], QoSProfile]] = {
-    ANSWERED: (Answered, _LATCHED),
+    ANSWERED: (Answered, _qos(10, reliable=True, latched=True)),  # of several nodes: none's takes another's place
     CLOCK: (Clock, _EVENTS),
 }
 
@@ -224,9 +224,20 @@ _OWN = {
 _NODES = {"watch": "_ros2cli_*"}
 """Name of a node where it is not that of its executable."""
 
+_FILTERED = replace(_PLANT, subscribes=tuple(topic for topic in _PLANT.subscribes if topic != CORRECTION))
+_TOGETHER = {
+    "bridge": _FILTERED,
+    "sim": _FILTERED,
+    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(BOX,)),
+}
+"""Nodes of `filtered_plant`, one of the plants and the filter: what the two say to each other stays in the process."""
+
 RIGHTS: Mapping[str, dict[str, Rights]] = {
-    executable: {(name := _NODES.get(executable, executable)): _with_rclpy(name, rights)}
-    for executable, rights in _OWN.items()
+    **{
+        executable: {(name := _NODES.get(executable, executable)): _with_rclpy(name, rights)}
+        for executable, rights in _OWN.items()
+    },
+    "filtered_plant": {name: _with_rclpy(name, rights) for name, rights in _TOGETHER.items()},
 }
 for _name, _topics in {
     "recorder": tuple(GRAPH),

@@ -209,8 +209,11 @@ class Pace:
                 self._log(f"the first sample waits for {_named(self._unmet)}")
                 told = now + 30.0
 
-    def published(self, sequence: int, resend: Callable[[], None]) -> None:
-        """Wait for the answers to sample `sequence`, which has just been published, as `resend` publishes it again."""
+    def publishes(self, sequence: int, resend: Callable[[], None]) -> None:
+        """Await the answers to sample `sequence`, which is about to be published, as `resend` publishes it again.
+
+        Where nobody's answer is awaited the plant goes on at once.
+        """
         now = time.monotonic()
         with self._lock:
             self._patience = _RESEND if self._newest is not None else _RESEND_FIRST

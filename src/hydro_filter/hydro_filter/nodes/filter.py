@@ -18,6 +18,9 @@ together; as at its start, nothing is answered for a second or two.
 While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
 without. Where the metric is not made for the law that runs, every answer is BYPASSED.
 
+In the process of a plant (`filtered_plant`) the filter subscribes to no samples: the plant hands them over, with their
+law and the session's epoch, and gets the correction back.
+
 Ages are by the machine's clock. A state of a plant that goes by its own clock (PACED) has none: that plant waits for
 this filter, or counts the age itself. One that it sends again is answered as before.
 """
@@ -172,10 +175,13 @@ def _shown(name: str, latency: Latency) -> dict[str, object]:
 class FilterNode(Node):
     """Passes states to the filter and publishes its corrections.
 
-    `choice`: filter to run. `settings`: defaults of the ROS parameters. `realtime`: request SCHED_FIFO.
+    `choice`: filter to run. `settings`: defaults of the ROS parameters. `realtime`: request SCHED_FIFO. `handed`: a
+    plant in this process hands over its samples (`hydro_bridge.nodes.plant_node.Corrector`), and decides on scheduling.
     """
 
-    def __init__(self, choice: FilterChoice, settings: LoopFilterSettings, *, realtime: bool = False) -> None:
+    def __init__(
+        self, choice: FilterChoice, settings: LoopFilterSettings, *, realtime: bool = False, handed: bool = False
+    ) -> None:
         super().__init__("filter")
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
@@ -193,19 +199,20 @@ class FilterNode(Node):
         self._mismatch = ""
         self._choice = choice
         self._epoch = 0
+        self._handed = handed
+        self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
         self._publisher: Publisher | None = None  # as long as another filter answers
-        self._last: tuple[int, bytes] = (-1, b"")  # sequence of the last correction, and its message
+        self._last: Any = None  # record of the last correction
         self._answers: Answers | None = None
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._advice = "" if realtime else ", or start it with --realtime"
-        scheduling = request_realtime(realtime=realtime)
+        scheduling = "in the plant's process" if handed else request_realtime(realtime=realtime)
         told = "; ".join(f"{name}: {value}" for name, value in self._told.items())
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
         self._boxes = subscribe_to_box(self, self._on_box)
-        self._words = create_subscription(self, AUTHORITY, self._on_authority)
         self._states: Subscription | None = None
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
@@ -213,7 +220,10 @@ class FilterNode(Node):
         self.create_timer(LOOK, self._look_for_new_files, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._law: Any = None  # record of the last one, while another law than the paper's acts
         self._waiting: Any = None  # record of a state that waits for its law
+        if handed:
+            return
         self._laws = subscribe(self, LAW_STATE, LAW_STATES, self._on_law_state)
+        self._words = create_subscription(self, AUTHORITY, self._on_authority)
         # last: states are queued from now on
         self._states = subscribe(self, STATE, STATES, self._on_state)
         if self._publisher is not None:
@@ -233,6 +243,19 @@ class FilterNode(Node):
             self._publisher = create_publisher(self, CORRECTION)
             if self._states is not None:
                 self._answers = Answers(self, CORRECTS, self._states)
+
+    def correct(self, state: Any, law: Any, epoch: int) -> Any:
+        """See `hydro_bridge.nodes.plant_node.Corrector`."""
+        self._epoch = epoch
+        if law is not None:
+            self._on_law_state(law)
+        self._on_state(state)
+        return None if self._publisher is None else self._last
+
+    def publish(self) -> None:
+        """See `hydro_bridge.nodes.plant_node.Corrector`."""
+        if self._publisher is not None and self._last is not None:
+            self._publisher.publish(CORRECTIONS.pack(*self._last))
 
     def _on_authority(self, message: Authority) -> None:
         if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone
@@ -270,19 +293,19 @@ class FilterNode(Node):
         except (ValueError, OSError, UserError) as error:
             self.get_logger().warning(f"the new files are not taken over: {error}")
             return
-        self._choice, self._told, self.filter = choice, told, made
-        self._unknown, self._mismatch = made.unknown(compensated=True), ""
+        with self._lock:
+            self._choice, self._told, self.filter = choice, told, made
+            self._unknown, self._mismatch = made.unknown(compensated=True), ""
         self.foreign = choice.foreign(self._box) if self._box else ""
         words = "; ".join(f"{name}: {value}" for name, value in told.items())
         self.get_logger().info(f"new files are taken over: {words}")
 
     def _on_state(self, message: Any) -> None:
         self._armed = bool(message.flags & Flag.ARMED)
-        assert self._states is not None
-        if self._states.get_publisher_count() > 1:
+        if self._states is not None and self._states.get_publisher_count() > 1:
             return  # which of them is the plant's? The plant holds its base gains, and disarms
-        if message.flags & Flag.PACED and message.sequence == self._last[0]:
-            self._publish_again()
+        if message.flags & Flag.PACED and self._last is not None and message.sequence == self._last.sequence:
+            self.publish()
             return
         if self._waiting is not None:  # its law never came
             waiting, self._waiting = self._waiting, None
@@ -294,6 +317,10 @@ class FilterNode(Node):
             self._waiting = message
 
     def _answer(self, message: Any) -> None:
+        with self._lock:
+            self._correct(message)
+
+    def _correct(self, message: Any) -> None:
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
             self.filter.skip()
@@ -343,8 +370,9 @@ class FilterNode(Node):
         identity = box.info, box.bench_digest
         if self._identity not in (None, identity):  # findings are of the previous bench; a bench at rest gives none
             self.get_logger().warning("another box is connected: what was known about its model is dropped")
-            self.filter.reset()
-            self._mismatch = ""
+            with self._lock:
+                self.filter.reset()
+                self._mismatch = ""
         self._identity = identity
 
     def _fitting(self, result: Result) -> Result:
@@ -372,13 +400,9 @@ class FilterNode(Node):
         delta_u, before, after, status = result
         infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
         numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status), self._epoch
-        self._last = state.sequence, CORRECTIONS.pack(state.stamp, state.sequence, *numbers)
-        self._publisher.publish(self._last[1])
-
-    def _publish_again(self) -> None:
-        """Answer a state that the plant has sent again, since its answer was lost."""
-        if self._publisher is not None:
-            self._publisher.publish(self._last[1])
+        self._last = CORRECTIONS.record(state.stamp, state.sequence, *numbers)
+        if not self._handed:  # else the plant says when
+            self.publish()
 
     def _age(self, state: Any) -> float:
         """Return the age [s] of a state."""

@@ -8,14 +8,14 @@ ros2 run hydro_sim sim [--model FILE | shipped | analytic] [--bench FILE] [--box
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.files import site
-from hydro_bridge.nodes.plant_node import PlantNode, mode
+from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import known_box
@@ -60,8 +60,8 @@ class SimSide(Simulation):
 class SimNode(PlantNode):
     """Plant node of a simulation."""
 
-    def __init__(self, settings: SimSettings, *, realtime: bool) -> None:
-        super().__init__("sim")
+    def __init__(self, settings: SimSettings, corrector: Corrector | None = None, *, realtime: bool) -> None:
+        super().__init__("sim", corrector)
         settings = declare_parameters(self, settings)
         bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
         believed = Bench.load(settings.box_bench) if settings.box_bench else bench
@@ -91,8 +91,9 @@ class SimNode(PlantNode):
 
     def _publish(self, stamp_ns: int, fields: tuple[Any, ...]) -> None:
         _, sequence, *values, flags = fields
-        self.publish_law_state(stamp_ns, sequence, self.simulation.law_state)
-        self.publish_state(stamp_ns, sequence, values, flags)
+        sample = stamp_ns, sequence, values, flags, self.simulation.law_state
+        self.correct(*sample)
+        self.publish_sample(*sample)
 
 
 def _plant(settings: SimSettings, bench: Bench) -> Plant:
@@ -130,9 +131,15 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
     return replace(defaults, **options), realtime
 
 
+def plant(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
+    """Return what makes the node that this command line asks for, given a filter in its process."""
+    settings, realtime = arguments(own)
+    return lambda corrector: SimNode(settings, corrector, realtime=realtime)
+
+
 @command(ValueError)
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    settings, realtime = arguments(own)
-    run_node(lambda: SimNode(settings, realtime=realtime), ros)
+    make = plant(own)
+    run_node(lambda: make(None), ros)

@@ -139,19 +139,17 @@ class Simulation:
                 self.guard.note_sample(fields[1], fields[_NOMINAL])
             self._note_flags(fields[-1])
             publish = partial(self._on_state, stamp, fields)
+            if self.paced:
+                self._answered.clear()
+                self.pace.publishes(fields[1], publish)
             publish()
             measurement = self._plant.step(fields[10])
             if self.paced:
-                self._await_answers(fields[1], publish)
+                while not self._answered.is_set():
+                    self._answered.wait(self.pace.poll())
             else:
                 self.pacer.wait()
             self.samples += 1
-
-    def _await_answers(self, sequence: int, publish: Callable[[], None]) -> None:
-        self._answered.clear()
-        self.pace.published(sequence, publish)
-        while not self._answered.is_set():
-            self._answered.wait(self.pace.poll())
 
     def stop(self) -> None:
         """End `run`."""

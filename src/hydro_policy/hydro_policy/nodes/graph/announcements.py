@@ -123,6 +123,4 @@ def _status(code: int) -> str:
 def _outcome(name: str) -> str:
     if name == "recorder":
         return ": what it had written stays readable, acting goes on unrecorded"
-    if name == "filter":
-        return ": the plant holds base gains from then on"
     return ": no samples come from then on, and the box disarms itself"

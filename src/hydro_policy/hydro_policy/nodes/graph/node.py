@@ -144,9 +144,9 @@ class GraphNode(Node):
     It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
 
-    Samples are handled a policy step at a time. A plant that goes by its own clock waits for the answer: it is given
-    once the session has seen the step, ticked where a tick is due, the plant has answered all requests, and recorder
-    and learner are there. What is decided in a step goes out with the answer.
+    A plant that goes by its own clock waits for the answer to each policy step: it is given once the session has seen
+    the step, ticked where a tick is due, the plant has answered all requests, and recorder and learner are there. What
+    is decided in a step goes out with the answer.
 
     `name`: name of the node. `realtime`: request SCHED_FIFO while a session runs; processes started then (a restarted
     learner) stay ordinary.
@@ -195,7 +195,7 @@ class GraphNode(Node):
         self._corrections: Subscription | None = None
         """Read at each policy step."""
         self._early: list[Any] = []  # corrections of samples that were not handled yet
-        self._step_samples: list[tuple[Any, float]] = []  # of the present policy step, with their arrival [s]
+        self._unhandled: list[tuple[Any, float]] = []  # samples while no session runs, with their arrival [s]
         self._heard: Any = None  # last sample
         self._arrived = math.inf  # when it came, s
         self._owed: int | None = None  # sample whose answer is due
@@ -397,33 +397,30 @@ class GraphNode(Node):
         if again and self.paced:
             self._answer()
             return
-        self._step_samples.append((message, self._arrived))
-        if self._session is None:  # a plant that goes by its own clock stands still; its samples are the session's
-            del self._step_samples[: -SAMPLES_PER_STEP if self.paced else None]
-            self._end_meeting()
-        elif self._session is not None:
-            self._handle_step(self._session)
-
-    def _handle_step(self, session: Session) -> None:
-        """Pass the samples that have arrived to the session, once they are those of a policy step."""
-        samples = self._step_samples
-        if not samples or (samples[-1][0].sequence % SAMPLES_PER_STEP and len(samples) < SAMPLES_PER_STEP):
+        if self._session is not None:
+            self._handle(self._session, message, self._arrived)
             return
-        self._step_samples = []
-        sequence = samples[-1][0].sequence
+        self._unhandled.append((message, self._arrived))
+        del self._unhandled[: -SAMPLES_PER_STEP if self.paced else None]
+        self._end_meeting()
+
+    def _handle(self, session: Session, message: Any, arrived: float) -> None:
+        """Pass a sample to the session; the last one of a policy step behind the corrections of the step."""
+        ends = message.sequence % SAMPLES_PER_STEP == 0
         try:
-            self._read_corrections(sequence)
-            for message, arrived in samples:
-                if self._commander.held and not session.finished:
-                    self._pass_on(session, message, arrived)
-            if self.paced and sequence % _TICK_SAMPLES == 0 and not session.finished:
+            if ends:
+                self._read_corrections(message.sequence)
+            if self._commander.held and not session.finished:
+                self._pass_on(session, message, arrived)
+            if self.paced and message.sequence % _TICK_SAMPLES == 0 and not session.finished:
                 self._tick(self.now())
         except Exception as error:
             self.fail(error)
         if session.finished:
             self._finish()
-        self._owed = sequence
-        self._answer()
+        if ends:
+            self._owed = message.sequence
+            self._answer()
 
     def _pass_on(self, session: Session, message: Any, arrived: float) -> None:
         now = 1e-9 * message.stamp if message.flags & Flag.PACED else arrived
@@ -433,12 +430,13 @@ class GraphNode(Node):
 
     def _begin_answering(self) -> None:
         """Handle what a plant that goes by its own clock has sent before the session, and answer it."""
+        unhandled, self._unhandled = self._unhandled, []
         if not self.paced or self._session is None:
-            self._step_samples = []
             return
         if self._owed is not None:  # the session before has seen it
             self._tick(self.now())
-        self._handle_step(self._session)
+        for message, arrived in unhandled:
+            self._handle(self._session, message, arrived)
         self._answer()
 
     def _answer(self) -> None:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Companion processes: the nodes that a trainer or an evaluation starts without `ros2 launch`, and their arguments.
 
---plant sim         sim, filter, recorder
---plant emulator    emulator, bridge, filter, recorder
---plant bench       bridge, filter, recorder
+--plant sim         sim with filter, recorder
+--plant emulator    emulator, bridge with filter, recorder
+--plant bench       bridge with filter, recorder
 --plant external    none: everything runs already
 
-With `--filter none` there is no filter: the compensated law needs none, and of the paper's law base gains are in force.
+The filter is in the plant's process (`hydro_filter.nodes.filtered_plant`). With `--filter none` there is no filter: the
+compensated law needs none, and of the paper's law base gains are in force.
 
 The guard is widened to the policy's range of gains, and told which filter that range relies on. A recording gets the
 bench file, and digests of all weights involved.
@@ -14,6 +15,7 @@ bench file, and digests of all weights involved.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -179,18 +181,14 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", [*scheduling, *_recorder_arguments(options, options.recording)]))
         peers.append("recorder")
-    if options.filter != NO_FILTER:
-        started.append(("hydro_filter", "filter", [*bench, *scheduling, *options.filter]))
-        peers.append("filter")
     guard = guard_parameters(gains, options.filter)
     if peers and not options.real_time:
         guard = ["--ros-args", "-p", f"pace.peers:={' '.join(peers)}", *guard[1:]]
     if options.plant == "sim":
-        words = [*scheduling, "--seed", str(options.seed), "--pace", options.pace]
-        words += _with_base_gains(guard, options.base_gains)
-        model = ["--model", str(options.model)] if options.model else []
-        started.append(("hydro_sim", "sim", [*bench, *model, *words]))
-        return started
+        words = [*bench, *(["--model", str(options.model)] if options.model else []), *scheduling]
+        words += ["--seed", str(options.seed), "--pace", options.pace]
+        plant = _plant("hydro_sim", "sim", [*words, *_with_base_gains(guard, options.base_gains)], options)
+        return [*started, plant]
     port = options.port
     if options.plant == "emulator":
         port = port or str(folder / "port")
@@ -199,9 +197,16 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         arguments += ["--truth", str(options.truth)] if options.truth else []
         arguments += ["--faults", options.faults] if options.faults else []
         started.append(("hydro_sim", "emulator", arguments))
-    words = [*(["--port", port] if port else []), *bench, *guard]
-    started.append(("hydro_bridge", "bridge", [*scheduling, *words]))
-    return started
+    words = [*scheduling, *(["--port", port] if port else []), *bench, *guard]
+    return [*started, _plant("hydro_bridge", "bridge", words, options)]
+
+
+def _plant(package: str, node: str, words: list[str], options: PlantOptions) -> tuple[str, str, list[str]]:
+    """Return package, executable and arguments of a plant's node, with the filter in its process."""
+    if options.filter == NO_FILTER:
+        return package, node, words
+    asked = shlex.join([*(["--bench", str(options.bench)] if options.bench else []), *options.filter])
+    return "hydro_filter", "filtered_plant", [node, f"--filter={asked}", *words]
 
 
 def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) -> list[str]:

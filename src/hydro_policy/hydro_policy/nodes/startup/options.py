@@ -62,8 +62,8 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         "--plant",
         choices=PLANTS,
         default="external",
-        help="start the other nodes, too: sim (sim, filter, recorder), emulator (emulator, bridge, filter, recorder), "
-        "bench (bridge, filter, recorder), or external: they run already (default)",
+        help="start the other nodes, too: sim (sim with filter, recorder), emulator (emulator, bridge with filter, "
+        "recorder), bench (bridge with filter, recorder), or external: they run already (default)",
     )
     group.add_argument("--port", metavar="PATH", help="serial port of the bench (default: the bridge's)")
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")

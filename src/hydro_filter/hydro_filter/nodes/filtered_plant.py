@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plant node with the filter in its process: the plant hands each sample over and has its correction at once.
+
+ros2 run hydro_filter filtered_plant bridge|sim [options of that node] [--filter "WORDS"]
+
+Nodes, topics and parameters are those of `bridge` or `sim` and `filter` side by side. Between the two nothing crosses
+the middleware (docs/decisions/0084-bridge-and-filter-in-one-process.md).
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+
+from hydro_bridge.cli.console import command
+from hydro_bridge.nodes import bridge
+from hydro_bridge.ros.node import ros_arguments, run_node
+from hydro_filter.controller.factory import arguments
+from hydro_filter.nodes.filter import FilterNode
+from hydro_sim.nodes import sim
+
+PLANTS = {"bridge": bridge.plant, "sim": sim.plant}
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of what is not the plant's."""
+    result = argparse.ArgumentParser(
+        prog="filtered_plant",
+        description="A plant and the filter in one process: same nodes and topics as side by side, half the work.",
+        epilog="Further options are the plant's: `filtered_plant bridge --port /dev/ttyUSB0`; see `bridge --help`.",
+        allow_abbrev=False,
+    )
+    result.add_argument("plant", choices=tuple(PLANTS), help="which node")
+    result.add_argument("--filter", default="", metavar="WORDS", help='of the filter: --filter="--contraction-rate 2"')
+    return result
+
+
+@command(ValueError)
+def main() -> None:
+    """Entry point."""
+    own, ros = ros_arguments()
+    asked, words = parser().parse_known_args(own)
+    choice, settings, _ = arguments(shlex.split(asked.filter))
+    choice.describe()  # a missing file is refused before ROS starts
+    make = PLANTS[asked.plant](words)
+    run_node(lambda: make(FilterNode(choice, settings, handed=True)), ros)
