@@ -2,9 +2,9 @@
 """The whole graph on this machine: box frame in to correction frame out, CPU per process, lost samples.
 
 Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes, then again with bridge and filter in
-one; gains come at 100 Hz from here, as a trainer's would. The bridge measures the latency, from a state frame's arrival to the command frame that carries its
-correction, and tells it on /diagnostics. Under `--law compensated` this process has the law's estimator too, and the
-filter needs --model and --metric of a bench file (learn_metric makes the metric).
+one; gains come at 100 Hz from here, as a trainer's would. The bridge measures the latency, from a state frame's arrival
+to the command frame that carries its correction, and tells it on /diagnostics. Under `--law compensated` this process
+has the law's estimator too, and the filter needs --model and --metric of a bench file (learn_metric makes the metric).
 """
 
 from __future__ import annotations
