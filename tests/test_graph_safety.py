@@ -20,7 +20,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray
 
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import DIAGNOSTICS, GAINS, LAW_STATE, STATE, create_subscription
+from hydro_bridge.ros.topics import CORRECTION, DIAGNOSTICS, GAINS, LAW_STATE, STATE, create_subscription
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Flag
@@ -103,6 +103,27 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
     assert not (flags & (Flag.TRIPPED | Flag.FORCE_LIMIT)).any(), "the monitor was there first"
     learnt = load_checkpoint(run.latest).replay
     assert (learnt[:, -1] == 1.0).sum() == len(stops), "each stop is a lesson"
+
+
+@pytest.mark.realtime
+def test_a_filter_of_its_own_process_that_is_killed_leaves_base_gains(
+    probe: Probe, start: Callable[..., Companion]
+) -> None:
+    apart = start("hydro_filter filter")
+    start("hydro_sim sim", "--pace", "real")
+    probe.wait(lambda: probe.node.count_publishers(CORRECTION) == 1, 120.0)
+    probe.take()
+    probe.wait(lambda: all(probe.node.count_subscribers(topic) for topic in (GAINS, CORRECTION)))
+    probe.arm(True)
+    probe.drive(75.0, 10.0, 1.0)
+    assert 90.0 in {state.proportional_gain for state in probe.states}
+    apart.process.kill()
+    probe.drive(75.0, 10.0, 0.5)
+    probe.forget()
+    probe.drive(75.0, 10.0, 0.5)
+    assert {state.proportional_gain for state in probe.states} == {15.0}
+    assert all(state.flags & Flag.FILTER_STALE for state in probe.states)
+    assert {state.valve_current - state.nominal_valve_current for state in probe.states} == {0.0}
 
 
 LAW = BoxLaw()
