@@ -41,7 +41,7 @@ from scipy.sparse import csc_matrix
 
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
+from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_diagnosis.pipeline import diagnose
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs

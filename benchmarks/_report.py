@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hydro_bridge.cli.console import command_line
+from hydro_core.cli.console import command_line
 
 
 def parser(name: str, description: str | None) -> argparse.ArgumentParser:

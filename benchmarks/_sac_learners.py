@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_policy.envs.vector_env import Environment, VectorBench
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 
-from hydro_bridge.signals import SAMPLES_PER_STEP
+from hydro_core.signals import SAMPLES_PER_STEP
 from hydro_policy.envs import vector_env
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_sim.emulator.truth import plant as truth

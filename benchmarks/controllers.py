@@ -34,11 +34,11 @@ from benchmarks._model_based import (
 from benchmarks._report import parser
 from benchmarks._truths import drawn_truths, truth_fleet
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, command
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, FloatArray
+from hydro_core.cli import jobs
+from hydro_core.cli.console import Table, command
+from hydro_core.settings import SettingsError
+from hydro_core.signals import SAMPLE_PERIOD, Flag, FloatArray
 from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs

@@ -14,9 +14,9 @@ import time
 import numpy as np
 
 from benchmarks._report import parser
-from hydro_bridge.cli.console import Table, progress
 from hydro_bridge.ros.node import request_realtime
-from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
+from hydro_core.cli.console import Table, progress
+from hydro_core.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings
 from hydro_filter.model.sample import Sample

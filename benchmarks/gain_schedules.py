@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks._report import parser
 from benchmarks._truths import truth_fleet
-from hydro_bridge.cli.console import Table, command, progress
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray, ReferenceSignal, Waveform
+from hydro_core.cli.console import Table, command, progress
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs
 from hydro_policy.task.cases import Case, EvaluationSettings

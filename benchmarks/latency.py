@@ -26,12 +26,12 @@ from rclpy.executors import SingleThreadedExecutor
 
 from benchmarks._report import parser
 from hydro_bridge.bags.recording import continuity, read_bag
-from hydro_bridge.cli.console import Table, UserError, command
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import DIAGNOSTICS, LAW_STATE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import Law, ReferenceSignal, Waveform
+from hydro_core.cli.console import Table, UserError, command
+from hydro_core.signals import Law, ReferenceSignal, Waveform
 from hydro_msgs.msg import BenchState, LawState
 from hydro_policy.compensation.live import LiveCompensation
 

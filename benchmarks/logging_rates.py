@@ -26,8 +26,8 @@ from benchmarks.foreign_truth import plant
 from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.equations import PERIOD, POSITION, PRESSURE_A, PRESSURE_B, STATES, command, sense
 from benchmarks.foreign_truth.plant import FloatArray
-from hydro_bridge.cli import console
-from hydro_bridge.cli.console import Table, progress
+from hydro_core.cli import console
+from hydro_core.cli.console import Table, progress
 from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.recording import InputError
 

@@ -21,9 +21,9 @@ from numba import njit
 
 from benchmarks._report import parser
 from benchmarks._truths import truth_fleet
-from hydro_bridge.cli.console import Table, command, progress
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.signals import (
+from hydro_core.cli.console import Table, command, progress
+from hydro_core.signals import (
     PLANT_FIELDS,
     SAMPLE_PERIOD,
     SAMPLES_PER_STEP,

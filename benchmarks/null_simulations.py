@@ -24,9 +24,9 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks._report import parser
 from benchmarks.prove.blind import ENGINE
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, command, number
-from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_core.cli import jobs
+from hydro_core.cli.console import Table, command, number
+from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_diagnosis.bench_numbers import completed
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit

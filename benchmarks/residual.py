@@ -35,9 +35,9 @@ from benchmarks._report import parser
 from benchmarks._truths import drawn_truths, truth_fleet
 from benchmarks.controllers import interquartile_mean
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, progress
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.cli import jobs
+from hydro_core.cli.console import Table, progress
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, STRUCTURE, Network, Residual
 from hydro_policy.envs import vector_runs

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from benchmarks._report import parser
-from hydro_bridge.cli.console import Table, progress
+from hydro_core.cli.console import Table, progress
 
 PEERS = ("gymnasium", "stable_baselines3", "skrl", "sbx")
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)

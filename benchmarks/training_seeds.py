@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from benchmarks._report import parser
-from hydro_bridge.cli.console import Table, command, progress
+from hydro_core.cli.console import Table, command, progress
 from hydro_policy.envs.vector_env import Transitions
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks._report import parser
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, command
-from hydro_bridge.signals import FloatArray
+from hydro_core.cli import jobs
+from hydro_core.cli.console import Table, command
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.change_points import course
 from hydro_diagnosis.diagnose_many import write_study
 from hydro_diagnosis.trends import NEUTRAL, Series, series_of

@@ -20,7 +20,7 @@ import numpy as np
 from demo import page, stages, trial
 from demo.stages import Plan
 from demo.trial import Entry, Story
-from hydro_bridge.cli.console import Table, add_json_argument, command, command_line, progress, writable_folder
+from hydro_core.cli.console import Table, add_json_argument, command, command_line, progress, writable_folder
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_sim.model.bench import Bench
 

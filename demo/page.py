@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from demo.trial import Entry, Story
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure
 
 SHOWN = 2.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from demo.stages import Plan
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
+from hydro_core.signals import STATE_DTYPE, Flag, StateArray
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Controller

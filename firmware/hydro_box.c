@@ -4,7 +4,7 @@
  * numbers of a call are double in both precisions, but a command's record is hydro_command. */
 #include "hydro/box.h"
 
-/* One sample, laid out as hydro_bridge.signals.STATE_DTYPE. */
+/* One sample, laid out as hydro_core.signals.STATE_DTYPE. */
 typedef struct {
     double time;
     uint32_t sequence;

@@ -28,7 +28,7 @@ MAIN_JOB = (("hydro_filter", "filter"), ("hydro_policy", "learner"), ("hydro_pol
             ("hydro_sim", "emulator"))  # fmt: skip
 """Package and step of what `make train` runs, the longest first."""
 
-FOLDERS = ("hydro_bridge", "hydro_sim", "hydro_filter", "hydro_policy", "hydro_diagnosis")
+FOLDERS = ("hydro_core", "hydro_bridge", "hydro_sim", "hydro_filter", "hydro_policy", "hydro_diagnosis")
 """Packages whose sources count."""
 
 PROCESSES = 4

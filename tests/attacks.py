@@ -31,7 +31,7 @@ from hydro_bridge.ros.topics import (
     STATE,
     create_publisher,
 )
-from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
+from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.startup.companions import PlantOptions, start_companions

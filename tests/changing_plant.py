@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
 from hydro_sim.emulator.truth.parameters import compile_parameters
 from hydro_sim.emulator.truth.plant import TruthPlant

@@ -18,7 +18,6 @@ from random import Random
 
 from cobs import cobs
 
-from hydro_bridge.cli.console import progress
 from hydro_bridge.serial.protocol import (
     MAX_ENCODED,
     BoxInfo,
@@ -30,7 +29,8 @@ from hydro_bridge.serial.protocol import (
     encode_state,
 )
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import Command, Law, ReferenceSignal, Waveform
+from hydro_core.cli.console import progress
+from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
 
 BATCH = 2000
 

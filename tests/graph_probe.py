@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.topics import ARM_SERVICE, CLAIM_SERVICE, GAINS, GRAPH, STATE, TRAINING
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")

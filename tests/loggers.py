@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 
 Array = npt.NDArray[np.float64]
 CHANNELS = {

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.signals import (
+from hydro_core.signals import (
     SAMPLE_PERIOD,
     STATE_FIELDS,
     CorrectionStatus,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_filter.metric import MetricDesign, rest_loop
 from hydro_filter.model.loop import SUBSTEPS, loop_of, memories
 from hydro_filter.model.observer import follow, settle

@@ -15,7 +15,7 @@ import pytest
 
 from hydro_bridge.conformance.command import FAIL, PASS, run, shipped
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.files import bench_file
+from hydro_core.files import bench_file
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.header import header
 from hydro_sim.emulator.line.terminal import Terminal

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller import header, loop_decision
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.controller.loop_filter import loop_parts

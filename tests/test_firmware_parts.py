@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_core.signals import STATE_FIELDS, FloatArray
 from hydro_filter.controller import header as filter_header
 from hydro_policy.sac import header as policy_header
 from hydro_policy.sac.policy import Policy, load_policy

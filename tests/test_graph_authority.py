@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import CORRECTION, STATE
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from tests.attacks import AFTER, ATTACKS, STAYS_ARMED, Defended, error, listener
 from tests.graph_probe import trainer
 

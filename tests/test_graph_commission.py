@@ -16,10 +16,10 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.errors import UserError
-from hydro_bridge.files import site
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.safety.box_info import KnownBox
+from hydro_core.errors import UserError
+from hydro_core.files import site
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
 from hydro_policy.nodes.commissioning import NAMES, Site, comparison

@@ -17,7 +17,7 @@ pytest.importorskip("selenium")
 
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.topics import STATE
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 from tests.attacks import Defended
 from tests.browser import MISSING, Page, browser

@@ -27,7 +27,7 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.messages import seconds
 from hydro_bridge.ros.topics import DIAGNOSTICS, GAINS, STATE, TRAINING, create_subscription
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.nodes.training import check_run
 from hydro_policy.runs.run import Checkpoint, RunDirectory, load_checkpoint

@@ -24,7 +24,7 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.keys import enclave_of
 from hydro_bridge.ros.topics import FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
-from hydro_bridge.signals import STATE_DTYPE
+from hydro_core.signals import STATE_DTYPE
 from tests.graph_probe import own_domain
 
 pytestmark = pytest.mark.graph

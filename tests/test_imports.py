@@ -74,13 +74,13 @@ def test_what_is_imported_is_declared(folder: Path) -> None:
     assert listed == {DISTRIBUTIONS.get(name, name) for name in foreign if name in {*KEYS, *WITHOUT_KEY}}
 
 
-ENTRY = re.compile(r'"(\w+) = hydro_bridge\.process\.start:main_of\.([\w.]+)"')
+ENTRY = re.compile(r'"(\w+) = hydro_core\.process\.start:main_of\.([\w.]+)"')
 COMMANDS = [module for _, module in ENTRY.findall((ROOT / "src/hydro_policy/setup.py").read_text(encoding="utf-8"))]
 """The other packages import no torch."""
 WITHOUT_NUMBA = ("hydro_policy.nodes.evaluate", "hydro_policy.nodes.trainer")
 PROBE = """
 import importlib, os, sys
-from hydro_bridge.process.start import MainOf
+from hydro_core.process.start import MainOf
 for name in sys.argv[1].split():
     importlib.import_module(name)
 for module in sys.argv[2:]:

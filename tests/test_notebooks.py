@@ -24,7 +24,7 @@ import sys
 sys.modules.update(dict.fromkeys(("rclpy", "hydro_msgs", "torch", "ament_index_python"), None))
 """
 START_A_NODE = """
-from hydro_bridge.process.start import main_of
+from hydro_core.process.start import main_of
 sys.exit(main_of.hydro_bridge.nodes.bridge())
 """
 

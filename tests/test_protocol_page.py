@@ -27,7 +27,7 @@ from hydro_bridge.serial.protocol import (
     encode_law,
     encode_state,
 )
-from hydro_bridge.signals import Command, Flag, Law, ReferenceSignal, Waveform
+from hydro_core.signals import Command, Flag, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from tests.fuzz_link import DAMAGES, fuzz, violations

@@ -24,7 +24,7 @@ from benchmarks._report import parser
 from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded
 from benchmarks.beyond_the_table.kinds import HALVES, NAMES
 from benchmarks.beyond_the_table.score import scored, table
-from hydro_bridge.cli.console import UserError, command, number, progress, writable_folder
+from hydro_core.cli.console import UserError, command, number, progress, writable_folder
 
 
 @command()

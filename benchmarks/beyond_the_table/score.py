@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.beyond_the_table.cases import Case
 from benchmarks.beyond_the_table.kinds import Kind
-from hydro_bridge.cli.console import Table
+from hydro_core.cli.console import Table
 from hydro_sim.model.grammar import COMPOSITIONS
 from hydro_sim.model.laws import REVERSING, Law
 

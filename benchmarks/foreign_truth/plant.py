@@ -30,7 +30,7 @@ from benchmarks.foreign_truth.equations import (
     sense,
 )
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
+from hydro_core.signals import STATE_DTYPE, STATE_FIELDS
 
 FloatArray = npt.NDArray[np.float64]
 SUBSTEPS = 200

@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks import _report
 from benchmarks.paper import report
 from benchmarks.paper.store import FULL, QUICK, RESULTS, Store
-from hydro_bridge.cli.console import command
+from hydro_core.cli.console import command
 
 TABLES = {
     "rmse_model": "models.run",

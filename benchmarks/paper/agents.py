@@ -25,7 +25,7 @@ from benchmarks.controllers import policy_of
 from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
 from benchmarks.paper.validation import corrector
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag
+from hydro_core.signals import SAMPLE_PERIOD, Flag
 from hydro_filter.validation.runs import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession

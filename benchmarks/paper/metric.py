@@ -26,7 +26,7 @@ import torch
 from benchmarks.paper import models
 from benchmarks.paper.models import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
-from hydro_bridge.signals import CorrectionStatus, FloatArray
+from hydro_core.signals import CorrectionStatus, FloatArray
 from hydro_filter.certificate import closed_form
 from hydro_filter.controller.loop_filter import Result as Correction
 from hydro_filter.metric import ScheduledMetric

@@ -31,7 +31,7 @@ import numpy as np
 import torch
 
 from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, matrix
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, matrix
 from hydro_sim.emulator.offline import Recording, record_offline
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation import draw

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Result, Store
-from hydro_bridge.cli.console import Table
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.signals import FloatArray
+from hydro_core.cli.console import Table
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import FloatArray
 
 HEAD = """# The paper, row by row
 

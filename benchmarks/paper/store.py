@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.files.atomic import write_whole
+from hydro_core.files.atomic import write_whole
 
 RESULTS = Path(__file__).parent / "results"
 """What came with the program."""

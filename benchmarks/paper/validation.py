@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.paper import metric, models
 from benchmarks.paper.store import CASES, FILTERS, Result, Store
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_filter.validation import runs
 from hydro_filter.validation.runs import Corrector, Trial, gammas
 from hydro_filter.validation.runs import run as run_trial

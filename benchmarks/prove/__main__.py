@@ -23,11 +23,11 @@ import yaml
 
 from benchmarks.prove.cases import PARTS, Case, draw, draw_parts
 from benchmarks.prove.scores import Result, confusion, failures, standards
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, number, writable_folder
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
+from hydro_core.cli import jobs
+from hydro_core.cli.console import Table, UserError, add_json_argument, command, number, writable_folder
+from hydro_core.files.atomic import write_whole
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import figure
 

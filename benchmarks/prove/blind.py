@@ -24,9 +24,9 @@ from typing import Any
 import hydro_diagnosis
 import hydro_sim.model
 from benchmarks.prove.cases import FITTED, HELD, missing
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import command
-from hydro_bridge.files.atomic import write_whole
+from hydro_core.cli import jobs
+from hydro_core.cli.console import command
+from hydro_core.files.atomic import write_whole
 from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.prove.cases import FITTED, HELD, Case, missing
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.cli import jobs
-from hydro_bridge.signals import Flag
+from hydro_core.cli import jobs
+from hydro_core.signals import Flag
 from hydro_diagnosis.io.table import UnusableRecordingError, read_table
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_sim.box.box import BoxConfig

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from benchmarks.prove.cases import Case
-from hydro_bridge.cli.console import Table
+from hydro_core.cli.console import Table
 
 Name = tuple[str, str]
 """Id, and the chamber, cell or sensor if it has one."""

@@ -28,7 +28,7 @@ import yaml
 from scipy.io import loadmat
 
 from benchmarks import _report
-from hydro_bridge.cli.console import Table, UserError, command, progress
+from hydro_core.cli.console import Table, UserError, command, progress
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.report_json import EffectReport
 

@@ -15,7 +15,7 @@ from benchmarks.prove.__main__ import run
 from benchmarks.prove.cases import FITTED, HELD, PARTS, Case, draw
 from benchmarks.prove.scores import Result, failures, standards
 from hydro_bridge.bags.recording import read_bag
-from hydro_bridge.cli.console import UserError
+from hydro_core.cli.console import UserError
 from hydro_sim.model.bench import Bench
 
 SEED = 4  # of development; no figure is reported from it

@@ -52,7 +52,7 @@ typedef struct {
     hydro_real second; /* N/s^2, what f_c takes f_r'' for, on the way to the next sample */
 } hydro_law_state;
 
-/* One sample, laid out as hydro_bridge.signals.STATE_DTYPE where hydro_real is double. */
+/* One sample, laid out as hydro_core.signals.STATE_DTYPE where hydro_real is double. */
 typedef struct {
     hydro_time time;
     uint32_t sequence;

@@ -33,9 +33,8 @@ setup(
     description="The outside world as topics: serial link to the MicroLabBox, recorder, replayer, bag reader.",
     license="Apache-2.0",
     install_requires=[
+        "hydro_core",
         "cobs",
-        "dask",
-        "distributed",
         "jinja2",
         "mcap",
         "msgspec",
@@ -50,15 +49,15 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "arm = hydro_bridge.process.start:main_of.hydro_bridge.nodes.arm",
-            "bridge = hydro_bridge.process.start:main_of.hydro_bridge.nodes.bridge",
-            "conformance = hydro_bridge.process.start:main_of.hydro_bridge.conformance.command",
-            "dashboard = hydro_bridge.process.start:main_of.hydro_bridge.nodes.dashboard",
-            "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
-            "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
-            "runs = hydro_bridge.process.start:main_of.hydro_bridge.viewer.runs",
-            "create_keystore = hydro_bridge.process.start:main_of.hydro_bridge.nodes.create_keystore",
-            "view = hydro_bridge.process.start:main_of.hydro_bridge.viewer.view",
+            "arm = hydro_core.process.start:main_of.hydro_bridge.nodes.arm",
+            "bridge = hydro_core.process.start:main_of.hydro_bridge.nodes.bridge",
+            "conformance = hydro_core.process.start:main_of.hydro_bridge.conformance.command",
+            "dashboard = hydro_core.process.start:main_of.hydro_bridge.nodes.dashboard",
+            "recorder = hydro_core.process.start:main_of.hydro_bridge.nodes.recorder",
+            "replayer = hydro_core.process.start:main_of.hydro_bridge.nodes.replayer",
+            "runs = hydro_core.process.start:main_of.hydro_bridge.viewer.runs",
+            "create_keystore = hydro_core.process.start:main_of.hydro_bridge.nodes.create_keystore",
+            "view = hydro_core.process.start:main_of.hydro_bridge.viewer.view",
         ],
     },
 )

@@ -35,12 +35,12 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "pretrain = hydro_bridge.process.start:main_of.hydro_policy.pretraining.pretrain",
-            "commission = hydro_bridge.process.start:main_of.hydro_policy.nodes.commission",
-            "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer",
-            "evaluate = hydro_bridge.process.start:main_of.hydro_policy.nodes.evaluate",
-            "export_c = hydro_bridge.process.start:main_of.hydro_policy.sac.header",
-            "override = hydro_bridge.process.start:main_of.hydro_policy.nodes.override",
+            "pretrain = hydro_core.process.start:main_of.hydro_policy.pretraining.pretrain",
+            "commission = hydro_core.process.start:main_of.hydro_policy.nodes.commission",
+            "trainer = hydro_core.process.start:main_of.hydro_policy.nodes.trainer",
+            "evaluate = hydro_core.process.start:main_of.hydro_policy.nodes.evaluate",
+            "export_c = hydro_core.process.start:main_of.hydro_policy.sac.header",
+            "override = hydro_core.process.start:main_of.hydro_policy.nodes.override",
         ],
     },
 )

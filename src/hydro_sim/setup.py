@@ -25,12 +25,12 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "sim = hydro_bridge.process.start:main_of.hydro_sim.nodes.sim",
-            "export_c = hydro_bridge.process.start:main_of.hydro_sim.box.header",
-            "emulator = hydro_bridge.process.start:main_of.hydro_sim.emulator.command",
-            "collect = hydro_bridge.process.start:main_of.hydro_sim.nodes.collect",
-            "learn = hydro_bridge.process.start:main_of.hydro_sim.identification.learn",
-            "validate = hydro_bridge.process.start:main_of.hydro_sim.identification.validate",
+            "sim = hydro_core.process.start:main_of.hydro_sim.nodes.sim",
+            "export_c = hydro_core.process.start:main_of.hydro_sim.box.header",
+            "emulator = hydro_core.process.start:main_of.hydro_sim.emulator.command",
+            "collect = hydro_core.process.start:main_of.hydro_sim.nodes.collect",
+            "learn = hydro_core.process.start:main_of.hydro_sim.identification.learn",
+            "validate = hydro_core.process.start:main_of.hydro_sim.identification.validate",
         ],
     },
 )

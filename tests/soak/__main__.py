@@ -20,9 +20,9 @@ from itertools import chain, count
 from pathlib import Path
 from random import Random
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
-from hydro_bridge.process.endings import Ended
 from hydro_bridge.ros.node import stay_on_this_machine
+from hydro_core.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
+from hydro_core.process.endings import Ended
 from tests.soak.faults import FAULTS
 from tests.soak.judge import Outcome
 from tests.soak.soak import soaking

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from tests.soak.crew import Memory
 from tests.soak.wire import TYPE
 

@@ -13,7 +13,7 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_bridge.process.endings import undisturbed
+from hydro_core.process.endings import undisturbed
 from tests.graph_probe import own_domain
 from tests.soak.crew import Crew
 from tests.soak.faults import Fault

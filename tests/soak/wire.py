@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.serial.protocol import CommandFrame, MalformedError, State, decode
-from hydro_bridge.signals import STATE_FIELDS
+from hydro_core.signals import STATE_FIELDS
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.realtime import raise_priority
 from tests.fuzz_link import DAMAGES

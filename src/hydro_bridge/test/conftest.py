@@ -28,7 +28,7 @@ from hydro_bridge.serial.protocol import (
     encode_state,
 )
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Flag, Law, StateArray
+from hydro_core.signals import STATE_DTYPE, STATE_FIELDS, Flag, Law, StateArray
 from tests.fuzz_link import altered
 
 

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from hydro_bridge.bags.cdr import STATE_TYPE, encode_states, fixed_layout
 from hydro_bridge.bags.types import PACKAGED, definition, installed_definition
 from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES
-from hydro_bridge.signals import STATE_FIELDS
+from hydro_core.signals import STATE_FIELDS
 
 
 def test_states_agree_with_an_independent_codec(make_states):

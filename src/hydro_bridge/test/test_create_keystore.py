@@ -13,7 +13,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.errors import UserError
 from hydro_bridge.nodes import create_keystore
 from hydro_bridge.nodes.create_keystore import domain, make_keystore, policy_xml
 from hydro_bridge.ros.companion import Companion, executable_path
@@ -32,7 +31,8 @@ from hydro_bridge.ros.topics import (
     RIGHTS,
     STATE,
 )
-from hydro_bridge.settings import SettingsError
+from hydro_core.errors import UserError
+from hydro_core.settings import SettingsError
 from tests.checks import ran, status_of
 
 ENCLAVES = [enclave_of(executable) for executable in RIGHTS]

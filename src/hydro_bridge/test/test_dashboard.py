@@ -17,7 +17,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from hydro_bridge.dashboard.server import BEHIND, COMMANDS, VIEWERS, PageServer, RefusedError, check, read
-from hydro_bridge.errors import UserError
+from hydro_core.errors import UserError
 from tests.checks import wait
 
 

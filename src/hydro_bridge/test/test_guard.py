@@ -18,7 +18,7 @@ from hydro_bridge.safety.guard import (
     safe_command,
 )  # fmt: skip
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import NEUTRAL, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
+from hydro_core.signals import NEUTRAL, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
 LIMITS = GuardSettings()

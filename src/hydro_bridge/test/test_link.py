@@ -16,8 +16,8 @@ from hydro_bridge.link.link import NO_LAW, Link, LinkState, incomplete
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details, foreign_box
-from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import Command, CorrectionStatus, Flag, Law
+from hydro_core.settings import SettingsError
+from hydro_core.signals import Command, CorrectionStatus, Flag, Law
 from tests.checks import wait
 
 

@@ -17,10 +17,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rosbags.rosbag2 import Reader
 
 from hydro_bridge.bags.recording import continuity, objects, read_bag
-from hydro_bridge.files import bench_file
 from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame
-from hydro_bridge.signals import Flag, ReferenceSignal, Waveform
+from hydro_core.files import bench_file
+from hydro_core.signals import Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import BoxInfo, Gains
 from hydro_msgs.srv import Claim
 from tests.checks import wait

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from hydro_bridge.safety.pace import COMMANDS, CORRECTS, RECORDS, Pace, PaceSettings, parse_pace, refuse_speed
-from hydro_bridge.settings import SettingsError
+from hydro_core.settings import SettingsError
 from tests.checks import wait
 
 

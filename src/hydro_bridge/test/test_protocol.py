@@ -31,7 +31,7 @@ from hydro_bridge.serial.protocol import (
     foreign_box,
 )
 from hydro_bridge.serial.stream import Decoder, SequenceTracker
-from hydro_bridge.signals import Command, Law
+from hydro_core.signals import Command, Law
 from tests.fuzz_link import altered, sealed
 
 

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from hydro_bridge.process.realtime import KILLED_AT, RUN_MAX, Pacer
+from hydro_core.process.realtime import KILLED_AT, RUN_MAX, Pacer
 from tests.checks import ran
 
 pytest.importorskip("rclpy")
@@ -19,7 +19,7 @@ pytest.importorskip("rclpy")
 NODE = """
 import time
 from rclpy.node import Node
-from hydro_bridge.cli.console import command
+from hydro_core.cli.console import command
 from hydro_bridge.ros.node import request_realtime, run_node
 
 class Spinning(Node):
@@ -45,7 +45,7 @@ main()
 """
 COMPILED = """
 import itertools, os, time
-from hydro_bridge.process.realtime import limit_run
+from hydro_core.process.realtime import limit_run
 
 limit_run()
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))

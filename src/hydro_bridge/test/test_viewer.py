@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, Thinner
 from hydro_bridge.ros.topics import GRAPH
-from hydro_bridge.signals import STATE_DTYPE, Flag
 from hydro_bridge.viewer.runs import list_runs, refresh_index, write_index
 from hydro_bridge.viewer.view import main, read_recorded, rendered
+from hydro_core.signals import STATE_DTYPE, Flag
 from tests import browser
 from tests.checks import status_of
 

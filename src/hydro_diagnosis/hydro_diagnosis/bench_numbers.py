@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-from hydro_bridge.settings import quantity, read_yaml
+from hydro_core.settings import quantity, read_yaml
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench

@@ -24,7 +24,7 @@ from scipy.ndimage import median_filter
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 
 NEEDED = 10.0
 """Evidence [BIC] of a change: very strong by Kass and Raftery (1995), table in section 3.2."""

@@ -8,9 +8,9 @@ import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 
-from hydro_bridge.cli.console import command, writable, writable_folder
-from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
+from hydro_core.cli.console import command, writable, writable_folder
+from hydro_core.process import endings
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.stage_bar import StageBar, silent

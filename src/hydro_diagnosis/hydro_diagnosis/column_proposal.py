@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_core.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
 from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, named_like_time, runs_forward, without_unit
 from hydro_diagnosis.io.table import base_of

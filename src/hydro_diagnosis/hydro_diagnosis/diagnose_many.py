@@ -28,9 +28,9 @@ from pyarrow import parquet
 from hydro_bridge.bags.location import is_bag, is_stored, is_there, parted, stored_below
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import UserError, command, number, plural, writable_folder
-from hydro_bridge.settings import read_yaml
+from hydro_core.cli import jobs
+from hydro_core.cli.console import UserError, command, number, plural, writable_folder
+from hydro_core.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import SUFFIXES, InputError

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
+from hydro_core.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.closure.evidence import has_identified_shapes
 from hydro_diagnosis.closure.screen import Screen, laws
 from hydro_diagnosis.effects.base import Claim

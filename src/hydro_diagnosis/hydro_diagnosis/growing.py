@@ -22,9 +22,9 @@ import numpy as np
 import yaml
 from scipy.stats import chi2
 
-from hydro_bridge.cli.console import Table
-from hydro_bridge.errors import UserError
-from hydro_bridge.files.atomic import write_whole
+from hydro_core.cli.console import Table
+from hydro_core.errors import UserError
+from hydro_core.files.atomic import write_whole
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.report_json import ParameterEstimate
 from hydro_sim.model import grammar

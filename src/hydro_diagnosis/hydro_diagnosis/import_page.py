@@ -28,11 +28,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
-from hydro_bridge.cli.console import Table
 from hydro_bridge.dashboard.server import file_response, is_foreign
 from hydro_bridge.dashboard.status import encoded
-from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
+from hydro_core.cli.console import Table
+from hydro_core.errors import UserError
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.column_proposal import as_yaml
 from hydro_diagnosis.inspect_command import COLUMNS, ROWS, improbable, listed, missing

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.bags.recording import Extent
-from hydro_bridge.cli.console import Table, add_json_argument, command, writable
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.signals import FloatArray
+from hydro_core.cli.console import Table, add_json_argument, command, writable
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.column_proposal import as_yaml, proposed
 from hydro_diagnosis.io.column_map import ColumnMap

@@ -10,7 +10,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from hydro_bridge.process import endings
+from hydro_core.process import endings
 from hydro_diagnosis.estimation.problem import Budget
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis

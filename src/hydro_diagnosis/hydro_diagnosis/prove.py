@@ -7,7 +7,7 @@ import importlib
 import sys
 from pathlib import Path
 
-from hydro_bridge.cli.console import UserError, command
+from hydro_core.cli.console import UserError, command
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 

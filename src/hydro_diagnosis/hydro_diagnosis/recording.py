@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 
 TEXTS = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
 SUFFIXES = (*TEXTS, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")

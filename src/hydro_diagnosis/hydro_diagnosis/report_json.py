@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.files.atomic import json_text, write_whole
+from hydro_core.files.atomic import json_text, write_whole
 
 INTERRUPTED = "interrupted"
 """Value in place of a verdict where there is none."""

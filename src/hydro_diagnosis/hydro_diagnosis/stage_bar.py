@@ -7,7 +7,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hydro_bridge.cli.console import progress
+from hydro_core.cli.console import progress
 
 READING = "reading"
 SEARCHING = "searching"

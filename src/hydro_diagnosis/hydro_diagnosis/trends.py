@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, plural, writable
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
-from hydro_bridge.signals import FloatArray
+from hydro_core.cli.console import Table, UserError, add_json_argument, command, plural, writable
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.change_points import FEWEST, Course, course
 from hydro_diagnosis.effects import LIBRARY, FitParameter
 from hydro_diagnosis.report.plots import svg

@@ -14,7 +14,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import UnknownNumberError, guarded
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import UNITS

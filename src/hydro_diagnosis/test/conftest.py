@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hydro_bridge.signals import StateArray, Waveform
+from hydro_core.signals import StateArray, Waveform
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model.bench import Bench

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import FloatArray, StateArray
+from hydro_core.signals import FloatArray, StateArray
 from hydro_diagnosis.closure.evidence import barred_equations, equals_ruled_out, has_identified_shapes, held_out_gain
 from hydro_diagnosis.closure.model_selection import closures
 from hydro_diagnosis.effects import CANDIDATES, Claim

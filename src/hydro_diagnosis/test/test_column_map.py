@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 from hydro_diagnosis.column_proposal import proposed
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import UNITS, Columns

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis import diagnose_many, trends
 from hydro_diagnosis.change_points import course
 from hydro_diagnosis.diagnose_many import write_study

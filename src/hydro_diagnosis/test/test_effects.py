@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.files import bench_file
+from hydro_core.files import bench_file
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.bench_values import TankPressure
 from hydro_diagnosis.effects.closure import Closure, closure

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout

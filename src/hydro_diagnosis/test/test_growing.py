@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.errors import UserError
+from hydro_core.errors import UserError
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.growing import agreements, sightings
 from hydro_sim.model import grammar
@@ -140,7 +140,7 @@ import json, sys
 from dataclasses import replace
 from pathlib import Path
 import numpy as np
-from hydro_bridge.signals import Waveform
+from hydro_core.signals import Waveform
 from hydro_diagnosis import diagnose
 from hydro_sim.model.bench import Bench
 from tests.segments import driven, frame, record
@@ -179,7 +179,7 @@ def test_a_grown_effect_of_size_0_is_nothing_and_else_is_found_again(
 
 STARTED = """
 import sys
-from hydro_bridge.process.start import main_of
+from hydro_core.process.start import main_of
 sys.exit(main_of.hydro_diagnosis.cli())
 """
 

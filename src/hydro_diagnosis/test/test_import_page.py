@@ -15,7 +15,7 @@ import yaml
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 from hydro_diagnosis.import_page import serve_imports
 from hydro_sim.model.bench import Bench
 from tests import browser

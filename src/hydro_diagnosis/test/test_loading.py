@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.cli.console import Table
+from hydro_core.cli.console import Table
 from hydro_diagnosis.inspect_command import COLUMNS, listed
 from hydro_diagnosis.io.table import InputError, columns_of, read_table
 from hydro_diagnosis.preprocessing import loading, streaming

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_diagnosis.closure.screen import laws
 from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.effects.closure import closure

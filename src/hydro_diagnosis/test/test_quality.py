@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
+from hydro_core.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError, RawTable, read_table
 from hydro_diagnosis.preprocessing.quality import checked, counted, frozen_encoder, repeats, uneven

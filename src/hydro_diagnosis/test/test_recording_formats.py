@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 from hydro_diagnosis.column_proposal import proposed
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import columns_of, read_columns, read_table

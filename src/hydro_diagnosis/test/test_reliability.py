@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import Waveform
+from hydro_core.signals import Waveform
 from hydro_diagnosis.bench_numbers import completed
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import Claim

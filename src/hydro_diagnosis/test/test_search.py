@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FloatArray

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.bench_numbers import (
     NONE,

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
+from hydro_core.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem

@@ -9,7 +9,10 @@ Guarantees and limits: safety.md. Stages: `model` (the loop and its exact Jacobi
 from pathlib import Path
 
 import hydro_bridge
+import hydro_core
 import hydro_sim
 from hydro_sim.compiled import remove_stale_caches
 
-remove_stale_caches(*(Path(file).parent for file in (__file__, hydro_bridge.__file__, hydro_sim.__file__)))
+remove_stale_caches(
+    Path(__file__).parent, *(Path(str(used.__file__)).parent for used in (hydro_core, hydro_bridge, hydro_sim))
+)

@@ -27,7 +27,7 @@ import numpy as np
 import osqp
 from scipy.sparse import csc_matrix
 
-from hydro_bridge.signals import SAMPLE_PERIOD, CorrectionStatus
+from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_filter.model.coordinates import LOOP
 from hydro_sim.jit import njit
 

@@ -32,9 +32,9 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 
-from hydro_bridge.files.tensors import LARGEST, UnsoundError, check_shapes
-from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import FloatArray
+from hydro_core.files.tensors import LARGEST, UnsoundError, check_shapes
+from hydro_core.settings import check, quantity
+from hydro_core.signals import FloatArray
 from hydro_filter.model.coordinates import LOOP, LOOP_FIELDS, Q_HYDRAULIC
 from hydro_filter.model.linearization import linearize
 from hydro_filter.model.loop import closing_current, coordinates_of, memories, rest_measurement, step_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_filter.metric import MetricDesign, ScheduledMetric
 from hydro_filter.model.loop import loop_of
 from hydro_filter.model.sample import STATES

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller import innovations
 from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric import MetricDesign, ScheduledMetric, require_decay, rest_loop

@@ -8,7 +8,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import SAMPLE_PERIOD, CorrectionStatus
+from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_filter import certificate
 from hydro_filter.certificate import LEAST_IMPROVEMENT, QpFilter, closed_form
 from hydro_filter.model.coordinates import LOOP

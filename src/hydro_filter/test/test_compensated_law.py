@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.protocol import LawState
-from hydro_bridge.signals import (
+from hydro_core.signals import (
     SAMPLE_PERIOD,
     Command,
     CorrectionStatus,

@@ -32,7 +32,7 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.serial.protocol import LawState
-from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, CorrectionStatus, Law, ReferenceSignal, Waveform
+from hydro_core.signals import PLANT_FIELDS, STATE_FIELDS, CorrectionStatus, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.innovations import RETURN
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric import rest_loop
 from hydro_filter.model.coordinates import LOOP, PAPER_SCALES
 from hydro_filter.model.linearization import linearize

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
+from hydro_core.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter
 from hydro_filter.model.loop import memories

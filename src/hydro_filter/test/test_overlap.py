@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, Waveform
+from hydro_core.signals import CorrectionStatus, ReferenceSignal, Waveform
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
 from hydro_filter.metric import ScheduledMetric

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 import torch
 
-from hydro_bridge.signals import SAMPLES_PER_STEP, ReferenceSignal
+from hydro_core.signals import SAMPLES_PER_STEP, ReferenceSignal
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import FILTERS, FilterName
 from hydro_policy.envs.vector_env import VectorBench, fleet_filter

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_core.signals import Flag, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import NEUTRAL, CorrectionStatus, Flag, FloatArray, Law
+from hydro_core.signals import NEUTRAL, CorrectionStatus, Flag, FloatArray, Law
 from hydro_filter.controller.loop_filter import Result
 from hydro_policy.compensation.estimator import STEP, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation

@@ -12,7 +12,7 @@ import pytest
 
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import STATE_DTYPE, Flag
+from hydro_core.signals import STATE_DTYPE, Flag
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report

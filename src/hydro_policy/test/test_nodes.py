@@ -24,7 +24,7 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import CompanionError, executable_path
 from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError, Readiness
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from hydro_filter.controller.factory import LEARNED
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim

@@ -7,7 +7,7 @@ import pytest
 
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
+from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import (
     FITS,

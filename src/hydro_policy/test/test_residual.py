@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
+from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.compensation.residual import INPUTS, PAUSE, RESIDUAL_MAX, Network, Period, Residual

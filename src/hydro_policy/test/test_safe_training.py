@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, Waveform
+from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_policy.evaluation.controllers import FixedGains

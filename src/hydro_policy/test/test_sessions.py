@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
 from hydro_policy.evaluation.session import REPEATS, SILENCE, EvaluationSession

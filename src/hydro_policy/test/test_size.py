@@ -11,9 +11,9 @@ import pytest
 from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.protocol import Details, encode_hello
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.settings import to_mapping
-from hydro_bridge.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_bridge.size import resized
+from hydro_core.settings import to_mapping
+from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.size import resized
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import MetricDesign, ScheduledMetric, design_table
 from hydro_filter.model.loop import loop_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
+from hydro_core.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories

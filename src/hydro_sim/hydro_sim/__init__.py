@@ -9,7 +9,8 @@ together); `excitation`, `files`, `identification` (a bench learnt from recordin
 from pathlib import Path
 
 import hydro_bridge
+import hydro_core
 from hydro_sim.compiled import record_compilations, remove_stale_caches
 
 record_compilations()
-remove_stale_caches(*(Path(file).parent for file in (__file__, hydro_bridge.__file__)))
+remove_stale_caches(*(Path(file).parent for file in (__file__, hydro_core.__file__, hydro_bridge.__file__)))

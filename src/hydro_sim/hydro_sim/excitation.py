@@ -17,9 +17,9 @@ from typing import Annotated, Literal, cast
 import numpy as np
 import yaml
 
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping
-from hydro_bridge.signals import SAMPLE_PERIOD, Flag, ReferenceSignal, Waveform
+from hydro_core.files.atomic import write_whole
+from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping
+from hydro_core.signals import SAMPLE_PERIOD, Flag, ReferenceSignal, Waveform
 from hydro_sim.model.bench import NOMINAL
 
 WaveformName = Literal["hold", "sine", "multisine", "smooth_step"]

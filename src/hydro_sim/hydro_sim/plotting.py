@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from cycler import cycler
 
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.signals import StateArray
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import StateArray
 
 if TYPE_CHECKING:  # matplotlib is imported with the first figure: commands that draw nothing start sooner
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_sim import excitation
 from hydro_sim.box.firmware import STRUCTURES
 from hydro_sim.emulator.machine import Machine

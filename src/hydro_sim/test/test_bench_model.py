@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_sim.identification.bench_states import Sensitivities
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel

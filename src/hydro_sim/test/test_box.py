@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.protocol import CommandFrame, decode, encode_command
-from hydro_bridge.signals import (
+from hydro_core.signals import (
     SAMPLES_PER_STEP,
     Command,
     Flag,

@@ -25,7 +25,7 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
-from hydro_bridge.signals import Flag
+from hydro_core.signals import Flag
 from hydro_sim.excitation import Playback, Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.nodes.collect import CollectNode

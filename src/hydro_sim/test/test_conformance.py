@@ -26,7 +26,7 @@ from hydro_bridge.conformance.command import (
     shipped,
 )
 from hydro_bridge.conformance.host import Host, UnreadableError
-from hydro_bridge.errors import UserError
+from hydro_core.errors import UserError
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.firmware import Precision

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
+from hydro_core.signals import ReferenceSignal, StateArray, Waveform
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment

@@ -15,8 +15,8 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
 from hydro_bridge.serial.protocol import Details, Hello, LawFrame, State
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import STATE_DTYPE, Command, StateArray
+from hydro_core.settings import SettingsError
+from hydro_core.signals import STATE_DTYPE, Command, StateArray
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator import offline
 from hydro_sim.emulator.command import main

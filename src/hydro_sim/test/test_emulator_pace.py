@@ -13,7 +13,7 @@ import pytest
 from hydro_bridge.serial.port import Port, PortSettings
 from hydro_bridge.serial.protocol import ClockFrame, Frame, Hello, State, encode_clock, encode_command, encode_hello
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import Command
+from hydro_core.signals import Command
 from hydro_sim.emulator import realtime
 from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink

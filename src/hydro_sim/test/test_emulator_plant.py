@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray
+from hydro_core.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth import dynamics
 from hydro_sim.emulator.truth import plant as truth_plant
 from hydro_sim.emulator.truth.config import truth_from_mapping

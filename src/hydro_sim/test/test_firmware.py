@@ -27,8 +27,8 @@ from hydro_bridge.serial.protocol import (
     encode_state,
 )
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
+from hydro_core.settings import SettingsError
+from hydro_core.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_sim.box import firmware
 from hydro_sim.box.box import NAME, Box, BoxConfig, box_info, law_state
 from hydro_sim.box.firmware import STRUCTURES, Precision, reference_force

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model import equations, hydraulics, sensors

@@ -13,7 +13,7 @@ import pytest
 
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import COMMANDS, CORRECTS, Pace, PaceSettings
-from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
+from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant

@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
-from hydro_bridge.files import bench_file
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, matrix
+from hydro_core.files import bench_file
+from hydro_core.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, matrix
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping
 from hydro_sim.excitation import draw

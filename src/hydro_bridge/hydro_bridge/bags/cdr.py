@@ -19,7 +19,7 @@ import numpy.typing as npt
 from rosbags.typesys import get_types_from_msg
 
 from hydro_bridge.bags.types import definition
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 
 STATE_TOPIC, STATE_TYPE = "/hydro/state", "hydro_msgs/msg/BenchState"
 ByteRows = npt.NDArray[np.uint8]

@@ -27,7 +27,7 @@ from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_s
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter
 from hydro_bridge.serial.stream import LinkCounts, SequenceTracker
-from hydro_bridge.signals import STATE_DTYPE, StateArray
+from hydro_core.signals import STATE_DTYPE, StateArray
 
 __all__ = [
     "STATE_TOPIC", "BagWriter", "Extent", "Recording", "RecordingError", "TopicQos", "as_states", "continuity",

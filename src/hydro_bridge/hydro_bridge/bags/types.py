@@ -17,8 +17,10 @@ from pathlib import Path
 
 import yaml
 
+from hydro_core.errors import UserError
 
-class RecordingError(Exception):
+
+class RecordingError(UserError):
     """A recording cannot be read or written; the message is one clear sentence."""
 
 
@@ -91,7 +93,7 @@ class Definition:
     """RIHS01 hash of the type description."""
 
 
-class UnknownTypeError(LookupError):
+class UnknownTypeError(UserError, LookupError):
     """No definition of this message type was found; the message names the type."""
 
 

@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 
 from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE, encode_states
 from hydro_bridge.bags.types import RecordingError, TopicQos, definition
-from hydro_bridge.signals import StateArray
+from hydro_core.signals import StateArray
 
 VERSION = 9
 NOT_FINISHED = "recording was not finished"

@@ -14,9 +14,9 @@ from typing import Any
 
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.conformance.reference import Point, expected, nominal_current
-from hydro_bridge.files import bench_file
 from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, LawState, State
-from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
+from hydro_core.files import bench_file
+from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
 
 Bench = Mapping[str, Any] | None
 """Numbers of the bench file, if one was given."""

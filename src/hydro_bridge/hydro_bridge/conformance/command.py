@@ -16,13 +16,13 @@ from typing import Any
 import msgspec
 import yaml
 
-from hydro_bridge.cli.console import Table, add_json_argument, command, command_line, progress
 from hydro_bridge.conformance.checks import CHECKS, NotToldError, OpenError
 from hydro_bridge.conformance.host import PUNCTUAL, VERBS, Host, SilentError, UnreadableError, begin, end
 from hydro_bridge.conformance.reference import force_gain
-from hydro_bridge.errors import UserError
-from hydro_bridge.files import bench_file
 from hydro_bridge.serial.port import Port, PortSettings, no_port
+from hydro_core.cli.console import Table, add_json_argument, command, command_line, progress
+from hydro_core.errors import UserError
+from hydro_core.files import bench_file
 
 NOMINAL_FORCE_GAIN = 10.53e6
 """g of the nominal bench [N/s/A]: a correction of 0.2 mA moves the force there by up to g 0.2 mA / K_p, 140 N."""

@@ -15,7 +15,6 @@ from typing import Any, Protocol
 
 from cobs import cobs
 
-from hydro_bridge.errors import UserError
 from hydro_bridge.serial.protocol import (
     BoxLaw,
     Details,
@@ -28,7 +27,8 @@ from hydro_bridge.serial.protocol import (
     wrap,
 )
 from hydro_bridge.serial.stream import Decoder
-from hydro_bridge.signals import Command, Law, ReferenceSignal, Waveform
+from hydro_core.errors import UserError
+from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
 
 _CIRCLE = 1 << 32
 _PATIENCE = 1.0

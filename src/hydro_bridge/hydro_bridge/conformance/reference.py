@@ -8,7 +8,7 @@ from math import comb, pi, sin, sqrt
 from typing import Any
 
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
+from hydro_core.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 
 FADE = 0.3
 """s, length of a cross-fade."""

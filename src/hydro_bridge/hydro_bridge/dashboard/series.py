@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.cdr import FixedLayout
-from hydro_bridge.signals import Flag, FloatArray
+from hydro_core.signals import Flag, FloatArray
 
 STATE_TYPE = "hydro_msgs/msg/BenchState"
 CORRECTION_TYPE = "hydro_msgs/msg/Correction"

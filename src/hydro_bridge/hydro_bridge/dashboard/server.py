@@ -51,8 +51,8 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
+from hydro_core.errors import UserError
 
 _TEXT = Annotated[str, msgspec.Meta(max_length=100)]
 COMMANDS = ("disarm", "arm", "override", "release", "end", "freeze", "adapt")

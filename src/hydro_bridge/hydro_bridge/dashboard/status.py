@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from hydro_bridge.signals import CorrectionStatus, Flag
+from hydro_core.signals import CorrectionStatus, Flag
 
 CURVE = 1000
 """Maximum number of points of the learning curve; beyond it every second one is dropped."""

@@ -19,8 +19,6 @@ from enum import Enum
 from functools import partial
 from math import isclose
 
-from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
-from hydro_bridge.process.realtime import Latency
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings, narrowed
 from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError
@@ -41,7 +39,9 @@ from hydro_bridge.serial.protocol import (
     foreign_box,
 )
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker
-from hydro_bridge.signals import STATE_FIELDS, Command, Flag, Law, flag_names
+from hydro_core.clock import BoxClock, HostClock, clock_step_message
+from hydro_core.process.realtime import Latency
+from hydro_core.signals import STATE_FIELDS, Command, Flag, Law, flag_names
 
 NO_LAW = "only the paper's force law can be run: the box offers no other"
 

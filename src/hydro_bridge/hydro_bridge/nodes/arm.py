@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import argparse
 
-from hydro_bridge.cli.console import UserError, command, command_line, number
 from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import CLAIM_SERVICE
+from hydro_core.cli.console import UserError, command, command_line, number
 from hydro_msgs.srv import Claim
 
 

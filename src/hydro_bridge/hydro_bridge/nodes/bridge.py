@@ -14,8 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.files import bench_file, site
 from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.ros.diagnostics import Level, Status
@@ -25,8 +23,10 @@ from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, no_port
 from hydro_bridge.serial.protocol import BoxInfo, State
-from hydro_bridge.settings import describe
-from hydro_bridge.size import Size
+from hydro_core.cli.console import UserError, command
+from hydro_core.files import bench_file, site
+from hydro_core.settings import describe
+from hydro_core.size import Size
 
 
 class BridgeSide(Link):

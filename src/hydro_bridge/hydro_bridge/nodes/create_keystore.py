@@ -18,10 +18,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hydro_bridge.cli.console import UserError, command, command_line, writable, writable_folder
-from hydro_bridge.files.atomic import flush_folder, write_whole
 from hydro_bridge.ros.keys import ENABLE, ENFORCE, KEYSTORE, STRATEGY, enclave_of
 from hydro_bridge.ros.topics import RIGHTS
+from hydro_core.cli.console import UserError, command, command_line, writable, writable_folder
+from hydro_core.files.atomic import flush_folder, write_whole
 
 VERSION = "0.2.0"
 """Of the policy, by policy.xsd of package sros2."""

@@ -32,7 +32,6 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.bags.cdr import fixed_layout
-from hydro_bridge.cli.console import command, command_line, number
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.dashboard.series import SLOT, Thinner
 from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, check, read
@@ -57,6 +56,7 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
+from hydro_core.cli.console import command, command_line, number
 from hydro_msgs.msg import Authority, TrainingStatus
 from hydro_msgs.srv import Claim, OverrideGains
 

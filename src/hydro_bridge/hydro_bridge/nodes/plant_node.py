@@ -84,7 +84,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace
 from hydro_bridge.serial.protocol import BoxLaw, LawState
-from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, flag_names
+from hydro_core.signals import SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs.msg import Answered, Gains, LawCommand
 from hydro_msgs.msg import Authority as AuthorityMessage
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage

@@ -23,7 +23,6 @@ from rclpy.task import Future
 from hydro_bridge.bags.recording import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter, code_version, sequence_of
-from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATES
@@ -31,7 +30,8 @@ from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox
 from hydro_bridge.safety.pace import RECORDS
 from hydro_bridge.serial.stream import SequenceTracker
-from hydro_bridge.signals import Flag
+from hydro_core.cli.console import command, writable_folder
+from hydro_core.signals import Flag
 
 _QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
 _PERIOD = 0.05  # s between two fetches

@@ -20,12 +20,12 @@ from std_srvs.srv import SetBool
 
 from hydro_bridge.bags.recording import messages, read_bag
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import command, number
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
-from hydro_bridge.signals import Flag
+from hydro_core.cli.console import command, number
+from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
 _STAMP = Struct("<iI")

@@ -35,7 +35,7 @@ class Section:
     heading: str
     text: str = ""
     table: Any = None
-    """A `hydro_bridge.cli.console.Table`."""
+    """A `hydro_core.cli.console.Table`."""
     picture: Path | None = None
     """PNG file; omitted if it does not exist."""
 

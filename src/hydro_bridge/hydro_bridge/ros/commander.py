@@ -29,7 +29,7 @@ from hydro_bridge.ros.topics import (
     create_publisher,
     create_subscription,
 )
-from hydro_bridge.signals import LawCommand, ReferenceSignal
+from hydro_core.signals import LawCommand, ReferenceSignal
 from hydro_msgs.msg import Authority, Gains
 from hydro_msgs.msg import LawCommand as LawMessage
 from hydro_msgs.srv import Claim

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hydro_bridge.ros.topics import RIGHTS
-from hydro_bridge.settings import SettingsError
+from hydro_core.settings import SettingsError
 
 ENABLE = "ROS_SECURITY_ENABLE"
 STRATEGY = "ROS_SECURITY_STRATEGY"

@@ -19,7 +19,7 @@ from rclpy.subscription import Subscription
 from hydro_bridge.ros.topics import BOX, GRAPH, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, LawState
-from hydro_bridge.signals import Law, LawCommand, ReferenceSignal, Waveform
+from hydro_core.signals import Law, LawCommand, ReferenceSignal, Waveform
 from hydro_msgs.msg import BenchState, Correction
 from hydro_msgs.msg import BoxInfo as BoxMessage
 from hydro_msgs.msg import BoxLaw as BoxLawMessage

@@ -33,11 +33,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from hydro_bridge.errors import UserError
-from hydro_bridge.process import endings, start
-from hydro_bridge.process.realtime import limit_run
 from hydro_bridge.ros.keys import enclave_arguments, key_error, security_enabled, verify_keys
-from hydro_bridge.settings import Setting, SettingsError, check, converted, describe
+from hydro_core.errors import UserError
+from hydro_core.process import endings, start
+from hydro_core.process.realtime import limit_run
+from hydro_core.settings import Setting, SettingsError, check, converted, describe
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -121,7 +121,7 @@ def request_realtime(*, realtime: bool, nice: int | None = None) -> str:
 
     Call it after all long-lived objects are created, which the collector then skips. Without permission for SCHED_FIFO
     (CAP_SYS_NICE, or rtprio in limits.conf) the process keeps ordinary scheduling. A process that never blocks under it
-    is ended (`hydro_bridge.process.realtime`).
+    is ended (`hydro_core.process.realtime`).
 
     What need not answer within a sample takes a `nice` in its place, which processes that it starts do not inherit: on
     two cores it would fill the 95 % of time that the kernel leaves to SCHED_FIFO, which then stops the whole loop for

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from hydro_bridge.signals import ReferenceSignal
+from hydro_core.signals import ReferenceSignal
 
 SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
 RETRY = 1.0  # s

@@ -10,10 +10,10 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.files import bench_file
 from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.files import bench_file
+from hydro_core.signals import SAMPLE_PERIOD
 
 NO_BOX = (
     "no node says on /hydro/box what the box is and believes: start a bridge or a sim of this version, "

@@ -20,7 +20,7 @@ import numpy as np
 
 from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
+from hydro_core.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
 

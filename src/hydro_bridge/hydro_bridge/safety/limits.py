@@ -9,9 +9,9 @@ from struct import Struct
 from typing import Annotated
 
 from hydro_bridge.serial.protocol import BoxInfo
-from hydro_bridge.settings import quantity
-from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_bridge.size import Size
+from hydro_core.settings import quantity
+from hydro_core.signals import ReferenceSignal, Waveform
+from hydro_core.size import Size
 
 _LINE = Struct("<4f")
 _LINE_MAX = 3.4028234e38

@@ -32,8 +32,8 @@ from dataclasses import dataclass
 from math import inf
 from typing import Annotated
 
-from hydro_bridge.settings import SettingsError, check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
+from hydro_core.settings import SettingsError, check, quantity
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 
 CORRECTS, COMMANDS, RECORDS = 1, SAMPLES_PER_STEP, 100
 """Windows [samples] of a filter, of a commander, and of a recorder."""

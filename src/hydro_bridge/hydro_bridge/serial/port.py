@@ -13,7 +13,8 @@ from typing import Annotated
 
 import serial
 
-from hydro_bridge.settings import check, quantity
+from hydro_core.errors import UserError
+from hydro_core.settings import check, quantity
 
 _READ_SIZE = 65536
 
@@ -21,7 +22,7 @@ _READ_SIZE = 65536
 _TAKEN = (errno.EAGAIN, errno.EBUSY)
 
 
-class PortLostError(Exception):
+class PortLostError(UserError):
     """The port cannot be opened or is gone; the message is one clear sentence."""
 
 

@@ -20,7 +20,7 @@ from zlib import crc32
 
 from cobs import cobs
 
-from hydro_bridge.signals import NEUTRAL, STATE_FIELDS, Coefficients, Command, Law, ReferenceSignal, Waveform
+from hydro_core.signals import NEUTRAL, STATE_FIELDS, Coefficients, Command, Law, ReferenceSignal, Waveform
 
 VERSION = 3
 """The protocol version that is spoken; no other is."""

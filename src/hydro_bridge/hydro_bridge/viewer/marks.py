@@ -33,9 +33,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import plural
 from hydro_bridge.dashboard.status import PHASES, flag_labels
-from hydro_bridge.signals import Flag, StateArray
+from hydro_core.cli.console import plural
+from hydro_core.signals import Flag, StateArray
 
 STILL = 1.0
 """s without a change, after which a change is marked."""

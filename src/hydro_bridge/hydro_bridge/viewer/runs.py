@@ -19,9 +19,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, command_line, plural
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
+from hydro_core.cli.console import Table, UserError, add_json_argument, command, command_line, plural
+from hydro_core.files.atomic import write_whole
 
 INDEX = "index.html"
 MARK = "<!-- hydro: a front page of runs -->"

@@ -27,12 +27,12 @@ import numpy.typing as npt
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
 from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import UserError, command, command_line, number, writable
 from hydro_bridge.dashboard import series, status
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
-from hydro_bridge.signals import FloatArray
 from hydro_bridge.viewer.marks import Mark, Marks, read_windows, report_beside, windows_of
+from hydro_core.cli.console import UserError, command, command_line, number, writable
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import FloatArray
 
 APART = 2.0
 """s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_sim.jit import njit
 from hydro_sim.model.tables import KNOTS
 

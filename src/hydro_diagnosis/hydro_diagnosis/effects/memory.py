@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.effects.kernels import along, held_lag
 from hydro_sim.jit import njit
 

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_core.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.columns import QUANTITY, UNITS, known
 from hydro_diagnosis.recording import InputError
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydro_bridge.bags.recording import Extent
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 
 _BY_QUANTITY: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import Columns, in_name, known, named_like_time, runs_forward, unique
 
 NAME_KEYS = (

@@ -18,7 +18,7 @@ import numpy as np
 from nptdms import TdmsFile
 from scipy.io import loadmat
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import (
     Columns,
     assign_clocks_of_equal_length,

@@ -21,7 +21,7 @@ import pandas as pd
 from hydro_bridge.bags.location import is_bag, is_there
 from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
+from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import UNITS, Columns, in_name
 from hydro_diagnosis.io.delimited import delimited_columns

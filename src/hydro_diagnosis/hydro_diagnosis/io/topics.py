@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, objects, read_bag, stream_bag
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.recording import InputError
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.bench_numbers import knows
 from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.ndimage import correlate1d
 from scipy.signal import oaconvolve
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_sim.jit import njit
 
 KINEMATIC_WIDTH = 1.0

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.recording import RecordingError, stream_bag
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArray
+from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArray
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, mapped
 from hydro_diagnosis.preprocessing.quality import checked

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.files.atomic import write_whole
+from hydro_core.files.atomic import write_whole
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, acting, changes
 from hydro_diagnosis.effects.closure import Closure, from_mapping

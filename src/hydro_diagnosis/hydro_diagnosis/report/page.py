@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment
 
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
+from hydro_core.files.atomic import write_whole
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, display_unit
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements

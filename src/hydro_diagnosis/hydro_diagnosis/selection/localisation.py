@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.responses import Responses, Shown

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import Fit, fit, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem

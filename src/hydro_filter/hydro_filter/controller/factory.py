@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.files import site
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.settings import describe
+from hydro_core.files import site
+from hydro_core.settings import describe
 from hydro_filter.certificate import QpCounts
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped

@@ -13,9 +13,9 @@ from math import exp
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import command, writable
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.cli.console import command, writable
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts

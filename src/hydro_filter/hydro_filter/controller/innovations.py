@@ -32,7 +32,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_filter.model.observer import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.parts import MEMORY_DTYPE, NONE
 from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES

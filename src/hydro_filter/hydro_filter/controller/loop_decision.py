@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter import certificate
 from hydro_filter.metric import MetricParts, evaluate, scratch, uncertified
 from hydro_filter.model import overlap
@@ -86,7 +86,7 @@ class Decision(NamedTuple):
     after: float
     """M_c [1/s] with it."""
     status: int
-    """`hydro_bridge.signals.CorrectionStatus`."""
+    """`hydro_core.signals.CorrectionStatus`."""
 
 
 class Problem(NamedTuple):

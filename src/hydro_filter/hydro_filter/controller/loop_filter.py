@@ -23,8 +23,8 @@ from typing import Annotated, NamedTuple
 import numba
 import numpy as np
 
-from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import CorrectionStatus
+from hydro_core.settings import check, quantity
+from hydro_core.signals import CorrectionStatus
 from hydro_filter.certificate import QpFilter
 from hydro_filter.controller import innovations, loop_decision
 from hydro_filter.controller.loop_decision import LoopParts, Problem

@@ -42,7 +42,7 @@ import math
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_filter.model.sample import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_filter.model.coordinates import (
     INPUT,
     LOOP,

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import FloatArray
-from hydro_bridge.size import Size
+from hydro_core.signals import FloatArray
+from hydro_core.size import Size
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, least_gain, loop_scale
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.parts import MEMORY_DTYPE, Loop, ModelParts, Step

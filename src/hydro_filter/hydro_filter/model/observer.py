@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_filter.model.parts import NONE
 from hydro_filter.model.sample import (
     LOAD_FORCE,

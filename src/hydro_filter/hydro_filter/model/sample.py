@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_bridge.serial.protocol import LawState
-from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, Law
+from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, Law
 
 STATES = 8
 """Length of x (paper eq. state_def)."""
@@ -63,7 +63,7 @@ class Sample(NamedTuple):
 
     @classmethod
     def of(cls, record: np.void, law: LawState | None = None) -> Sample:
-        """From a record of `hydro_bridge.signals.STATE_DTYPE` and the law of the same sample."""
+        """From a record of `hydro_core.signals.STATE_DTYPE` and the law of the same sample."""
         state = np.array([record[name] for name in PLANT_FIELDS], dtype=np.float64)
         gain, force = float(record["proportional_gain"]), float(record["reference_force"])
         current, rate = float(record["valve_current"]), float(record["reference_force_rate"])

@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_bridge.size import Size
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.size import Size
 from hydro_filter.model.coordinates import Q_HYDRAULIC, Q_SPOOL
 from hydro_filter.model.parts import NONE
 from hydro_sim.model import rates

@@ -41,10 +41,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
-from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.files.site import ANEW
-from hydro_bridge.process import endings
-from hydro_bridge.process.realtime import Latency
 from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
@@ -72,7 +68,11 @@ from hydro_bridge.ros.topics import (
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.pace import CORRECTS
-from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
+from hydro_core.cli.console import UserError, command
+from hydro_core.files.site import ANEW
+from hydro_core.process import endings
+from hydro_core.process.realtime import Latency
+from hydro_core.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
 from hydro_filter.certificate import QpCounts
 from hydro_filter.controller.factory import FilterChoice, arguments, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result

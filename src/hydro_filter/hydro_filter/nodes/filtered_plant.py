@@ -12,9 +12,9 @@ from __future__ import annotations
 import argparse
 import shlex
 
-from hydro_bridge.cli.console import command
 from hydro_bridge.nodes import bridge
 from hydro_bridge.ros.node import ros_arguments, run_node
+from hydro_core.cli.console import command
 from hydro_filter.controller.factory import arguments
 from hydro_filter.nodes.filter import FilterNode
 from hydro_sim.nodes import sim

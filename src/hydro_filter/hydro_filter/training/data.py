@@ -30,8 +30,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.settings import quantity
-from hydro_bridge.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, Waveform, matrix
+from hydro_core.settings import quantity
+from hydro_core.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, Waveform, matrix
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.linearization import displace, linearize

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 
 from hydro_bridge.bags.recording import RecordingError
-from hydro_bridge.cli.console import add_json_argument, command, writable
+from hydro_core.cli.console import add_json_argument, command, writable
 from hydro_sim.files.weights import WeightsError
 
 

@@ -28,9 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_bridge.cli.console import Table, progress
-from hydro_bridge.settings import check
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.cli.console import Table, progress
+from hydro_core.settings import check
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.controller.loop_filter import LoopFilterSettings
 from hydro_filter.metric import (
     MetricDesign,

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.signals import (
+from hydro_core.signals import (
     SAMPLE_PERIOD,
     SAMPLES_PER_STEP,
     STATE_DTYPE,
@@ -37,7 +37,7 @@ from hydro_bridge.signals import (
     StateArray,
     Waveform,
 )
-from hydro_bridge.size import Size
+from hydro_core.size import Size
 from hydro_filter.controller.loop_filter import LoopFilterSettings, Result, loop_filter
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.sample import Sample

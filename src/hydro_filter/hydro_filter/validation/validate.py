@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.cli import jobs
-from hydro_bridge.cli.console import Table, add_json_argument, command, number, writable_folder
+from hydro_core.cli import jobs
+from hydro_core.cli.console import Table, add_json_argument, command, number, writable_folder
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.validation.runs import (
     CASES,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.serial.protocol import LawState
-from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, Flag, FloatArray, Law, StateArray
+from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, Flag, FloatArray, Law, StateArray
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
 from hydro_policy.commissioning.record import GateError

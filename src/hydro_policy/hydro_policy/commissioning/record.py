@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.cli.console import Table, UserError
-from hydro_bridge.files.atomic import json_text, write_whole
-from hydro_bridge.files.site import RECORD
 from hydro_bridge.pages import Section, results_page
+from hydro_core.cli.console import Table, UserError
+from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.files.site import RECORD
 from hydro_policy.task.cases import relative_scores
 
 PAGE = "report.html"

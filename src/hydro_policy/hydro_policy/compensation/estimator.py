@@ -43,8 +43,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.settings import SettingsError, check, quantity
-from hydro_bridge.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+from hydro_core.settings import SettingsError, check, quantity
+from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 

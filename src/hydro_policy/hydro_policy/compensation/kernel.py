@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLES_PER_STEP
+from hydro_core.signals import SAMPLES_PER_STEP
 from hydro_policy.compensation.estimator import NEUTRAL_TERMS, SETTLED, STEP
 from hydro_sim.jit import njit
 

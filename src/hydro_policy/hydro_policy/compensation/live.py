@@ -18,7 +18,7 @@ import numpy as np
 
 from hydro_bridge.safety.guard import safe_command
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawCommand
+from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawCommand
 from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 

@@ -41,7 +41,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import SAMPLES_PER_STEP, FloatArray
+from hydro_core.signals import SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_sim.files import weights
 

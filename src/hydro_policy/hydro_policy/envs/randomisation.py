@@ -14,8 +14,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import ReferenceSignal
+from hydro_core.settings import check, quantity
+from hydro_core.signals import ReferenceSignal
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors

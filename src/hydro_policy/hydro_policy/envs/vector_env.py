@@ -31,7 +31,7 @@ import numpy.typing as npt
 from numba.core import types
 from numba.extending import overload
 
-from hydro_bridge.signals import (
+from hydro_core.signals import (
     SAMPLE_PERIOD,
     SAMPLES_PER_STEP,
     STATE_DTYPE,

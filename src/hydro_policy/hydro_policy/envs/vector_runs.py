@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law, StateArray
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law, StateArray
 from hydro_policy.compensation.estimator import ADAPTS, Compensator
 from hydro_policy.compensation.residual import AdaptedLaw, Residual
 from hydro_policy.envs.vector_env import VectorBench, records

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray, LawCommand
+from hydro_core.signals import FloatArray, LawCommand
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy

@@ -15,8 +15,8 @@ from typing import Annotated
 
 import numpy as np
 
-from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import FloatArray
+from hydro_core.settings import check, quantity
+from hydro_core.signals import FloatArray
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.supervision.monitor import SafetyMonitor

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.cli.console import Table
-from hydro_bridge.files.atomic import json_text, write_whole
 from hydro_bridge.pages import Section
+from hydro_core.cli.console import Table
+from hydro_core.files.atomic import json_text, write_whole
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.task.cases import EvaluationSettings, Score, Trace, relative_scores

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
+from hydro_core.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.supervision.monitor import SafetyMonitor

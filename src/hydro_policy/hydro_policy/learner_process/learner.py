@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.signals import FloatArray
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import FloatArray
 from hydro_policy.runs.run import RunDirectory, TrainingSettings, save_checkpoint
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.errors import UserError
-from hydro_bridge.signals import FloatArray
+from hydro_core.errors import UserError
+from hydro_core.signals import FloatArray
 from hydro_policy.learner_process.learner import (
     CHECKPOINTS,
     ENTROPY,

@@ -15,9 +15,9 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from hydro_bridge.cli.console import UserError, command, command_line, writable_folder
-from hydro_bridge.files import bench_file, site
 from hydro_bridge.ros.companion import CompanionError
+from hydro_core.cli.console import UserError, command, command_line, writable_folder
+from hydro_core.files import bench_file, site
 from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
 from hydro_policy.nodes.commissioning import GATES, NAMES, TRUTH, Gate, Site, start_emulator
 

@@ -32,12 +32,12 @@ import numpy as np
 
 from hydro_bridge.bags.recording import objects, read_bag
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.cli.console import UserError, print_above_progress
-from hydro_bridge.files import site
-from hydro_bridge.files.site import ANEW
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import BOX, BOX_LAW, DIAGNOSTICS, STATE
-from hydro_bridge.signals import Flag, StateArray
+from hydro_core.cli.console import UserError, print_above_progress
+from hydro_core.files import site
+from hydro_core.files.site import ANEW
+from hydro_core.signals import Flag, StateArray
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import ScheduledMetric
 from hydro_policy.commissioning import checks

@@ -11,10 +11,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hydro_bridge.cli.console import command, command_line, writable, writable_folder
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
+from hydro_core.cli.console import command, command_line, writable, writable_folder
 from hydro_policy.nodes.startup.options import LAWS, add_plant_options, take_site
 
 

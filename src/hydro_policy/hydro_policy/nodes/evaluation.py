@@ -20,18 +20,18 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.cli.console import UserError
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
-from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros.companion import CompanionError, start_page
 from hydro_bridge.ros.node import declare_parameters, leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.size import resized
 from hydro_bridge.viewer.runs import refresh_index
+from hydro_core.cli.console import UserError
+from hydro_core.files.atomic import write_whole
+from hydro_core.process.endings import undisturbed
+from hydro_core.size import resized
 from hydro_policy.compensation.estimator import CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.compensation.residual import Network

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import argparse
 
-from hydro_bridge.cli.console import UserError, command, command_line
 from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import OVERRIDE_SERVICE
+from hydro_core.cli.console import UserError, command, command_line
 from hydro_msgs.srv import OverrideGains
 
 DISCOVERY = 10.0  # s, to find the service: on a busy machine announcements get lost and come again each few seconds

@@ -10,10 +10,10 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydro_bridge.cli.console import NEW_ONLY, command, command_line, explicit_options, refuse_changes
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
+from hydro_core.cli.console import NEW_ONLY, command, command_line, explicit_options, refuse_changes
 from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options, take_site
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run import RunDirectory

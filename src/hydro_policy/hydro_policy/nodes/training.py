@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from hydro_bridge.cli.console import writable_folder
-from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros.companion import start_page
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
-from hydro_bridge.size import resized
+from hydro_core.cli.console import writable_folder
+from hydro_core.process.endings import undisturbed
+from hydro_core.size import resized
 from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydro_bridge.size import Size, resized
+from hydro_core.size import Size, resized
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings

@@ -13,8 +13,8 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
-from hydro_bridge.cli.console import add_json_argument, command, command_line, writable_folder
-from hydro_bridge.files import site
+from hydro_core.cli.console import add_json_argument, command, command_line, writable_folder
+from hydro_core.files import site
 from hydro_policy.envs import FILTERS
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_sim.box.box import Integral

@@ -20,14 +20,14 @@ import yaml
 from tqdm import tqdm
 
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.cli.console import NEW_ONLY, Table, UserError, explicit_options, progress, refuse_changes
-from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
-from hydro_bridge.process import endings
-from hydro_bridge.settings import SettingsError, from_mapping, read_yaml
-from hydro_bridge.signals import FloatArray
-from hydro_bridge.size import resized
 from hydro_bridge.viewer.runs import refresh_index
+from hydro_core.cli.console import NEW_ONLY, Table, UserError, explicit_options, progress, refuse_changes
+from hydro_core.files.atomic import write_whole
+from hydro_core.process import endings
+from hydro_core.settings import SettingsError, from_mapping, read_yaml
+from hydro_core.signals import FloatArray
+from hydro_core.size import resized
 from hydro_filter.controller.factory import FilterChoice
 from hydro_policy.envs import FilterName
 from hydro_policy.envs.randomisation import Randomisation

@@ -22,8 +22,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import FloatArray, ReferenceSignal
+from hydro_core.settings import check, quantity
+from hydro_core.signals import FloatArray, ReferenceSignal
 from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
 from hydro_policy.envs.vector_env import Environment, Transitions, VectorBench, fleet_filter

@@ -23,7 +23,7 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from hydro_bridge.bags.recording import stream_bag
-from hydro_bridge.signals import STATE_FIELDS
+from hydro_core.signals import STATE_FIELDS
 from hydro_policy.task.cases import Score
 
 _ROW = np.dtype([("numbers", "<f8", (1 + len(STATE_FIELDS),)), ("flags", "<u4"), ("sequence", "<u4")])

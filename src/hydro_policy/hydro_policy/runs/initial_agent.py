@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.size import Size, resized
+from hydro_core.size import Size, resized
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings

@@ -8,8 +8,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import Table, plural
 from hydro_bridge.pages import Section
+from hydro_core.cli.console import Table, plural
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 Events = Sequence[Mapping[str, Any]]

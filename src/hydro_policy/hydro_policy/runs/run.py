@@ -34,9 +34,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hydro_bridge.files.atomic import flush_folder, json_text, write_whole
-from hydro_bridge.files.tensors import UnsoundError, check_numbers
-from hydro_bridge.settings import SettingsError, check, from_mapping, quantity, read_yaml
+from hydro_core.files.atomic import flush_folder, json_text, write_whole
+from hydro_core.files.tensors import UnsoundError, check_numbers
+from hydro_core.settings import SettingsError, check, from_mapping, quantity, read_yaml
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings
 from hydro_policy.task.cases import ExamSettings

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_policy.sac import network_kernel
 from hydro_policy.sac.network_kernel import BATCH_MAX, Adam, Floats, Layers
 from hydro_policy.sac.replay import ReplayBuffer

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.cli.console import command, writable
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.signals import FloatArray
+from hydro_core.cli.console import command, writable
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import FloatArray
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
 from hydro_sim.box.header import header_file, initializer, wrapped

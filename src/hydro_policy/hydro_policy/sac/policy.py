@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.files.tensors import check_shapes
-from hydro_bridge.settings import check
-from hydro_bridge.signals import FloatArray
-from hydro_bridge.size import Size
+from hydro_core.files.tensors import check_shapes
+from hydro_core.settings import check
+from hydro_core.signals import FloatArray
+from hydro_core.size import Size
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import (
     ACTIONS,

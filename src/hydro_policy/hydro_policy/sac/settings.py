@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from hydro_bridge.settings import quantity
+from hydro_core.settings import quantity
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,9 +16,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from hydro_bridge.files.tensors import UnsoundError, check_numbers, check_shapes
-from hydro_bridge.settings import check
-from hydro_bridge.signals import FloatArray
+from hydro_core.files.tensors import UnsoundError, check_numbers, check_shapes
+from hydro_core.settings import check
+from hydro_core.signals import FloatArray
 from hydro_policy.sac.algorithm import FlatAdam, Sac
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS

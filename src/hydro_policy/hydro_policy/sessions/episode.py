@@ -10,8 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from hydro_bridge.process.realtime import Latency
-from hydro_bridge.signals import FloatArray
+from hydro_core.process.realtime import Latency
+from hydro_core.signals import FloatArray
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer

@@ -21,8 +21,8 @@ from typing import Annotated
 
 import numpy as np
 
-from hydro_bridge.settings import quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus
+from hydro_core.settings import quantity
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus
 from hydro_policy.task.mdp import Step
 from hydro_sim.model.bench import NOMINAL
 

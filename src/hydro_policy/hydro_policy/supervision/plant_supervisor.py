@@ -21,11 +21,11 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hydro_bridge.files.site import ANEW
 from hydro_bridge.safety.arming import TOO_EARLY, Arming, ArmingOutputs
 from hydro_bridge.safety.limits import NARROW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
-from hydro_bridge.signals import FAULTS, CorrectionStatus, Flag, FloatArray, LawCommand, ReferenceSignal
+from hydro_core.files.site import ANEW
+from hydro_core.signals import FAULTS, CorrectionStatus, Flag, FloatArray, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
 COMPILES = "loading takes some seconds, and a minute more after a change without `make setup`"

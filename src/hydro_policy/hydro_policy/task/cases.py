@@ -11,8 +11,8 @@ from typing import Annotated, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_bridge.settings import SettingsError, check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_core.settings import SettingsError, check, quantity
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_sim.model.bench import NOMINAL
 
 K = TypeVar("K")

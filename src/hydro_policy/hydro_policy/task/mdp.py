@@ -20,8 +20,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hydro_bridge.settings import quantity
-from hydro_bridge.signals import (
+from hydro_core.settings import quantity
+from hydro_core.signals import (
     PLANT_FIELDS,
     SAMPLES_PER_STEP,
     STATE_FIELDS,
@@ -30,7 +30,7 @@ from hydro_bridge.signals import (
     ReferenceSignal,
     Waveform,
 )
-from hydro_bridge.size import Size
+from hydro_core.size import Size
 from hydro_sim.model.bench import NOMINAL
 
 ACTIONS = 2

@@ -23,9 +23,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
-from hydro_bridge.settings import SettingsError, check, quantity
-from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
-from hydro_bridge.size import resized
+from hydro_core.settings import SettingsError, check, quantity
+from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
+from hydro_core.size import resized
 from hydro_sim.box import firmware
 from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records
 from hydro_sim.model import equations, hydraulics

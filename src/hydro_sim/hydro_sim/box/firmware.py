@@ -26,8 +26,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from hydro_bridge.serial.protocol import GAIN_FIELDS
-from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import FloatArray, ReferenceSignal
+from hydro_core.settings import SettingsError
+from hydro_core.signals import FloatArray, ReferenceSignal
 from hydro_sim.model.machine_code import call
 
 Precision = Literal["double", "single"]

@@ -14,8 +14,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from hydro_bridge.cli.console import command, writable
-from hydro_bridge.files.atomic import write_whole
+from hydro_core.cli.console import command, writable
+from hydro_core.files.atomic import write_whole
 from hydro_sim.box.box import NAME, BoxConfig, Integral
 from hydro_sim.box.firmware import Records
 from hydro_sim.model.bench import Bench

@@ -11,10 +11,10 @@ from pathlib import Path
 from types import FrameType
 from typing import get_args
 
-from hydro_bridge.cli.console import command, number, writable, writable_folder
-from hydro_bridge.process import endings
 from hydro_bridge.safety.pace import parse_pace, refuse_speed
-from hydro_bridge.settings import SettingsError
+from hydro_core.cli.console import command, number, writable, writable_folder
+from hydro_core.process import endings
+from hydro_core.settings import SettingsError
 from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator import offline

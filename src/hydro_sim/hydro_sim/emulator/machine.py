@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import LawState
-from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
+from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim.box import firmware
 from hydro_sim.box.box import EMULATED_BOX, Box, BoxConfig, law_state
 from hydro_sim.box.firmware import Precision

@@ -14,9 +14,9 @@ import numpy.typing as npt
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.settings import from_mapping
-from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
-from hydro_bridge.size import resized
+from hydro_core.settings import from_mapping
+from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
+from hydro_core.size import resized
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine

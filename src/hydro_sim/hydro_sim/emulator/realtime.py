@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from hydro_bridge.process.realtime import Pacer, exact_timers, limit_run
-from hydro_bridge.settings import SettingsError
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.process.realtime import Pacer, exact_timers, limit_run
+from hydro_core.settings import SettingsError
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.line.faults import CHANCES, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine

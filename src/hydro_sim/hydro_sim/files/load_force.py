@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 
 SAMPLES = 1 << 17
 """Number of samples that are kept, 131 s."""

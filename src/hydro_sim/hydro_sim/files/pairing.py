@@ -24,9 +24,9 @@ import yaml
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from hydro_bridge.errors import UserError
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.size import Size
+from hydro_core.errors import UserError
+from hydro_core.size import Size
 from hydro_sim.model.bench import Bench
 
 ENTRY = "made_for"

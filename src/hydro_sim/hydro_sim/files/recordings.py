@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_bridge.bags.recording import RecordingError, objects, read_bag
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
+from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 
 LAW_TOPIC = "/hydro/box_law"

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.files.tensors import UnsoundError, check_numbers
+from hydro_core.files.atomic import write_whole
+from hydro_core.files.tensors import UnsoundError, check_numbers
 from hydro_sim.files.pairing import ENTRY, MadeFor
 
 FORMAT = 1

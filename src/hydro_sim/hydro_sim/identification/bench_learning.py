@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Data, Run
 from hydro_sim.identification.bench_states import SETTLED, Indices, Sensitivities, StateEstimator, noise_of
 from hydro_sim.model.bench import Bench

@@ -28,7 +28,7 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_sim.files.recordings import Run
 from hydro_sim.model.bench_model import READINGS, TEXTBOOK, BenchModel, library, to_c
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import yaml
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, number, writable
-from hydro_bridge.files.atomic import write_whole
+from hydro_core.cli.console import Table, UserError, add_json_argument, command, number, writable
+from hydro_core.files.atomic import write_whole
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import BENCH_FILES, is_bench_file
 from hydro_sim.files.recordings import DataError

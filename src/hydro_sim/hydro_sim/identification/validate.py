@@ -15,9 +15,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hydro_bridge.cli.console import Table as ConsoleTable
-from hydro_bridge.cli.console import UserError, add_json_argument, command
-from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
+from hydro_core.cli.console import Table as ConsoleTable
+from hydro_core.cli.console import UserError, add_json_argument, command
+from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.files.recordings import READING_COLUMNS, Run

@@ -29,7 +29,7 @@ import casadi
 import numpy as np
 from casadi import SX, vertcat
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model import equations as eq
 from hydro_sim.model import rates
 from hydro_sim.model.effects.base import Effect, Surroundings

@@ -17,9 +17,9 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.files import bench_file
-from hydro_bridge.settings import Setting, check, describe, from_mapping, quantity, read_yaml
-from hydro_bridge.size import Size
+from hydro_core.files import bench_file
+from hydro_core.settings import Setting, check, describe, from_mapping, quantity, read_yaml
+from hydro_core.size import Size
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.quality import Quality
 

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics, machine_code
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, grown, valve

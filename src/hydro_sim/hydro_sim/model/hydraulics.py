@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 

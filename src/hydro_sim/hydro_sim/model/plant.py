@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
+from hydro_core.signals import FloatArray
 from hydro_sim.jit import njit
 from hydro_sim.model import machine_code, sensors
 from hydro_sim.model.bench import Bench

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import exp, log
 from typing import Any
 
-from hydro_bridge.signals import PLANT_FIELDS
+from hydro_core.signals import PLANT_FIELDS
 
 HORIZON = 70
 """Length of a prediction [samples]."""

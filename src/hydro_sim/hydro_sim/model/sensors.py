@@ -20,9 +20,9 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_bridge.size import Size, resized
+from hydro_core.settings import check, quantity
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_core.size import Size, resized
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
 

@@ -31,17 +31,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-from hydro_bridge.cli.console import (
-    UserError,
-    command,
-    number,
-    print_above_progress,
-    progress,
-    typed_lines,
-    writable,
-    writable_folder,
-)
-from hydro_bridge.process import endings
 from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch, add_page_option, start_page
@@ -54,8 +43,19 @@ from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.pace import COMMANDS as COMMANDS_WINDOW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
-from hydro_bridge.signals import SAMPLES_PER_STEP, Flag
-from hydro_bridge.signals import ReferenceSignal as Signal
+from hydro_core.cli.console import (
+    UserError,
+    command,
+    number,
+    print_above_progress,
+    progress,
+    typed_lines,
+    writable,
+    writable_folder,
+)
+from hydro_core.process import endings
+from hydro_core.signals import SAMPLES_PER_STEP, Flag
+from hydro_core.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState
 from hydro_sim.box.box import EMULATED_BOX
 from hydro_sim.excitation import Playback, Range, Segment, draw, load_schedule, save_schedule

@@ -13,15 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.cli.console import command
-from hydro_bridge.files import site
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.safety.pace import Pace, PaceSettings, refuse_speed
-from hydro_bridge.settings import describe
+from hydro_core.cli.console import command
+from hydro_core.files import site
+from hydro_core.settings import describe
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import PAPER_LAW
-from hydro_bridge.signals import (
+from hydro_core.signals import (
     SAMPLE_PERIOD,
     SAMPLES_PER_STEP,
     STATE_DTYPE,

@@ -23,13 +23,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-from hydro_bridge.link.clock import HostClock, clock_step_message
-from hydro_bridge.process.realtime import Pacer, exact_timers
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace, PaceSettings, parse_pace
 from hydro_bridge.serial.protocol import LawState
-from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
+from hydro_core.clock import HostClock, clock_step_message
+from hydro_core.process.realtime import Pacer, exact_timers
+from hydro_core.settings import check, quantity
+from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
 

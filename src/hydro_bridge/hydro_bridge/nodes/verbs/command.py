@@ -24,10 +24,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.task import Future
 
 from hydro_bridge.bags.storage import BagSource
-from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.nodes.verbs.launch import launch
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import running_ros, spin
+from hydro_core.cli.console import UserError, command
 
 _ELEMENT = re.compile(r"(?:sequence<)?(\w+/\w+)(?:\[\d+\]|(?:, \d+)?>)?")
 _LONG = (bytes, bytearray, str)

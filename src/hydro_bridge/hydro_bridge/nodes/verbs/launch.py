@@ -20,9 +20,9 @@ from typing import Any, TypeAlias
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
-from hydro_bridge.cli.console import UserError
-from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros.companion import Companion
+from hydro_core.cli.console import UserError
+from hydro_core.process.endings import undisturbed
 
 _YES, _NO = ("true", "1"), ("false", "0")
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO
 
-from hydro_bridge.cli.console import print_above_progress
 from hydro_bridge.ros.companion import Companion
+from hydro_core.cli.console import print_above_progress
 
 
 class RepeatFilter:

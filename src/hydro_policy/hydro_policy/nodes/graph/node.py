@@ -19,9 +19,6 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from hydro_bridge.cli.console import typed_lines
-from hydro_bridge.process import endings
-from hydro_bridge.process.realtime import Latency, drop_realtime
 from hydro_bridge.ros.answers import Answers
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
@@ -44,8 +41,11 @@ from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.pace import COMMANDS
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, LawCommand, ReferenceSignal
-from hydro_bridge.size import Size
+from hydro_core.cli.console import typed_lines
+from hydro_core.process import endings
+from hydro_core.process.realtime import Latency, drop_realtime
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, LawCommand, ReferenceSignal
+from hydro_core.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import Gains, PolicyStep
 from hydro_policy.compensation.live import LiveCompensation

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock, ClockType
 from tqdm import tqdm
 
-from hydro_bridge.cli.console import progress
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.topics import TRAINING, create_publisher
+from hydro_core.cli.console import progress
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.nodes.graph.node import GraphNode

@@ -23,9 +23,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydro_bridge.files import bench_file
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.safety.guard import GuardSettings
+from hydro_core.files import bench_file
 from hydro_policy.nodes.graph.announcements import companion_output
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange

@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 
 from rclpy.node import Node
 
-from hydro_bridge.cli.console import UserError
-from hydro_bridge.files import site
 from hydro_bridge.ros.companion import add_page_option
 from hydro_bridge.ros.node import declare_parameters
 from hydro_bridge.safety.pace import parse_pace
+from hydro_core.cli.console import UserError
+from hydro_core.files import site
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml
+from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ import time
 import tty
 from pathlib import Path
 
-from hydro_bridge.settings import SettingsError
+from hydro_core.settings import SettingsError
 
 _READ_SIZE = 65536
 

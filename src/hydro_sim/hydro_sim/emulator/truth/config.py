@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from hydro_bridge.settings import SettingsError, from_mapping, quantity, read_yaml, unknown_key
+from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml, unknown_key
 from hydro_sim.emulator.truth.effects import (
     Effects,
     FrictionCoulomb,

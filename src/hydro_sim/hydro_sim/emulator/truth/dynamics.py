@@ -27,7 +27,7 @@ import math
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.truth.parameters import ATMOSPHERE, DELAY_SAMPLES, LUGRE, SMOOTH, SUBSTEP, SUBSTEPS
 from hydro_sim.jit import njit
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from hydro_bridge.settings import quantity
+from hydro_core.settings import quantity
 
 SensorName = Literal["hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position"]
 SENSORS: tuple[str, ...] = get_args(SensorName)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, TruthSensors
 from hydro_sim.emulator.truth.effects import SENSORS, Effects, Outside, Ratio
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray
+from hydro_core.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth import dynamics
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.emulator.truth.parameters import SUBSTEP, SUBSTEPS, compile_parameters

@@ -13,7 +13,7 @@ from itertools import product
 from types import SimpleNamespace
 from typing import Any
 
-from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model.effects import closure, grown, motion, numbers, oil, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
 from hydro_sim.model.effects.closure import Closure

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import yaml
 
-from hydro_bridge.errors import UserError
+from hydro_core.errors import UserError
 from hydro_sim.model import grammar
 from hydro_sim.model.effects.closure import NamedLaw
 from hydro_sim.model.laws import Law, Number

@@ -15,7 +15,7 @@ import json
 import shlex
 from pathlib import Path
 
-from hydro_bridge.errors import UserError
+from hydro_core.errors import UserError
 
 BENCH, MODEL, METRIC = "bench.yaml", "corrected.yaml", "metric.safetensors"
 RECORDINGS, REPORTS, RECORD = "recordings", "reports", "commission.json"

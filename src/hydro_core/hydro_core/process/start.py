@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start-up of all executables, before slow imports.
 
-In a package's setup.py: "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
+In a package's setup.py: "trainer = hydro_core.process.start:main_of.hydro_policy.nodes.trainer"
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import signal
 from importlib import import_module
 from pathlib import Path
 
-from hydro_bridge.errors import UserError
-from hydro_bridge.process import endings
+from hydro_core.errors import UserError
+from hydro_core.process import endings
 
 RMW = "RMW_IMPLEMENTATION"
 _INDEX = "share/ament_index/resource_index/rmw_typesupport"

@@ -15,8 +15,8 @@ from tests.checks import ran
 
 BEGINNING = """
 import os, signal, sys, time
-from hydro_bridge.process import endings
-from hydro_bridge.cli.console import command
+from hydro_core.process import endings
+from hydro_core.cli.console import command
 
 def me(number):
     os.kill(os.getpid(), number)

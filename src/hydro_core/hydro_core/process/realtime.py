@@ -22,7 +22,7 @@ from types import FrameType
 
 import numpy as np
 
-from hydro_bridge.process.endings import Ended
+from hydro_core.process.endings import Ended
 
 _BINS = 20_000
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Annotated, Any, TypeVar
 
-from hydro_bridge.settings import describe, quantity
+from hydro_core.settings import describe, quantity
 
 T = TypeVar("T")
 

@@ -12,10 +12,10 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from hydro_bridge.cli.console import NEW_ONLY, UserError, command, refuse_changes, writable, writable_folder
-from hydro_bridge.files.atomic import write_whole
-from hydro_bridge.files.tensors import UnsoundError, check_numbers
-from hydro_bridge.settings import SettingsError, from_mapping, quantity, to_mapping
+from hydro_core.cli.console import NEW_ONLY, UserError, command, refuse_changes, writable, writable_folder
+from hydro_core.files.atomic import write_whole
+from hydro_core.files.tensors import UnsoundError, check_numbers
+from hydro_core.settings import SettingsError, from_mapping, quantity, to_mapping
 from tests.checks import files_of_at_most
 
 

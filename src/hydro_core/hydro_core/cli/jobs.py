@@ -25,8 +25,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hydro_bridge.cli.console import KNOWN_ERRORS, number, progress
-from hydro_bridge.errors import UserError, is_file_error, user_message
+from hydro_core.cli.console import number, progress
+from hydro_core.errors import UserError, is_file_error, user_message
 
 Arguments = Mapping[str, tuple[Any, ...]]
 """Arguments of each job, by its name."""
@@ -179,6 +179,6 @@ def _side_by_side(function: Callable[..., Any], missing: Arguments, at_once: int
 
 def _told(error: Exception) -> str:
     """A sentence if the user can correct it, else the traceback."""
-    if isinstance(error, (UserError, *KNOWN_ERRORS)) or is_file_error(error):
+    if isinstance(error, UserError) or is_file_error(error):
         return user_message(error)
     return "".join(format_exception(type(error), error, error.__traceback__)).rstrip()

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from hydro_bridge.cli import jobs
-from hydro_bridge.errors import UserError
+from hydro_core.cli import jobs
+from hydro_core.errors import UserError
 from tests.checks import files_of_at_most
 
 

@@ -21,12 +21,9 @@ from typing import Any, NoReturn, TypeVar
 
 from tqdm import tqdm
 
-from hydro_bridge.bags.types import RecordingError, UnknownTypeError
-from hydro_bridge.errors import UserError, is_file_error, user_message, writable, writable_folder
-from hydro_bridge.files.atomic import json_text, write_whole
-from hydro_bridge.process import endings
-from hydro_bridge.serial.port import PortLostError
-from hydro_bridge.settings import SettingsError
+from hydro_core.errors import UserError, is_file_error, user_message, writable, writable_folder
+from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.process import endings
 
 __all__ = [
     "Table", "UserError", "add_json_argument", "command", "command_line", "number", "progress", "writable",
@@ -35,8 +32,6 @@ __all__ = [
 
 T = TypeVar("T")
 N = TypeVar("N", int, float)
-KNOWN_ERRORS: tuple[type[Exception], ...] = (RecordingError, PortLostError, SettingsError, UnknownTypeError)
-"""Errors of this package whose message is meant for the user."""
 
 
 def number(low: N, high: float = inf) -> Callable[[str], N]:
@@ -59,10 +54,10 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
 
     Ctrl-C, SIGTERM and SIGHUP raise `endings.Ended` in it: the status is 128 + the signal's number, 130 for Ctrl-C.
 
-    `errors`: known errors in addition to those of this package and to files that cannot be read or written; all others
-    keep their traceback.
+    `errors`: known errors in addition to `UserError` and to files that cannot be read or written; all others keep their
+    traceback.
     """
-    known: tuple[type[Exception], ...] = (UserError, *KNOWN_ERRORS, *errors)
+    known: tuple[type[Exception], ...] = (UserError, *errors)
 
     def decorate(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
         @wraps(main)

@@ -34,10 +34,12 @@ from typing import Any, Literal, TypeVar
 import msgspec
 import yaml
 
+from hydro_core.errors import UserError
+
 T = TypeVar("T")
 
 
-class SettingsError(ValueError):
+class SettingsError(UserError, ValueError):
     """An invalid setting; the message is one sentence that names it and the allowed range."""
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.errors import UserError
+from hydro_core.errors import UserError
 
 _LISTS = ("effects", "closures")
 _ABOUT = "learned"

@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.link.clock import BoxClock
+from hydro_core.clock import BoxClock
 
 OFFSET = 1_700_000_000_000_000_000
 
