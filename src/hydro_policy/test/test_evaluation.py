@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -50,6 +51,27 @@ def test_the_best_is_told_with_its_distance() -> None:
     )
     del session.scores[2:4]
     assert report.best(session) == ""
+
+
+def test_a_figure_of_a_run_that_was_held_up_is_marked_and_makes_nobody_the_best(tmp_path: Path) -> None:
+    graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
+    session = EvaluationSession(
+        EvaluationSettings(frequencies=(1.0,)),
+        [FixedGains(90.0, 15.0), FixedGains(60.0, 15.0)],
+        PlantSupervisor(graph, True),
+    )
+    whole, held = (controller.name for _, _, controller in session.plan)
+    run = Score(controller=whole, case="1 Hz", frequency=1.0, repeat=0, rmse=2.0, samples=990, lost=9)
+    session.scores = [run, replace(run, controller=held, rmse=1.0, lost=9, held=2)]
+    shown = report.table(session)
+    assert [row["1 Hz"] for row in shown.rows] == [2.0, "1.00 *"] and shown.columns["controller"].startswith(
+        "*: in more"
+    )
+    assert report.best(session) == ""
+    report.write_json(session, tmp_path / "evaluation.json", {})
+    assert [one["spoilt"] for one in json.loads((tmp_path / "evaluation.json").read_text())["runs"]] == [False, True]
+    session.scores[1] = replace(session.scores[1], held=0)
+    assert not report.table(session).columns["controller"] and report.best(session).startswith(f"Best: {held}")
 
 
 def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,21 @@ from hydro_core.cli.console import Table
 from hydro_core.files.atomic import json_text, write_whole
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.task.cases import EvaluationSettings, Score, Trace, relative_scores
+from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, Trace, relative_scores
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+
+SPOILT_MARK = (
+    f"*: in more than {SPOILT:.0%} of the samples of a run base gains acted, or they did not arrive, since the machine "
+    "was held up: no figure of this controller"
+)
 
 
 def table(session: EvaluationSession) -> Table:
     """Return the table of force RMSE, controllers by cases, with mean and, for repeated runs, spread."""
     cases = [case.name for case in session.settings.cases]
-    columns = {"controller": "", "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
+    spoilt = SPOILT_MARK if any(score.spoilt for score in session.scores) else ""
+    columns = {"controller": spoilt, "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
     felt = (
         "; in brackets of the force on the specimen" if any(math.isfinite(s.true_rmse) for s in session.scores) else ""
@@ -40,7 +47,7 @@ def best(session: EvaluationSession) -> str:
     """Return which controller is the best, and by how much; empty where fewer than two completed every run.
 
     The best has the least mean over the references of its RMSE over the smallest there; of the force on the specimen
-    where that was to follow (`LiveCompensation.cell`) and is known.
+    where that was to follow (`LiveCompensation.cell`) and is known. A controller with a spoilt run is left out.
     """
     cases = [case.name for case in session.settings.cases]
     names = dict.fromkeys(score.controller for score in session.scores)
@@ -48,8 +55,10 @@ def best(session: EvaluationSession) -> str:
     felt = felt and all(math.isfinite(score.true_rmse) for score in session.scores if math.isfinite(score.rmse))
 
     def mean(name: str, case: str) -> float:
-        values = [score.true_rmse if felt else score.rmse for score in runs(session.scores, name, case)]
-        return float(np.mean(values)) if values else math.nan
+        found = runs(session.scores, name, case)
+        if not found or any(score.spoilt for score in found):
+            return math.nan
+        return float(np.mean([score.true_rmse if felt else score.rmse for score in found]))
 
     rmse = {name: np.array([mean(name, case) for case in cases]) for name in names}
     scores = relative_scores(rmse)
@@ -82,8 +91,10 @@ def _cell(scores: list[Score]) -> float | str:
     values, felt = [score.rmse for score in scores], float(np.mean([score.true_rmse for score in scores]))
     shown = f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if len(values) > 1 else f"{values[0]:.2f}"
     if math.isfinite(felt):
-        return f"{shown} ({felt:.2f})"
-    return shown if len(values) > 1 else float(shown)
+        shown = f"{shown} ({felt:.2f})"
+    if any(score.spoilt for score in scores):
+        return f"{shown} *"
+    return shown if len(values) > 1 or math.isfinite(felt) else float(shown)
 
 
 def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
@@ -112,7 +123,7 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
             **dict.fromkeys(("samples", "lost", "held"), "samples"),
         },
         "warnings": session.warnings,
-        "runs": session.scores,
+        "runs": [{**asdict(score), "spoilt": score.spoilt} for score in session.scores],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, json_text(content))

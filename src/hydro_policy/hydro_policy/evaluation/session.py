@@ -24,12 +24,9 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import FALLBACK, TRIALS, UNHELD, PlantSupervisor
-from hydro_policy.task.cases import Case, EvaluationSettings, Score, Trace, score
+from hydro_policy.task.cases import SPOILT, Case, EvaluationSettings, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, StepClock, held
 from hydro_sim.files import load_force
-
-HELD_MAX = 0.01
-"""Share of a run's samples for which the box may hold base gains, and of those that may not arrive."""
 
 REPEATS = 2
 """Times that a run is started again in which the machine was held up."""
@@ -313,7 +310,7 @@ class EvaluationSession:
 
     def _late(self, controller: Controller, share: float) -> str:
         """Return that base gains replaced the controller's for too long for a fair comparison; empty if not."""
-        if share <= HELD_MAX:
+        if share <= SPOILT:
             return ""
         late = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
         held_up = f"base gains in {100 * share:.0f} % of the samples, {late} came late"
@@ -345,6 +342,6 @@ def _own(controller: Controller) -> tuple[float | None, float | None]:
 def _missed(run: _Run) -> str:
     """Return that samples did not arrive, from which an adapting law learns nothing; empty if few of them."""
     share = run.missed / (run.last - run.first + 1)
-    if share <= HELD_MAX:
+    if share <= SPOILT:
         return ""
     return f"{100 * share:.0f} % of the samples did not arrive: if the machine is busy, close other programs"

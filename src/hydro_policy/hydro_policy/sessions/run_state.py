@@ -132,6 +132,7 @@ class RunState:
     def add_exam(self, scores: Sequence[Score], digest: str = "") -> bool:
         """Add an examination completed by the policy of this digest; returns True if it is significantly the best.
 
+        One in which the machine was held up makes no policy the best.
         The first one is that of the initial policy: the run returns it, or one that is better by more than noise.
         """
         progress, settings = self.progress, self.settings.exam
@@ -140,13 +141,14 @@ class RunState:
         beaten = sum(own < fixed for own, fixed in zip(rmse, progress.reference_rmse, strict=True))
         errors = [*(exam["error"] for exam in progress.exams), error]
         kept = next((exam["error"] for exam in reversed(progress.exams) if exam["best"]), 0.0)
-        best = significantly_better(score, progress.best_score, errors, kept)
+        spoilt = any(run.spoilt for run in scores)
+        best = not spoilt and significantly_better(score, progress.best_score, errors, kept)
         self.accept(best)
         progress.examined, progress.best_score = progress.episode, score if best else progress.best_score
-        if progress.passed_at < 0 and beaten == len(rmse):
+        if progress.passed_at < 0 and beaten == len(rmse) and not spoilt:
             progress.passed_at = progress.episode
         result = {"episode": progress.episode, "policy": digest, "rmse": rmse, "beaten": beaten}
-        progress.exams.append({**result, "score": score, "error": error, "best": best})
+        progress.exams.append({**result, "score": score, "error": error, "best": best, "spoilt": spoilt})
         self.record.add("exam", **progress.exams[-1], reference_rmse=progress.reference_rmse)
         return best
 

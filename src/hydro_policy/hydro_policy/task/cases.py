@@ -103,6 +103,10 @@ def _signal(waveform: Waveform, amplitude: float, frequency: float) -> Reference
     return ReferenceSignal(waveform=waveform, amplitude=amplitude, frequency=frequency)
 
 
+SPOILT = 0.01
+"""Share of a run's samples that may be lost, or under base gains in place of the controller's, for a fair figure."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Score:
     """Score of one run."""
@@ -133,6 +137,11 @@ class Score:
     """Samples for which the box held base gains (stale correction or command)."""
     stopped: str = ""
     """Why the run was not completed: the box tripped, or the monitor stopped it; empty if it was."""
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether the machine was held up: more than `SPOILT` of the samples were lost, or base gains acted in them."""
+        return self.lost + self.held > SPOILT * (self.samples + self.lost)
 
 
 @dataclass

@@ -165,10 +165,12 @@ def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
     fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
     error = f" +- {result['error']:.3f}" if result.get("error") else ""
     of = f", policy {result['policy']}" if result.get("policy") else ""
+    ends = "; the best so far" if result["best"] else ""
+    ends += "; the machine was held up, and nothing is concluded" if result.get("spoilt") else ""
     return (
         f"examined after episode {result['episode']}{of}: "
         f"RMSE {rmse} N, {result['score']:.3f}{error} of fixed {fixed}, "
-        f"better at {result['beaten']} of {len(result['rmse'])} sines{'; the best so far' if result['best'] else ''}"
+        f"better at {result['beaten']} of {len(result['rmse'])} sines{ends}"
     )
 
 
