@@ -124,6 +124,12 @@ REFUSED = {
         ("--speed 0", "--speed is now --pace"),
         ("--pace -1", "--pace -1: say plant, real, or a factor of real time within (0, 100]"),
         ("--ros-args -p box.load_force_limit:=-5.0", "parameter box.load_force_limit: "),
+        ("--ros-args -p simulator:seed:=5", "parameters of /simulator reach no node, this is /sim; is /sim meant?"),
+        ("--ros-args --params-file @simulator.params", "parameters of /simulator reach no node, this is /sim"),
+        ("--ros-args -r __node:=mine --params-file @sim.params", "parameters of /sim reach no node, this is /mine"),
+        ("--ros-args --params-file @far.params", "parameters of /lab/sim reach no node, this is /sim; is /sim meant?"),
+        ("--ros-args --params-file @both.params", "parameters of /flter reach no node, this is /sim"),
+        ("--ros-args --params-file @every.params", "no parameter gaurd.delta_kp_max; is guard.delta_kp_max meant?"),
     ),
     "hydro_filter filter": (
         ("--metric /nowhere.safetensors", "cannot be read as weights"),
@@ -148,6 +154,10 @@ REFUSED = {
 """The same of other words."""
 
 
+PARAMETERS = {"simulator": ("simulator",), "sim": ("sim",), "both": ("sim", "flter"), "every": ("/**",)}
+"""Files of parameters: the nodes that they name."""
+
+
 def make_files(folder: Path) -> None:
     """Own bench, models, metrics and policies, by what they say they were made for."""
     nominal = Bench.nominal()
@@ -156,6 +166,11 @@ def make_files(folder: Path) -> None:
     (folder / "corrected.yaml").write_text(yaml.safe_dump(nominal.to_mapping() | {"effects": effects}))
     for name, segments in SCHEDULES.items():
         (folder / name).write_text(f"segments: {segments}\n")
+    for name, nodes in PARAMETERS.items():
+        told = {"ros__parameters": {"gaurd.delta_kp_max" if name == "every" else "seed": 5}}
+        (folder / f"{name}.params").write_text(yaml.safe_dump({node: told for node in nodes}))
+    far = {"lab": {"sim": {"ros__parameters": {"seed": 5}}}}
+    (folder / "far.params").write_text(yaml.safe_dump(far))
     with BagWriter(folder / "bag") as bag:
         bag.write_states(np.zeros(10, STATE_DTYPE))
     own = replace(nominal, spring_stiffness=4e4, piston_area=3e-4, supply_pressure=12e6)

@@ -164,6 +164,11 @@ REFUSED = (
     (("bag", "info", "/nothing"), "/nothing does not exist"),
     (("launch", "hydro_bridge", "bridge.launch.py"), "port:= is needed: serial device of the box"),
     (("launch", "hydro_policy", "train.launch.py", "plant:=moon"), "sim, emulator, bench can be chosen"),
+    (
+        ("launch", "hydro_policy", "train.launch.py", "sed:=3"),
+        "sed:= is no argument of train.launch.py; is seed:= meant?",
+    ),
+    (("launch", "hydro_sim", "sim.launch.py", "bench:=x"), "bench:= is no argument of sim.launch.py; it has: pace:=, "),
 )
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import random
 import threading
 import time
 from contextlib import suppress
@@ -158,7 +159,44 @@ def test_a_silent_box_is_asked_again_and_loses_its_arming(bench):
     it.box.stop()
     wait(lambda: it.link.state is not LinkState.CONNECTED)
     assert not it.link.guard.armed
-    assert any("no byte for 0.3 s" in sentence for sentence in it.log)
+    assert any("no byte came for 0.3 s" in sentence for sentence in it.log)
+
+
+def test_bytes_without_frames_keep_no_line_alive_and_nothing_is_armed_on_them(bench, monkeypatch):
+    it = bench().connected()
+    assert it.link.arm(True) == ""
+    noise = random.Random(1)
+    write = it.box._write  # from now on the line is at another bit rate
+    monkeypatch.setattr(it.box, "_write", lambda frame: write(noise.randbytes(max(1, len(frame) // 8))))
+    begun = len(it.states)
+    wait(lambda: it.link.mute != "" or it.link.state is not LinkState.CONNECTED)
+    assert it.link.arm(True) != "", "what was heard before is no answer"
+    wait(lambda: it.link.state is not LinkState.CONNECTED)
+    assert not it.link.guard.armed and not it.link.flags & Flag.ARMED
+    assert len(it.states) - begun < 50
+    wait(lambda: any("bytes came and no frame in them" in sentence for sentence in it.log))
+    monkeypatch.undo()
+    wait(lambda: it.link.state is LinkState.CONNECTED and it.link.report.reconnects == 1)
+    assert not it.link.guard.armed
+
+
+def test_another_device_at_the_port_is_told_at_once(cable):
+    said: list[str] = []
+    settings = PortSettings(path=str(cable.path), silence_max=0.2, backoff_first=0.02, backoff_max=0.1)
+    link = Link(Port(settings), CommandGuard(), lambda *_: None, said.append)
+    thread = threading.Thread(target=link.run, daemon=True)
+    thread.start()
+
+    def told() -> bool:
+        with suppress(OSError):
+            os.write(cable.box, b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n")
+        return any("bytes came and no frame in them" in sentence for sentence in said)
+
+    wait(told)
+    assert link.arm(True).startswith("there is no box")
+    link.stop()
+    thread.join(5.0)
+    assert sum("bytes came" in sentence for sentence in said) <= 3, "not at each attempt"
 
 
 def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):

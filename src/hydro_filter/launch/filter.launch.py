@@ -6,8 +6,11 @@ from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from hydro_core.cli.launch_arguments import refuse_unknown_arguments
+
 
 def generate_launch_description() -> LaunchDescription:
+    refuse_unknown_arguments(__file__, ("metric",))
     words = ["--realtime", "--metric", LaunchConfiguration("metric")]
     return LaunchDescription(
         [

@@ -15,6 +15,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+from hydro_core.cli.launch_arguments import refuse_unknown_arguments
 from hydro_sim.emulator.line.terminal import default_link
 
 
@@ -61,6 +62,7 @@ def graph(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 
 def generate_launch_description() -> LaunchDescription:
+    refuse_unknown_arguments(__file__, ("plant", "port", "out", "seed", "dashboard", "metric", "faults", "pace"))
     return LaunchDescription(
         [
             DeclareLaunchArgument("plant", default_value="emulator", choices=["sim", "emulator", "bench"]),

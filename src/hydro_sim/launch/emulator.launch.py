@@ -6,10 +6,12 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.substitutions import ExecutableInPackage
 
+from hydro_core.cli.launch_arguments import refuse_unknown_arguments
 from hydro_sim.emulator.line.terminal import default_link
 
 
 def generate_launch_description() -> LaunchDescription:
+    refuse_unknown_arguments(__file__, ("port", "faults", "pace"))
     # A process and not a Node: like the box itself, the emulator knows no ROS.
     emulator = ExecutableInPackage(package="hydro_sim", executable="emulator")
     port, faults, pace = (LaunchConfiguration(name) for name in ("port", "faults", "pace"))

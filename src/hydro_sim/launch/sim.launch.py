@@ -8,9 +8,11 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from hydro_bridge.ros.companion import page_wanted
+from hydro_core.cli.launch_arguments import refuse_unknown_arguments
 
 
 def generate_launch_description() -> LaunchDescription:
+    refuse_unknown_arguments(__file__, ("pace", "dashboard"))
     pace = LaunchConfiguration("pace")
     return LaunchDescription(
         [

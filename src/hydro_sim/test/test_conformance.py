@@ -159,7 +159,9 @@ def test_the_shaping_is_judged_alike_from_whatever_force_the_box_fades_in(memory
 
 def test_a_box_whose_frames_cannot_be_read_is_told_so_once(memory: Any) -> None:
     box = box_of(memory)
-    with pytest.raises(UnreadableError, match=r"\d+ bytes came and no frame in them: \d+ pieces with a wrong CRC"):
+    with pytest.raises(
+        UnreadableError, match=r"\d+ bytes came and no frame in them for \d+ s: \d+ pieces with a wrong CRC"
+    ):
         only(Corrupt(box.machine, box.link, box.memory), "framing.stream", "hello.answered")
 
 

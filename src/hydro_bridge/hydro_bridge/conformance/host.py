@@ -26,7 +26,7 @@ from hydro_bridge.serial.protocol import (
     foreign_box,
     wrap,
 )
-from hydro_bridge.serial.stream import Decoder
+from hydro_bridge.serial.stream import Decoder, LinkCounts, without_frames
 from hydro_core.errors import UserError
 from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
 
@@ -184,13 +184,7 @@ class Host:
             raise UnreadableError(foreign_box(self.decoder.foreign_version))
         if counts.frames:
             raise SilentError(f"the box sent no STATE for {_PATIENCE:g} s")
-        if not counts.bytes:
-            raise UnreadableError(f"no byte came for {_PATIENCE:g} s: is the box on, and is this its port?")
-        raise UnreadableError(
-            f"{counts.bytes} bytes came and no frame in them: {counts.crc_errors} pieces with a wrong CRC, "
-            f"{counts.malformed} malformed, {counts.wrong_version} of a version and {counts.unknown} of a type not "
-            "known here; are the bit rate and the CRC right?"
-        )
+        raise UnreadableError(without_frames(counts, LinkCounts(), _PATIENCE))
 
 
 _LOAD_FORCE_LIMIT = 700.0

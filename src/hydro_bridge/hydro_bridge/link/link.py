@@ -4,6 +4,10 @@
 One thread runs `run`: it opens the port, negotiates, passes on each new sample and ensures that a command follows each
 sample. Other threads set the guard's inputs (under `lock`) and may `send` at once. CLOSED -> OPEN -> CONNECTED.
 
+The line is alive by frames, not by bytes: without a new sample, and before a box has greeted without a frame, for
+`silence_max` it is closed and opened anew, and what came in their place is told. What is said of a box, armed or not,
+is younger than `FRESH`.
+
 An emulator that goes by its own clock says so (CLOCK): stamps and ages are then in its time. Where it waits, one
 command is sent for each sample, with the sample's time, once the graph has answered (`pace`).
 """
@@ -14,10 +18,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import partial
-from math import isclose
+from math import inf, isclose
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings, narrowed
 from hydro_bridge.safety.pace import Pace, PaceSettings
@@ -38,7 +42,7 @@ from hydro_bridge.serial.protocol import (
     encode_hello,
     foreign_box,
 )
-from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker
+from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker, without_frames
 from hydro_core.clock import BoxClock, HostClock, clock_step_message
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import STATE_FIELDS, Command, Flag, Law, flag_names
@@ -77,6 +81,9 @@ def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails
     return said
 
 
+FRESH = 0.1
+"""s, age of the last sample up to which what it says still holds; of a box in real time."""
+
 _RECENT = 256  # number of samples and commands kept
 _WRAP = 0xFFFFFFFF
 
@@ -86,6 +93,14 @@ _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
 _SIGN_PERIOD = 1.0
 _GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no complaint; an emulator loads longer
+
+
+class _MuteError(PortLostError):
+    """The port is there, and no frame of a box comes."""
+
+
+def _over(moment: float) -> bool:
+    return time.monotonic() > moment
 
 
 class LinkState(Enum):
@@ -207,6 +222,9 @@ class Link:
         self._told: BoxDetails | None = None
         """DETAILS of such a box, until its LAW arrives."""
         self._clock_told: ClockFrame | None = None  # of the box that greets
+        self._sampled = -inf  # when the last new sample came, s of the monotonic clock
+        self._samples = 0
+        self._framed = LinkCounts()  # counts at the last frame that kept the line alive
         self._box_us = self._offset_us = 0  # time of the last sample; what keeps it from going back
         self._met = False
 
@@ -235,9 +253,10 @@ class Link:
                 self.state = LinkState.OPEN
                 self._converse()
             except PortLostError as error:
-                if self._connected_before or time.monotonic() > begin + grace:
+                foreign = self._decoder.foreign_version is not None and self.state is LinkState.OPEN  # told already
+                if not foreign and (self._connected_before or isinstance(error, _MuteError) or _over(begin + grace)):
                     self._complain(str(error))
-                elif not waiting and time.monotonic() > begin + _GRACE:
+                elif not waiting and not foreign and _over(begin + _GRACE):
                     waiting = True
                     self._log(f"waiting for {path} to appear")
             if self.state is LinkState.CONNECTED:
@@ -293,8 +312,11 @@ class Link:
                 return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
 
+            before = self._samples
+
         def done() -> bool:
-            return self.state is not LinkState.CONNECTED or bool(self.flags & Flag.ARMED) == arm
+            heard = self.paced or self._samples > before  # what was heard earlier is no answer
+            return self.state is not LinkState.CONNECTED or (heard and bool(self.flags & Flag.ARMED) == arm)
 
         if self.paced:
             confirmed = self.pace.confirm(done)
@@ -307,11 +329,22 @@ class Link:
             return ""
         with self.lock:
             self.guard.set_arm(False)
+        if self.mute:
+            return f"the box sends no samples: {self.mute}"
         return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
+
+    @property
+    def mute(self) -> str:
+        """Sentence on a connected box in real time whose last sample is older than `FRESH`; empty if there is none."""
+        age = time.monotonic() - self._sampled
+        if self.state is not LinkState.CONNECTED or not self.real_time or age < FRESH:
+            return ""
+        return without_frames(self.counts, self._framed, age)
 
     def _converse(self) -> None:
         """Read until the port is lost."""
-        last_byte, next_hello, next_sign = time.monotonic(), 0.0, 0.0
+        alive, next_hello, next_sign = time.monotonic(), 0.0, 0.0
+        self._framed = replace(self.counts)
         while not self._stopping.is_set():
             data = self.port.read(min(_READ_TIMEOUT, self.pace.poll()) if self.paced else _READ_TIMEOUT)
             now = time.monotonic()
@@ -319,22 +352,24 @@ class Link:
                 self.port.write(encode_hello(0, int(1e6 * now), follows=True))
                 next_hello = now + _HELLO_PERIOD
             if data:
-                for frame in self._decoder.feed(data):
+                before = self._samples
+                for frame in (frames := self._decoder.feed(data)):
                     self._take(frame, now)
-                last_byte = time.monotonic()
-            elif self.state is LinkState.CONNECTED and self.paced and self.pace.pending:
-                last_byte = now  # the emulator waits for this end
+                if self._samples > before or (frames and self.state is LinkState.OPEN):
+                    alive, self._framed = time.monotonic(), replace(self.counts)
+            if self.state is LinkState.CONNECTED and self.paced and self.pace.pending:
+                alive = now  # the emulator waits for this end
                 if now >= next_sign:
                     self._give_sign()
                     next_sign = now + _SIGN_PERIOD
-            elif now - last_byte > (limit := self._silence_max):
-                raise PortLostError(f"{self.port.settings.path}: no byte for {limit:g} s")
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
                 self._complain(foreign_box(self._decoder.foreign_version))
+            if time.monotonic() - alive > (limit := self._silence_max):
+                raise _MuteError(f"{self.port.settings.path}: {without_frames(self.counts, self._framed, limit)}")
 
     @property
     def _silence_max(self) -> float:
-        """Time [s] of the wall clock without a byte after which the port is opened anew."""
+        """Time [s] of the wall clock without a new sample after which the port is opened anew."""
         waits = self.state is LinkState.CONNECTED and self.paced
         return (self.pace if waits else self.port).settings.silence_max
 
@@ -366,6 +401,7 @@ class Link:
         if self.paced and not self._met:
             self.pace.meet(self._give_sign)
             self._met = True
+        self._sampled, self._samples = now, self._samples + 1
         missed, self._corrected = not self._corrected, False
         with self.lock:
             self._offset_us = max(self._offset_us, self._box_us - frame.time_us)  # a restarted box begins anew

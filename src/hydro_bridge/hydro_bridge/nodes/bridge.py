@@ -56,6 +56,8 @@ class BridgeSide(Link):
         }
         if self.state is not LinkState.CONNECTED:
             return Status(level=Level.ERROR, message=f"no box: the port is {self.state.value}", values=values)
+        if mute := self.mute:
+            return Status(level=Level.ERROR, message=f"no samples: {mute}", values=values)
         differs = f", the box differs: {self.foreign}" if self.foreign else ""
         return Status(level=Level.WARN if differs else Level.OK, message=mode(self.flags) + differs, values=values)
 

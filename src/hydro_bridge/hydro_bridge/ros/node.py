@@ -19,11 +19,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from difflib import get_close_matches
 from importlib import resources
+from itertools import pairwise
 from types import FrameType
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import rclpy
+import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
@@ -34,6 +36,7 @@ from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from hydro_bridge.ros.keys import enclave_arguments, key_error, security_enabled, verify_keys
+from hydro_bridge.ros.topics import RIGHTS
 from hydro_core.errors import UserError
 from hydro_core.process import endings, start
 from hydro_core.process.realtime import limit_run
@@ -89,16 +92,58 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
 
 
 def refuse_unknown_parameters(*nodes: Node) -> None:
-    """Raise for parameters that were set but not declared; ROS would ignore them, even a misspelt limit.
+    """Raise for parameters that were set and would reach nothing; ROS would ignore them, even a misspelt limit.
 
-    Raises SettingsError: the user set a parameter, by name or in a file, that none of these nodes has.
+    A file may hold the parameters of several of our nodes. Raises SettingsError: the user set a parameter, by name or
+    in a file, that none of these nodes has, or that is addressed to no node.
     """
+    here = [node.get_fully_qualified_name() for node in nodes]
+    for source, patterns in addressed(ros_arguments()[1]):
+        reached = [pattern for pattern in patterns if any(_matches(pattern, name) for name in here)]
+        others = [*RIGHTS, *(node for nodes in RIGHTS.values() for node in nodes)] if reached else []
+        for pattern in patterns:
+            if pattern not in reached and not any(_matches(pattern, f"/{name}") for name in others):
+                close = get_close_matches(pattern, here, 1, 0.5) or here
+                nodes_here = " and ".join(here)
+                raise SettingsError(
+                    f"{source}: parameters of {pattern} reach no node, this is {nodes_here}; is {close[0]} meant?"
+                )
     for name in {name: None for node in nodes for name in node._parameter_overrides}:  # rclpy: no public access
         if not any(node.has_parameter(name) for node in nodes):
             known = [known for node in nodes for known in node.get_parameters_by_prefix("")]
             close = get_close_matches(name, known, 1)
             hint = f"; is {close[0]} meant?" if close else ""
             raise SettingsError(f"{' and '.join(node.get_name() for node in nodes)} has no parameter {name}{hint}")
+
+
+def addressed(ros: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Return by argument that sets parameters the names of nodes that it is for, `*` and `**` as ROS has them.
+
+    `ros`: arguments from `--ros-args` on. Without a name a parameter is for all nodes, and not listed.
+    """
+    found = []
+    for option, value in pairwise(ros):
+        if option in ("-p", "--param") and ":" in (rule := value.partition(":=")[0]):
+            found.append((f"-p {value}", ["/" + rule.partition(":")[0].lstrip("/")]))
+        elif option == "--params-file":
+            with open(value, encoding="utf-8") as file:
+                found.append((value, sorted(_sections(yaml.safe_load(file)))))
+    return found
+
+
+def _sections(content: Any, above: str = "") -> Iterator[str]:
+    if isinstance(content, dict):
+        for key, value in content.items():
+            if key == "ros__parameters":
+                yield above
+            else:
+                yield from _sections(value, f"{above}/{str(key).strip('/')}")
+
+
+def _matches(pattern: str, name: str) -> bool:
+    """Return whether a name of a parameter file is for this node: `**` stands for any part, `*` for one without `/`."""
+    parts = (re.escape(part).replace(r"\*", "[^/]*") for part in pattern.split("**"))
+    return re.fullmatch(".*".join(parts), name) is not None
 
 
 def _descriptor(setting: Setting) -> ParameterDescriptor:

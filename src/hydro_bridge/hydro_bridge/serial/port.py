@@ -39,7 +39,7 @@ class PortSettings:
     baud: Annotated[int, quantity("Bit/s", 1300000, 12000000)] = 2_000_000
     """Speed of the line; a STATE each millisecond takes 1290000."""
     silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
-    """Without a byte, after which the port is closed and opened again."""
+    """Without a new sample, or before the box has greeted without a frame: the port is closed and opened again."""
     backoff_first: Annotated[float, quantity("s", 0.01, 10.0)] = 0.1
     """Before the second attempt to open; doubles with each."""
     backoff_max: Annotated[float, quantity("s", 0.1, 60.0)] = 2.0
@@ -156,7 +156,7 @@ def _text(error: Exception) -> str:
 def _reason(path: str, error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number == errno.ENOENT:
-        return f"{path} is not there: is the box plugged in and switched on?"
+        return f"{path} is not there: is the box plugged in and switched on? /dev/serial/by-id has one name a device"
     if number == errno.EACCES:
         return f"{path} may not be opened: add yourself to the group that owns it (usually dialout) and log in again"
     if number in _TAKEN:

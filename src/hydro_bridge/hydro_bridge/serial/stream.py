@@ -48,6 +48,21 @@ class LinkCounts:
     """Sequence jumped far: the box was restarted."""
 
 
+def without_frames(counts: LinkCounts, before: LinkCounts, seconds: float) -> str:
+    """Return what came in the last `seconds` in place of frames of a box, by the counts then and now."""
+    size, crc, malformed, version, unknown = (
+        getattr(counts, name) - getattr(before, name)
+        for name in ("bytes", "crc_errors", "malformed", "wrong_version", "unknown")
+    )
+    if not size:
+        return f"no byte came for {seconds:g} s: is the box on, and is this its port?"
+    return (
+        f"{size} bytes came and no frame in them for {seconds:g} s: {crc} pieces with a wrong CRC, {malformed} "
+        f"malformed, {version} of a version and {unknown} of a type not known here: is this the box's port, and are its "
+        "bit rate and CRC right?"
+    )
+
+
 @dataclass
 class Decoder:
     """Splits bytes into frames, in bounded memory: at most `MAX_ENCODED` bytes are kept without a delimiter.

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments of a launch file: `ros2 launch` ignores those that no file declares, even a misspelt bench."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+from hydro_core.errors import UserError
+
+
+def refuse_unknown_arguments(file: str, known: Sequence[str]) -> None:
+    """Raise UserError if this process launches `file` with an argument that is not `known`.
+
+    `file`: `__file__` of the launch file; one that another includes is not asked. `known`: included files' are, too.
+    """
+    words = sys.argv[1:]
+    if not any(Path(word).name == Path(file).name for word in words):
+        return
+    for word in words:
+        name, said, _ = word.partition(":=")
+        if said and name not in known:
+            close = get_close_matches(name, known, 1)
+            hint = f"is {close[0]}:= meant?" if close else f"it has: {', '.join(f'{one}:=' for one in known)}"
+            raise UserError(f"{name}:= is no argument of {Path(file).name}; {hint}")
