@@ -168,7 +168,7 @@ def make_files(folder: Path) -> None:
         (folder / name).write_text(f"segments: {segments}\n")
     for name, nodes in PARAMETERS.items():
         told = {"ros__parameters": {"gaurd.delta_kp_max" if name == "every" else "seed": 5}}
-        (folder / f"{name}.params").write_text(yaml.safe_dump({node: told for node in nodes}))
+        (folder / f"{name}.params").write_text(yaml.safe_dump(dict.fromkeys(nodes, told)))
     far = {"lab": {"sim": {"ros__parameters": {"seed": 5}}}}
     (folder / "far.params").write_text(yaml.safe_dump(far))
     with BagWriter(folder / "bag") as bag:

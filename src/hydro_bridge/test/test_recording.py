@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import errno
+import shutil
 import time
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -28,9 +30,9 @@ from hydro_bridge.bags.recording import (
     TopicQos,
     continuity,
     read_bag,
-    repair,
     stream_bag,
 )
+from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
 from hydro_bridge.bags.writer import sequence_of
@@ -216,7 +218,7 @@ def test_a_recording_cut_off_anywhere_is_read_up_to_there_and_repaired(bag, stat
     count = len(cut.state)
     assert 0 < count <= len(states) and same(cut.state, states[:count])
     assert "was not finished" in cut.notes[0]
-    kept = repair(bag)
+    kept, _ = repair(bag)
     whole = read_bag(bag)
     assert whole.notes == () and same(whole.state, states[:count])
     assert whole.qos == cut.qos and whole.attachments == cut.attachments
@@ -224,6 +226,106 @@ def test_a_recording_cut_off_anywhere_is_read_up_to_there_and_repaired(bag, stat
         assert sum(1 for _ in reader.messages()) == kept
     assert sorted(file.name for file in bag.iterdir()) == sorted(["metadata.yaml", mcap_of(bag).name])
     assert not list(bag.parent.glob(".*.repair"))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_recording_that_is_written_is_not_repaired(tmp_path, states):
+    with BagWriter(tmp_path / "now") as writer:
+        writer.write_states(states[:1000])
+        writer.flush()
+        before = contents(tmp_path / "now")
+        with pytest.raises(RecordingError, match="is being written by a recorder"):
+            repair(tmp_path / "now")
+        assert contents(tmp_path / "now") == before
+        writer.write_states(states[1000:])
+    assert same(read_bag(tmp_path / "now").state, states)
+
+
+def test_a_file_of_another_recorder_that_grows_is_not_repaired(bag, monkeypatch):
+    path = mcap_of(bag)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1000])
+    monkeypatch.setattr(time, "sleep", lambda seconds: path.write_bytes(whole[:-500]))
+    with pytest.raises(RecordingError, match="grows: end the recorder"):
+        repair(bag)
+    assert path.read_bytes() == whole[:-500]
+
+
+def test_what_a_repair_does_not_read_it_does_not_remove(bag, make_states):
+    path = mcap_of(bag)
+    path.write_bytes(path.read_bytes()[:-1000])
+    with BagWriter(bag.parent / "other") as writer:
+        writer.write_states(make_states(100))
+    shutil.copy(writer.path, bag / "other_0.mcap")
+    (bag / "notes.txt").write_text("new seal")
+    before = contents(bag)
+    with pytest.raises(RecordingError, match=r"other_0\.mcap, of which its metadata.yaml says nothing"):
+        repair(bag)
+    (bag / "metadata.yaml").rename(bag.parent / "metadata.yaml")
+    with pytest.raises(RecordingError, match="files of several recordings"):
+        repair(bag)
+    (bag.parent / "metadata.yaml").rename(bag / "metadata.yaml")
+    assert contents(bag) == before and not list(bag.parent.glob(".*.repair"))
+    (bag / "other_0.mcap").unlink()
+    repair(bag)
+    assert (bag / "notes.txt").read_text() == "new seal"
+
+
+def test_a_repair_that_fails_leaves_all_as_it_was(bag, monkeypatch):
+    path = mcap_of(bag)
+    path.write_bytes(path.read_bytes()[:-1000])
+    before = contents(bag)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(BagWriter, "write", full)
+    with pytest.raises(RecordingError, match="No space left on device: nothing was changed"):
+        repair(bag)
+    assert contents(bag) == before and not list(bag.parent.glob(".*.repair"))
+
+
+@pytest.mark.parametrize("chunk", [0, 2])
+def test_a_damaged_chunk_costs_itself_alone(bag, states, chunk):
+    path = mcap_of(bag)
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    damaged = sorted(summary.chunk_indexes, key=lambda one: one.chunk_start_offset)[chunk]
+    data[damaged.chunk_start_offset + damaged.chunk_length // 2] ^= 0x10
+    path.write_bytes(data)
+    _, missing = repair(bag)
+    assert missing == [f"{path.name}: 1 damaged blocks are left out"]
+    whole = read_bag(bag)
+    assert whole.notes == () and 0.5 * len(states) < len(whole.state) < len(states)
+    assert np.isin(whole.state["sequence"], states["sequence"]).all()
+    assert "damaged" in whole.metadata["hydro"]["repaired"]
+
+
+def test_files_that_metadata_does_not_tell_of_are_told_of_and_splits_are_in_order(tmp_path, make_states):
+    (tmp_path / "day").mkdir()
+    pieces = [make_states(50, first=50 * number) for number in range(11)]
+    for number, piece in enumerate(pieces):
+        with BagWriter(tmp_path / "piece") as writer:
+            writer.write_states(piece)
+        writer.path.rename(tmp_path / f"day/day_{number}.mcap")
+        shutil.rmtree(tmp_path / "piece")
+    assert same(read_bag(tmp_path / "day").state, np.concatenate(pieces))
+    information = {"storage_identifier": "mcap", "relative_file_paths": ["day_1.mcap", "day_0.mcap", "gone.mcap"]}
+    (tmp_path / "day/metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": information}))
+    read = read_bag(tmp_path / "day")
+    assert same(read.state, np.concatenate(pieces[:2]))
+    assert any("lists gone.mcap, which is not there" in note for note in read.notes)
+    assert sum("which metadata.yaml does not list: not read" in note for note in read.notes) == 9
+
+
+def test_a_renamed_file_is_read_under_its_new_name(bag, states):
+    mcap_of(bag).rename(bag / "tuesday.mcap")
+    read = read_bag(bag)
+    assert same(read.state, states) and "read as its new name tuesday.mcap" in read.notes[0]
 
 
 def test_at_any_time_the_folder_is_a_recording_and_what_was_flushed_is_there(tmp_path, states):

@@ -10,8 +10,6 @@ recorded, `objects` the messages of a topic whose type is not numbers only.
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -31,7 +29,7 @@ from hydro_core.signals import STATE_DTYPE, StateArray
 
 __all__ = [
     "STATE_TOPIC", "BagWriter", "Extent", "Recording", "RecordingError", "TopicQos", "as_states", "continuity",
-    "messages", "objects", "read_bag", "repair", "stream_bag",
+    "messages", "objects", "read_bag", "stream_bag",
 ]  # fmt: skip
 
 
@@ -115,14 +113,16 @@ class _Column:
             self.table[: self.count] = kept
 
 
-def read_bag(path: Path | str, topics: Collection[str] | None = None, rows: int | None = None) -> Recording:
+def read_bag(
+    path: Path | str, topics: Collection[str] | None = None, rows: int | None = None, *, salvages: bool = False
+) -> Recording:
     """Read a recording into arrays.
 
     `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: of a longer table every
-    n-th row is kept, less than twice so many. Raises RecordingError: nothing there, damaged, or a topic in `topics` has
-    no messages.
+    n-th row is kept, less than twice so many. `salvages`: damaged blocks are left out, with a note. Raises
+    RecordingError: nothing there, damaged, or a topic in `topics` has no messages.
     """
-    source = BagSource(Path(path))
+    source = BagSource(Path(path), salvages=salvages)
     types: dict[str, str] = {}
     qos: dict[str, TopicQos] = {}
     columns: dict[str, _Column] = {}
@@ -170,10 +170,10 @@ def stream_bag(path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | No
         notes += source.notes
 
 
-def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
-    """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; errors as `read_bag`."""
+def messages(path: Path | str, *, salvages: bool = False) -> Iterator[tuple[str, str, int, bytes]]:
+    """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; as `read_bag`."""
     spans: list[tuple[int, int, str, str, int]] = []
-    source, last = BagSource(Path(path)), b""
+    source, last = BagSource(Path(path), salvages=salvages), b""
     for scan, channel, block, span in source.spans():
         if block is not last:
             yield from _ordered(last, spans)
@@ -216,43 +216,3 @@ def continuity(states: StateArray) -> LinkCounts:
     for sequence in states["sequence"].tolist():
         tracker.accept(sequence)
     return tracker.counts
-
-
-def repair(folder: Path | str) -> int:
-    """Finish a recording whose recorder was killed, so that other readers can open it too.
-
-    The messages are copied into a complete file, which then replaces the broken one.
-
-    Returns
-    -------
-    Number of messages recovered.
-
-    Raises
-    ------
-    RecordingError
-        The folder is not a recording of one .mcap, or is damaged.
-    """
-    folder = Path(folder)
-    broken = read_bag(folder, topics=())
-    if not broken.notes:
-        raise RecordingError(f"{folder} is whole: there is nothing to repair")
-    scratch = folder.with_name(f".{folder.name}.repair") / folder.name
-    shutil.rmtree(scratch.parent, ignore_errors=True)
-    metadata = {**broken.metadata.get("hydro", {}), "repaired": "the recorder was killed"}
-    count = 0
-    with BagWriter(scratch, metadata=metadata, attachments=broken.attachments) as writer:
-        known: set[str] = set()
-        for topic, type_name, time_ns, data in messages(folder):
-            if topic not in known:
-                known.add(topic)
-                writer.add_topic(topic, type_name, broken.qos[topic])
-            writer.write(topic, data, time_ns)
-            count += 1
-    old = set(folder.glob("*.mcap"))
-    for path in scratch.iterdir():
-        os.replace(path, folder / path.name)
-        old.discard(folder / path.name)
-    for path in old:
-        path.unlink()
-    shutil.rmtree(scratch.parent)
-    return count

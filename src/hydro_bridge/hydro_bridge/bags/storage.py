@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from math import inf
@@ -29,6 +30,9 @@ from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
 from hydro_bridge.bags.location import is_stored, opened, parted
 from hydro_bridge.bags.types import RecordingError, UnknownTypeError, definition
 
+OF_SEVERAL = ", of several recordings"
+"""In the note on a folder whose files differ in more than their number."""
+
 
 def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
     """Return the .mcap files in order, and notes on anything unusual about the folder.
@@ -40,12 +44,46 @@ def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
     if not path.is_dir():
         raise RecordingError(f"{path} does not exist")
     if not (path / "metadata.yaml").is_file():
-        files, notes = (sorted(path.glob("*.mcap")), [f"{path} has no metadata.yaml: read every .mcap in it, by name"])
+        files = sorted(path.glob("*.mcap"), key=_by_number)
+        several = len({re.sub(r"(_\d+)?$", "", file.stem) for file in files}) > 1
+        notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (OF_SEVERAL if several else "")]
     else:
-        files, notes = _listed(path), []
+        files, notes = _found(path, _listed(path))
     if not files:
         raise RecordingError(f"{path} holds no recording: there is no .mcap in it")
     return files, notes
+
+
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    """Key by which day_2 comes before day_10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def _found(folder: Path, listed: list[Path]) -> tuple[list[Path], list[str]]:
+    """Return the listed files that are there, and notes on those that are not, and on those that are not listed.
+
+    Raises RecordingError: none is there, and it is not a single one under another name.
+    """
+    others = sorted(set(folder.glob("*.mcap")) - set(listed), key=_by_number)
+    absent = [path.name for path in listed if not path.exists()]
+    if len(absent) == len(listed) == len(others):
+        note = f"{folder}: metadata.yaml lists {', '.join(absent)}, which is not there: read as its new name"
+        return others, [f"{note} {', '.join(path.name for path in others)}"]
+    if len(absent) == len(listed):
+        there = ", ".join(path.name for path in others) or "no .mcap at all"
+        raise RecordingError(f"{folder}: metadata.yaml lists {', '.join(absent)}; there is {there}")
+    notes = [f"{folder}: metadata.yaml lists {name}, which is not there" for name in absent]
+    notes += [f"{folder} holds {path.name}, which metadata.yaml does not list: not read" for path in others]
+    return [path for path in listed if path.exists()], notes
+
+
+def _in_time(scans: list[McapScan]) -> list[McapScan]:
+    """Return the files in the order of their first messages, where all have an index that tells."""
+    try:
+        first = {id(scan): scan.times()[0] for scan in scans} if len(scans) > 1 else {}
+    except RecordingError:
+        return scans
+    return sorted(scans, key=lambda scan: first[id(scan)]) if all(first.values()) and first else scans
 
 
 def _listed(folder: Path) -> list[Path]:
@@ -97,6 +135,10 @@ class McapScan:
     """Whether the end of the file was reached as its writer meant it."""
     part: tuple[float, float] | None = None
     """Log times [ns] from which and up to which messages are read, without metadata and attachments; None: all."""
+    salvages: bool = False
+    """Whether damaged chunks are left out in place of an error."""
+    damaged: int = 0
+    """Chunks that were left out."""
 
     def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
         """Yield the bytes of each block and the location of each channel's messages in it.
@@ -106,6 +148,8 @@ class McapScan:
         """
         with self._opened() as (stream, size):
             if self.part is None:
+                if self.salvages:
+                    self._declare(stream)
                 for block in self._raw_blocks(stream, size):
                     yield block, self._split(block)
                 return
@@ -130,6 +174,14 @@ class McapScan:
                 yield stream, size
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be read: {error.strerror or error}") from None
+
+    def _declare(self, stream: BinaryIO) -> None:
+        """Take the channels from the index, if there is one: the chunk that declares them may be damaged."""
+        place = stream.tell()
+        with suppress(RecordingError):
+            summary = self._index(stream)
+            self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
+        stream.seek(place)
 
     def _index(self, stream: BinaryIO) -> Summary:
         stream.seek(0)
@@ -164,11 +216,19 @@ class McapScan:
             if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 loose += head + stream.read(length)
             elif opcode == Opcode.CHUNK:
-                yield self._chunk(stream.read(length), stream.tell() - length)
+                try:
+                    chunk = self._chunk(stream.read(length), stream.tell() - length)
+                except RecordingError:
+                    if not self.salvages:
+                        raise
+                    self.damaged += 1
+                else:
+                    yield chunk
             elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
                 self._keep(opcode, stream.read(length))
             elif opcode == Opcode.DATA_END:
-                self.finished = True
+                stream.seek(size - len(_MAGIC))
+                self.finished = stream.read() == _MAGIC  # else its index is cut off
                 break
             else:
                 stream.seek(length, 1)
@@ -241,6 +301,8 @@ class BagSource:
     """The files of one recording, read one after the other."""
 
     path: Path
+    salvages: bool = False
+    """Whether damaged blocks, and messages that nothing describes any more, are left out with a note."""
     scans: list[McapScan] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
@@ -248,7 +310,7 @@ class BagSource:
     def __post_init__(self) -> None:
         whole, part = parted(self.path)
         files, self.notes = mcap_files(whole)
-        self.scans = [McapScan(path) for path in files]
+        self.scans = _in_time([McapScan(path, salvages=self.salvages) for path in files])
         if part is not None:
             first = self.scans[0].times()[0]
             for scan in self.scans:
@@ -264,10 +326,15 @@ class BagSource:
             for block, spans in scan.blocks():
                 for number, span in spans.items():
                     if number not in scan.channels:
+                        if self.salvages:
+                            scan.damaged += 1
+                            continue
                         raise RecordingError(f"{scan.path} has messages on a channel that it does not declare")
                     if topic in (None, scan.channels[number].topic):
                         found = True
                         yield scan, scan.channels[number], block, span
+            if scan.damaged:
+                self.notes.append(f"{scan.path.name}: {scan.damaged} damaged blocks are left out")
             if not scan.finished:
                 self.notes.append(
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"

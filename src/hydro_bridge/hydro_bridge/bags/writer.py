@@ -6,6 +6,7 @@ Requirements of the readers and the effect of `kill -9`: recordings.md.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 from collections.abc import Mapping
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from struct import unpack_from
+from typing import BinaryIO
 
 import numpy as np
 import yaml
@@ -33,6 +35,20 @@ class _Topic:
     qos: TopicQos
     channel: int
     count: int = 0
+
+
+def locked(file: BinaryIO) -> bool:
+    """Take the lock of an .mcap file, which whoever writes or repairs it holds; False: another process has it.
+
+    It ends with the file's last descriptor, also of a process that is killed.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
 
 
 class BagWriter:
@@ -63,6 +79,7 @@ class BagWriter:
         self._schemas: dict[str, int] = {}
         self._span = (2**63 - 1, 0)
         self._file = self.path.open("wb")
+        locked(self._file)  # as long as it is written
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="hydro_bridge")
         for name, data in (attachments or {}).items():

@@ -20,7 +20,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from hydro_bridge.bags.recording import repair
+from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter, code_version, sequence_of
 from hydro_bridge.ros.answers import Answers
@@ -187,7 +187,8 @@ def main() -> None:
     own, ros = ros_arguments()
     options = _parser().parse_args(own)
     if options.repair:
-        print(f"{options.repair}: kept {repair(options.repair)} messages", file=sys.stderr)
+        count, missing = repair(options.repair)
+        print("\n".join([f"{options.repair}: kept {count} messages", *missing]), file=sys.stderr)
         return
     for pair in options.metadata:
         if "=" not in pair:
