@@ -228,6 +228,19 @@ def test_a_recording_cut_off_anywhere_is_read_up_to_there_and_repaired(bag, stat
     assert not list(bag.parent.glob(".*.repair"))
 
 
+def test_a_jump_of_the_clock_is_not_waited_for_when_replayed(tmp_path, make_states):
+    states = make_states(300)
+    states["time"] = 1e9 + 1e-3 * np.arange(300)
+    states["time"][:3] = 0.0
+    states["time"][200:] -= 3600.0
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write_states(states)
+    came, said, begun = [], [], time.monotonic()
+    replay(tmp_path / "run", lambda topic, data: came.append(sequence_of(data)), Event(), 100.0, said.append)
+    assert len(came) == 300 and time.monotonic() - begun < 60.0
+    assert len(said) == 2 and all("left out" in sentence for sentence in said)
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 

@@ -44,19 +44,34 @@ TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded."""
 
 
-def replay(path: Path, publish: Callable[[str, bytes], None], stopping: Event, speed: float = 1.0) -> None:
+GAP_MAX = 10 * 1_000_000_000
+"""ns between two messages beyond which nothing was recorded, or the clock was set: it is not waited for."""
+
+
+def replay(
+    path: Path,
+    publish: Callable[[str, bytes], None],
+    stopping: Event,
+    speed: float = 1.0,
+    note: Callable[[str], None] = lambda sentence: None,
+) -> None:
     """Pass the messages of `TOPICS` to `publish` at their original intervals, each stamped with its due time.
 
     A consumer treats an old stamp as a stale sample. It ends with the recording, or once `stopping` is set. `speed`:
-    recorded seconds per second, above 0. Raises RecordingError.
+    recorded seconds per second, above 0. `note`: called with a sentence on a gap that is left out. Raises
+    RecordingError.
     """
-    first: int | None = None
+    last, elapsed = None, 0
     began, began_ns = time.monotonic(), time.time_ns()
     for topic, type_name, log_time, data in messages(path):
         if topic not in TOPICS:
             continue
-        first = log_time if first is None else first
-        ahead = (log_time - first) / speed
+        step, last = 0 if last is None else log_time - last, log_time
+        if abs(step) > GAP_MAX:
+            note(f"the recording's clock goes {1e-9 * step:+.10g} s after {1e-9 * elapsed:.1f} s: that is left out")
+            step = 0
+        elapsed += step
+        ahead = elapsed / speed
         if stopping.wait(max(0.0, began + 1e-9 * ahead - time.monotonic())):
             return
         stamped = type_name.rpartition("/")[2] in _STAMPED
@@ -92,9 +107,10 @@ class ReplayerNode(Node):
 
     def _run(self) -> None:
         try:
-            replay(self._bag, self._publish, self._stopping, self._speed)
-            while self._loop and not self._stopping.is_set():
-                replay(self._bag, self._publish, self._stopping, self._speed)
+            again = True
+            while again and not self._stopping.is_set():
+                replay(self._bag, self._publish, self._stopping, self._speed, self.get_logger().warning)
+                again = self._loop
         except RecordingError as error:
             self.failure = error
         self.get_logger().info(f"{self._published} messages replayed")
