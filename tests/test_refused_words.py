@@ -11,6 +11,7 @@ box; the shipped one is for the shipped box.
 from __future__ import annotations
 
 import importlib
+import json
 import shlex
 import shutil
 import sys
@@ -168,7 +169,7 @@ def make_files(folder: Path) -> None:
         (folder / name).write_text(f"segments: {segments}\n")
     for name, nodes in PARAMETERS.items():
         told = {"ros__parameters": {"gaurd.delta_kp_max" if name == "every" else "seed": 5}}
-        (folder / f"{name}.params").write_text(yaml.safe_dump(dict.fromkeys(nodes, told)))
+        (folder / f"{name}.params").write_text(json.dumps(dict.fromkeys(nodes, told)))
     far = {"lab": {"sim": {"ros__parameters": {"seed": 5}}}}
     (folder / "far.params").write_text(yaml.safe_dump(far))
     with BagWriter(folder / "bag") as bag:
