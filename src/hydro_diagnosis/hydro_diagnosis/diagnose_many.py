@@ -92,16 +92,35 @@ def _within(path: Path) -> Iterator[Path]:
             yield from _within(one)
 
 
+GAP_MAX = 60.0
+"""s without a message beyond which the clock was set, or nothing was recorded: no part reaches across."""
+SHORTEST = 1.0
+"""s of a stretch between two such gaps that is worth a part."""
+
+
 def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
-    """Parts of a bag by name, `every` s each, the last half to one and a half of it; another file as it is."""
+    """Parts of a bag by name, `every` s each, the last half to one and a half of it; another file as it is.
+
+    Parts are counted anew behind a gap of more than `GAP_MAX`, or before which the clock was set, which is told.
+    """
     if not is_bag(path) or parted(path)[1] is not None:
         return {name: str(path)}
     try:
-        count = max(round(BagSource(path).seconds() / every), 1)
+        stretches = BagSource(path).stretches(GAP_MAX)
     except RecordingError:  # each part would be refused for the same reason
-        count = 1
-    borders = [*(f"{k * every:.12g}" for k in range(count)), ""]
-    parts = [f"#t={begin},{end}" for begin, end in pairwise(borders)]
+        stretches = [(0.0, every)]
+    kept = [(begin, end) for begin, end in stretches if end - begin >= SHORTEST or len(stretches) == 1]
+    for (_, before), (after, _) in pairwise(stretches):
+        print(
+            f"{name}: nothing was logged, or the clock was set, from {before:.10g} to {after:.10g} s: no part of it",
+            file=sys.stderr,
+        )
+    parts = []
+    for begin, end in kept:
+        count = max(round((end - begin) / every), 1)
+        last = "" if (begin, end) == stretches[-1] else f"{end + SHORTEST:.12g}"
+        borders = [*(f"{begin + k * every:.12g}" for k in range(count)), last]
+        parts += [f"#t={one},{other}" for one, other in pairwise(borders)]
     return {f"{name}{part}": f"{path}{part}" for part in parts}
 
 

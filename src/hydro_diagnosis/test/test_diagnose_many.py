@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.bags.recording import BagWriter, read_bag
 from hydro_core.signals import FloatArray
 from hydro_diagnosis import diagnose_many, trends
 from hydro_diagnosis.change_points import course
-from hydro_diagnosis.diagnose_many import write_study
+from hydro_diagnosis.diagnose_many import parts_of, write_study
 from hydro_sim.model.bench import Bench
 from tests.checks import status_of
 from tests.segments import record
@@ -58,6 +58,24 @@ def test_each_part_of_a_long_bag_is_diagnosed_by_itself(tmp_path: Path) -> None:
     assert list(map(list, diagnoses.causes)) == [[], ["spring_stiffness"]]
     assert (diagnoses.begin[1] - diagnoses.begin[0]).total_seconds() == 12.0
     assert (tmp_path / "study/reports/day/12,/report.html").is_file()
+
+
+def test_no_part_reaches_across_a_gap_or_a_clock_that_was_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = record(Bench.nominal(), seed=0, seconds=8.0)
+    states["time"] += 1e9
+    begin = float(states["time"][0])
+    states["time"][:3] = 0.0  # three samples before the clock was set, then 300 days later the rest
+    states["time"][4000:] += 300 * 86400.0
+    with BagWriter(tmp_path / "day") as writer:
+        writer.write_states(states)
+    found = [part.partition("#t=")[2] for part in parts_of("day", tmp_path / "day", 2.0)]
+    assert len(found) == 4 and found[-1].endswith(",")
+    for part, rows in zip(found, (2000, 2000, 2000, 2000), strict=True):
+        assert len(read_bag(f"{tmp_path / 'day'}#t={part}").state) == pytest.approx(rows, abs=4)
+    assert float(found[0].partition(",")[0]) == pytest.approx(begin + 0.003, abs=1e-3)
+    assert capsys.readouterr().err.count("no part of it") == 2
 
 
 DAYS = 60

@@ -163,6 +163,24 @@ class McapScan:
             statistics = self._index(stream).statistics
         return (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
 
+    def stretches(self, gap: float) -> list[tuple[int, int]]:
+        """Return log times [ns] of first and last messages between which nothing was logged for more than `gap` s.
+
+        By the index, in order of the file. Raises RecordingError, as `blocks`.
+        """
+        found: list[tuple[int, int]] = []
+        with self._opened() as (stream, _):
+            for chunk in sorted(self._index(stream).chunk_indexes, key=lambda one: one.chunk_start_offset):
+                edges = np.array([chunk.message_start_time, chunk.message_end_time])
+                if edges[1] - edges[0] > 1e9 * gap:  # in it or between two slow messages: they tell
+                    stream.seek(place := chunk.chunk_start_offset + _RECORD.size)
+                    block = self._chunk(stream.read(chunk.chunk_length - _RECORD.size), place)
+                    edges = np.sort(np.concatenate([span.log_times for span in self._split(block).values()]))
+                ends = np.flatnonzero(np.diff(edges) > 1e9 * gap)
+                begins, ends = edges[np.r_[0, ends + 1]], edges[np.r_[ends, -1]]
+                found += zip(begins.tolist(), ends.tolist(), strict=True)
+        return found
+
     @contextmanager
     def _opened(self) -> Iterator[tuple[BinaryIO, int]]:
         try:
@@ -342,10 +360,19 @@ class BagSource:
         if topic is not None and not found:
             raise self.without(topic, {channel.topic for scan in self.scans for channel in scan.channels.values()})
 
-    def seconds(self) -> float:
-        """Return the time [s] from the first message to the last, by the index; raises RecordingError."""
-        times = [scan.times() for scan in self.scans]
-        return 1e-9 * (max(end for _, end in times) - times[0][0])
+    def stretches(self, gap: float) -> list[tuple[float, float]]:
+        """Return begins and ends [s since the first message] between which nothing was logged for more than `gap` s.
+
+        By the index, in order of time; raises RecordingError.
+        """
+        first = self.scans[0].times()[0]
+        merged: list[list[int]] = []
+        for begin, end in sorted(stretch for scan in self.scans for stretch in scan.stretches(gap)):
+            if merged and begin - merged[-1][1] <= 1e9 * gap:
+                merged[-1][1] = max(merged[-1][1], end)
+            else:
+                merged.append([begin, end])
+        return [(1e-9 * (begin - first), 1e-9 * (end - first)) for begin, end in merged]
 
     def without(self, topic: str, topics: Collection[str]) -> RecordingError:
         """Return the error that `topic` is not among the `topics` that were read."""
