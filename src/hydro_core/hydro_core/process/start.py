@@ -30,6 +30,19 @@ def missing_middleware() -> str:
     return f"{RMW} is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
 
 
+def foreign_code() -> str:
+    """Return a sentence where the sourced workspace is a copy whose links still lead to the code it was copied from."""
+    here = Path(__file__).resolve()
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        if (sourced := Path(prefix).resolve()).name != "hydro_core" or not sourced.is_dir():
+            continue
+        workspace = sourced.parent.parent
+        if sourced not in here.parents and workspace not in here.parents:
+            return f"{workspace} was copied and still runs the code of {here.parents[4]}: run `make setup` in it first"
+        return ""
+    return ""
+
+
 class MainOf:
     """An entry point that imports its module late: `main_of.package.module()` runs `main` of package.module."""
 
@@ -44,7 +57,7 @@ class MainOf:
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         endings.answer(endings.leave)  # importing takes seconds, and a traceback would not help the user
-        if trouble := missing_middleware():
+        if trouble := foreign_code() or missing_middleware():
             endings.complain(trouble)
             return 2
         try:

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A command starts from the code of the workspace that is sourced, or says that it would not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import hydro_core
+from hydro_core.process.start import foreign_code
+
+ROOT = Path(str(hydro_core.__file__)).resolve().parents[3]
+
+
+def test_a_copied_checkout_that_still_runs_the_old_folders_code_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = tmp_path / "install/hydro_core"
+    copy.mkdir(parents=True)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/jazzy:{copy}:{tmp_path}/install/hydro_sim")
+    assert foreign_code() == f"{tmp_path} was copied and still runs the code of {ROOT}: run `make setup` in it first"
+
+
+@pytest.mark.parametrize("prefixes", ["", "/opt/ros/jazzy", "{root}/install/hydro_core:/opt/ros/jazzy"])
+def test_the_workspaces_own_code_is_no_copy(prefixes: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes.format(root=ROOT))
+    assert foreign_code() == ""
