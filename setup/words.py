@@ -21,7 +21,6 @@ STANDARD = {
     "memory_size": "nbytes",
     "PolicyKeeper": "RunState",
     "policy_header": "export_c",
-    "secure": "create_keystore",
     "untold": "unexplained",
 }
 """Standard term of each word that was in use here once."""

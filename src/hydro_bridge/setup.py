@@ -56,7 +56,6 @@ setup(
             "recorder = hydro_core.process.start:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_core.process.start:main_of.hydro_bridge.nodes.replayer",
             "runs = hydro_core.process.start:main_of.hydro_bridge.viewer.runs",
-            "create_keystore = hydro_core.process.start:main_of.hydro_bridge.nodes.create_keystore",
             "view = hydro_core.process.start:main_of.hydro_bridge.viewer.view",
         ],
     },

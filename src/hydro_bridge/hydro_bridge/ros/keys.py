@@ -78,6 +78,5 @@ def key_error(error: RuntimeError) -> SettingsError:
     keystore = os.environ.get(KEYSTORE) or "not set"
     return SettingsError(
         f"ROS does not start with keys ({KEYSTORE}: {keystore}): {said}; "
-        "`ros2 run hydro_bridge create_keystore KEYSTORE` makes them, docs/manual/explanation/network.md says "
-        "what else they need"
+        "`ros2 security` makes them, as docs/manual/explanation/network.md says"
     )

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys for the graph: who may do what by the policy, the keystore that sros2 makes of it, how a node takes its keys."""
+"""Keys for the graph: who may do what by the policy, how a node takes its keys."""
 
 from __future__ import annotations
 
 import os
-import shutil
-from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,10 +11,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.nodes import create_keystore
-from hydro_bridge.nodes.create_keystore import domain, make_keystore, policy_xml
+from hydro_bridge.ros import policy
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.keys import ENABLE, KEYSTORE, STRATEGY, enclave_of, security_enabled
+from hydro_bridge.ros.policy import policy_xml
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
     AUTHORITY,
@@ -31,11 +29,8 @@ from hydro_bridge.ros.topics import (
     RIGHTS,
     STATE,
 )
-from hydro_core.errors import UserError
 from hydro_core.settings import SettingsError
 from tests.checks import ran, status_of
-
-ENCLAVES = [enclave_of(executable) for executable in RIGHTS]
 
 
 def allowed(kind: str, what: str, name: str) -> set[str]:
@@ -64,36 +59,11 @@ def test_only_who_has_to_may_command_the_plant() -> None:
     assert [topic for topic in GRAPH if "watch" in allowed("topic", "publish", topic)] == [LOG], "its own log"
 
 
-@pytest.mark.skipif(find_spec("sros2") is not None, reason="sros2 is here")
-def test_without_sros2_one_sentence_says_the_way_on_and_the_policy_is_written_all_the_same(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert status_of(create_keystore.main, tmp_path / "keys", "--policy", tmp_path / "policy.xml") == 2
-    assert "apt install ros-jazzy-sros2" in capsys.readouterr().err
+def test_the_policy_is_written_for_ros2_security(tmp_path: Path) -> None:
+    assert status_of(policy.main, tmp_path / "policy.xml") == 0
     assert (tmp_path / "policy.xml").read_bytes() == policy_xml()
-    assert not (tmp_path / "keys").exists()
-
-
-@pytest.mark.skipif(find_spec("sros2") is None or shutil.which("openssl") is None, reason="no sros2 or openssl here")
-def test_a_keystore_holds_signed_permissions_for_its_owner_alone_and_an_older_one_is_left_alone(tmp_path: Path) -> None:
-    keystore = tmp_path / "keys"
-    make_keystore(keystore, policy_xml(), ENCLAVES)
-    folders = {enclave: keystore / "enclaves" / enclave.lstrip("/") for enclave in ENCLAVES}
-    for enclave, folder in folders.items():
-        verify = ("openssl", "smime", "-verify", "-text", "-in", folder / "permissions.p7s", "-CAfile")
-        signed = ran(*verify, folder / "permissions_ca.cert.pem", check=True).stdout
-        grant = ElementTree.fromstring(signed).find("permissions/grant")
-        assert grant.findtext("subject_name") == f"CN={enclave}"
-        assert grant.findtext("default") == "DENY"
-        assert {entry.text for entry in grant.iter("id")} == {str(domain())}
-        published = {entry.text for entry in grant.findall("allow_rule/publish/topics/topic")}
-        expected = {f"rt{name}" for rights in RIGHTS[enclave[7:]].values() for name in rights.publishes}
-        assert {name for name in published if name and name.startswith("rt/")} == expected
-        ran("openssl", "verify", "-CAfile", folder / "identity_ca.cert.pem", folder / "cert.pem", check=True)
-    entries = [path for path in (tmp_path / "keys", *(tmp_path / "keys").rglob("*")) if not path.is_symlink()]
-    assert all(path.stat().st_mode & 0o077 == 0 for path in entries)
-    with pytest.raises(UserError, match="is there already"):
-        make_keystore(keystore, policy_xml(), ENCLAVES)
+    root = ElementTree.fromstring(policy_xml())
+    assert {entry.attrib["path"] for entry in root.iter("enclave")} == {enclave_of(name) for name in RIGHTS}
 
 
 def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_otherwise_in_ros_s_words(

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of rights as a policy of SROS2, for `ros2 security` (network.md).
+
+python -m hydro_bridge.ros.policy FILE
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from xml.etree import ElementTree
+
+from hydro_bridge.ros.keys import enclave_of
+from hydro_bridge.ros.topics import RIGHTS
+from hydro_core.cli.console import command, command_line, writable
+from hydro_core.files.atomic import write_whole
+
+VERSION = "0.2.0"
+"""Of the policy, by policy.xsd of package sros2."""
+
+
+def policy_xml() -> bytes:
+    """Return the policy as XML, an enclave for each executable; anything not named in it is denied."""
+    policy = ElementTree.Element("policy", version=VERSION)
+    enclaves = ElementTree.SubElement(policy, "enclaves")
+    for executable, nodes in RIGHTS.items():
+        enclave = ElementTree.SubElement(enclaves, "enclave", path=enclave_of(executable))
+        profiles = ElementTree.SubElement(enclave, "profiles")
+        for name, allowed in nodes.items():
+            profile = ElementTree.SubElement(profiles, "profile", ns="/", node=name)
+            _allow(profile, "topic", "publish", allowed.publishes)
+            _allow(profile, "topic", "subscribe", allowed.subscribes)
+            _allow(profile, "service", "reply", allowed.answers)
+            _allow(profile, "service", "request", allowed.calls)
+    ElementTree.indent(policy)
+    return ElementTree.tostring(policy, encoding="utf-8", xml_declaration=True) + b"\n"
+
+
+def _allow(profile: ElementTree.Element, kind: str, what: str, names: Iterable[str]) -> None:
+    """Add one list of expressions; the schema forbids empty ones."""
+    if listed := sorted(set(names)):
+        expressions = ElementTree.SubElement(profile, f"{kind}s", {what: "ALLOW"})
+        for name in listed:
+            ElementTree.SubElement(expressions, kind).text = name
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    parser = command_line("policy", __doc__)
+    parser.add_argument("file", type=writable, metavar="FILE", help="to write")
+    write_whole(Path(parser.parse_args().file), policy_xml())
+
+
+if __name__ == "__main__":
+    main()
