@@ -21,7 +21,8 @@ A publisher is matched with the subscription before its messages can arrive. A s
 the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
 
 A filter in the plant's process is a `Corrector`: it is handed each sample and answers at once, in the plant's thread,
-before the sample is published. Its corrections are published like any; the plant then hears nobody else's.
+before the sample is published. Its corrections are published like any; the plant then hears nobody else's. One that
+raises an error is asked no more: the guard goes to base gains, as for any filter that is silent.
 
 Where the plant goes by its own clock (`PlantSide.paced`), times are the plant's, and what the plant says about a sample
 (the authority that ends with a trip, /clock, its law) is published before the sample.
@@ -39,6 +40,7 @@ from typing import Any, Protocol
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
@@ -61,6 +63,7 @@ from hydro_bridge.ros.messages import (
     reference_from_message,
     subscribe,
 )
+from hydro_bridge.ros.node import run_node
 from hydro_bridge.ros.topics import (
     ANSWERED,
     ARM_SERVICE,
@@ -353,6 +356,9 @@ class PlantNode(Node):
     def __init__(self, name: str, corrector: Corrector | None = None) -> None:
         super().__init__(name)
         self._corrector = corrector
+        self.done: Future = Future()
+        """Done once the plant's thread has failed."""
+        self.failure: Exception | None = None
         self.components = [] if corrector is None else [corrector]
         self._publisher = create_publisher(self, STATE)
         self._law_publisher = create_publisher(self, LAW_STATE)
@@ -378,7 +384,7 @@ class PlantNode(Node):
                 "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
                 "leave it out unless you want that"
             )
-        self._thread = threading.Thread(target=side.run, name="plant", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         gains = create_subscription(self, GAINS, self._on_gains)
         reference = create_subscription(self, REFERENCE, self._on_reference)
@@ -396,6 +402,14 @@ class PlantNode(Node):
         """Start the plant's thread; call only once all settings are checked."""
         self._thread.start()
 
+    def _run(self) -> None:
+        """Run the plant; an error ends the node, which disarms on its way."""
+        try:
+            self.side.run()
+        except Exception as error:
+            self.failure = error
+            self.done.set_result(None)
+
     def close(self) -> None:
         """Disarm, and end the plant's thread."""
         self.side.pace.close()
@@ -410,7 +424,13 @@ class PlantNode(Node):
         state, acting = STATES.record(stamp_ns, sequence, *values, flags), None
         if law is not None and law.law is not Law.PAPER:
             acting = LAW_STATES.unpack(pack_law_state(stamp_ns, sequence, law))
-        correction = self._corrector.correct(state, acting, self.gate.authority.epoch)
+        try:
+            correction = self._corrector.correct(state, acting, self.gate.authority.epoch)
+        except Exception as error:
+            self._corrector = None
+            told = f"{type(error).__name__}: {error}"
+            self.get_logger().fatal(f"the filter failed, nothing is corrected until this plant is started anew: {told}")
+            return
         if correction is not None:
             self._on_correction(correction)
 
@@ -524,3 +544,10 @@ class PlantNode(Node):
             self.get_logger().warning(
                 f"the box tripped ({flag_names(flags)}) and closed the valve: find the cause, disarm it, then arm it"
             )
+
+
+def run_plant(make: Callable[[], PlantNode], ros: Sequence[str]) -> None:
+    """Run a plant's node as `run_node` does; raises the error that ended the plant's thread."""
+    failure = run_node(make, ros).failure
+    if failure is not None:
+        raise failure

@@ -13,7 +13,8 @@ import argparse
 import shlex
 
 from hydro_bridge.nodes import bridge
-from hydro_bridge.ros.node import ros_arguments, run_node
+from hydro_bridge.nodes.plant_node import run_plant
+from hydro_bridge.ros.node import ros_arguments
 from hydro_core.cli.console import command
 from hydro_filter.controller.factory import arguments
 from hydro_filter.nodes.filter import FilterNode
@@ -43,4 +44,4 @@ def main() -> None:
     choice, settings, _ = arguments(shlex.split(asked.filter))
     choice.describe()  # a missing file is refused before ROS starts
     make = PLANTS[asked.plant](words)
-    run_node(lambda: make(FilterNode(choice, settings, handed=True)), ros)
+    run_plant(lambda: make(FilterNode(choice, settings, handed=True)), ros)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plant with the filter in its process: who fails in it, and what the plant does then."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.ros.topics import CORRECTION, STATE
+from hydro_core.signals import Flag
+from tests.graph_probe import Probe, own_domain
+
+pytestmark = [pytest.mark.graph, pytest.mark.realtime]
+
+FAILS = """
+import sys
+from {module} import {name} as failing
+before, calls = failing.{method}, 0
+def fails(*arguments):
+    global calls
+    calls += 1
+    if calls > {after}:
+        raise ArithmeticError("a defect")
+    return before(*arguments)
+failing.{method} = fails
+from hydro_filter.nodes.filtered_plant import main
+sys.argv = ["filtered_plant", "sim", "--pace", "real"]
+main()
+"""
+"""A simulation with its filter, of which one method fails after so many calls."""
+
+
+@pytest.fixture
+def failing(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str], Probe]]]:
+    @contextmanager
+    def begin(**words: object) -> Iterator[tuple[subprocess.Popen[str], Probe]]:
+        with own_domain():
+            said = (tmp_path / "said").open("w+")
+            process = subprocess.Popen([sys.executable, "-c", FAILS.format(**words)], stdout=said, stderr=said)
+            probe = Probe()
+            try:
+                yield process, probe
+            finally:
+                process.kill()
+                process.wait()
+                probe.close()
+
+    yield begin
+
+
+def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(failing, tmp_path: Path) -> None:
+    words = {"module": "hydro_filter.controller.loop_filter", "name": "LoopFilter", "method": "correct"}
+    with failing(**words, after=3000) as (process, probe):
+        probe.wait(lambda: probe.node.count_publishers(CORRECTION) == 1, 60.0)
+        probe.take()
+        probe.arm(True)
+        probe.drive(75.0, 10.0, 1.0)
+        assert 90.0 in {state.proportional_gain for state in probe.states}
+        probe.wait_for(STATE, lambda state: state.flags & Flag.FILTER_STALE, 20.0)
+        probe.forget()
+        probe.drive(75.0, 10.0, 0.5)
+        assert {state.proportional_gain for state in probe.states[100:]} == {15.0}
+        assert {state.valve_current - state.nominal_valve_current for state in probe.states[100:]} == {0.0}
+        assert process.poll() is None
+    assert "[FATAL]" in (said := (tmp_path / "said").read_text()) and "the filter failed" in said
+    assert "ArithmeticError: a defect" in said
+
+
+def test_a_plant_whose_thread_fails_ends_its_node_with_the_error(failing, tmp_path: Path) -> None:
+    words = {"module": "hydro_sim.simulation.realtime", "name": "Simulation", "method": "_stamp"}
+    with failing(**words, after=500) as (process, probe):
+        probe.wait(lambda: process.poll() is not None, 60.0)
+        assert process.returncode == 1 and probe.states
+    assert "ArithmeticError: a defect" in (tmp_path / "said").read_text()
