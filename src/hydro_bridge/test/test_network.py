@@ -17,7 +17,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import executable_path
-from hydro_bridge.ros.node import PROFILES, RANGE
+from hydro_bridge.ros.node import PROFILES, RANGE, running_ros
+from hydro_core.settings import SettingsError
 
 pytestmark = pytest.mark.slow
 
@@ -70,3 +71,13 @@ def test_a_node_listens_on_the_loopback_interface_only_unless_the_user_says_othe
     with bridge(**{RANGE: "SUBNET"}) as node:
         assert any(address == "0.0.0.0" and 7400 <= port < 32768 for address, port in sockets(node.pid))
         assert memberships() > 0 and not shares_memory(node.pid)
+
+
+@pytest.mark.parametrize("domain", ["233", "-1", "abc", "1.5"])
+def test_a_domain_that_dds_has_no_ports_for_is_refused(domain: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with (
+        pytest.raises(SettingsError, match=f"ROS_DOMAIN_ID={domain}: must be a whole number from 0 to 232"),
+        running_ros(),
+    ):
+        pass

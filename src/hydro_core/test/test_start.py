@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hydro_core
-from hydro_core.process.start import foreign_code
+from hydro_core.process.start import foreign_code, missing_folder
 
 ROOT = Path(str(hydro_core.__file__)).resolve().parents[3]
 
@@ -26,3 +26,12 @@ def test_a_copied_checkout_that_still_runs_the_old_folders_code_says_so(
 def test_the_workspaces_own_code_is_no_copy(prefixes: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes.format(root=ROOT))
     assert foreign_code() == ""
+
+
+def test_a_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert missing_folder() == ""
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert "has been deleted" in missing_folder()

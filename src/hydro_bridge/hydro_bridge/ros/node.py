@@ -47,6 +47,8 @@ PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 THIS_MACHINE = "LOCALHOST"
 AS_PROFILED = "SYSTEM_DEFAULT"
 """Range in which a middleware adds nothing to its configuration."""
+DOMAIN_MAX = 232
+"""Largest ROS_DOMAIN_ID: beyond, DDS has no ports."""
 _OLD_RANGE = "ROS_LOCALHOST_ONLY"  # takes precedence over `RANGE` if set; deprecated
 
 
@@ -210,8 +212,11 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
 
     See `stay_on_this_machine` for the discovery range, `keys.enclave_arguments` for the keys if security is enabled.
 
-    Raises SettingsError: the arguments, `--ros-args` and what follows, cannot be used, or the keys cannot.
+    Raises SettingsError: the domain, the arguments (`--ros-args` and what follows) or the keys cannot be used.
     """
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not (domain.isascii() and domain.isdecimal() and int(domain) <= DOMAIN_MAX):
+        raise SettingsError(f"ROS_DOMAIN_ID={domain}: must be a whole number from 0 to {DOMAIN_MAX}")
     stay_on_this_machine()
     keys = security_enabled()
     try:

@@ -30,6 +30,15 @@ def missing_middleware() -> str:
     return f"{RMW} is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
 
 
+def missing_folder() -> str:
+    """Return a sentence where the folder in which this process was started is gone; empty if it is there."""
+    try:
+        os.getcwd()
+    except OSError:
+        return "the folder in which this shell is has been deleted: go to another one"
+    return ""
+
+
 def foreign_code() -> str:
     """Return a sentence where the sourced workspace is a copy whose links still lead to the code it was copied from."""
     here = Path(__file__).resolve()
@@ -57,7 +66,7 @@ class MainOf:
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         endings.answer(endings.leave)  # importing takes seconds, and a traceback would not help the user
-        if trouble := foreign_code() or missing_middleware():
+        if trouble := missing_folder() or foreign_code() or missing_middleware():
             endings.complain(trouble)
             return 2
         try:

@@ -206,10 +206,13 @@ def mdf_columns(path: Path) -> Columns:
     """
     try:
         from asammdf import MDF
+        from asammdf.blocks.mdf_v3 import MDF3
+        from asammdf.blocks.mdf_v4 import MDF4
     except ImportError:
         raise InputError(
             f"an MDF file is read by asammdf, which is not installed: `python -m pip install {NEEDED}`"
         ) from None
+    MDF3.__del__ = MDF4.__del__ = lambda self: None  # of a file that cannot be read it prints a traceback of its own
     with _read_as("an MDF file"), MDF(str(path)) as file:
         return _channels(file)
 
