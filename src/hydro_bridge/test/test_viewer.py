@@ -18,7 +18,7 @@ from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, T
 from hydro_bridge.ros.topics import GRAPH
 from hydro_bridge.viewer.runs import list_runs, refresh_index, write_index
 from hydro_bridge.viewer.view import main, read_recorded, rendered
-from hydro_core.signals import STATE_DTYPE, Flag
+from hydro_core.signals import STATE_DTYPE, Flag, StateArray
 from tests import browser
 from tests.checks import status_of
 
@@ -76,6 +76,19 @@ def test_flags_and_windows_of_a_diagnosis_beside_it_are_marked_on_a_page_that_lo
     assert all(text in page for text in told)
     assert "sha256:&lt;1&gt;" in page and "<1>" not in page
     assert 'src="http' not in page and 'href="http' not in page and "default-src &#39;none&#39;" in page
+
+
+def test_a_clock_that_was_set_halves_no_page(tmp_path: Path, states: StateArray) -> None:
+    whole = len(states) * 1e-3
+    states["time"][:3] = 0.0
+    states["time"][len(states) // 2 :] -= 3600.0
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write_states(states)
+    found = read_recorded(tmp_path / "run")
+    assert found.seconds == pytest.approx(whole, abs=0.01)
+    assert len(found.values[0]) == pytest.approx(whole / found.slot, abs=2)
+    assert sum("the clock was set by" in note for note in found.notes) == 2
+    assert any("set by -3600 s" in note or "set by -3599.999 s" in note for note in found.notes)
 
 
 def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_path: Path) -> None:

@@ -174,8 +174,6 @@ class Thinner:
 
 LIMIT = 2**16
 """Number of slots: 655 s at 10 ms; an hour is 5.6 times that, in slots of 80 ms."""
-JUMP = 3600.0
-"""s between two samples beyond which the later one's stamp is rejected."""
 
 
 class GrowingThinner:
@@ -192,16 +190,13 @@ class GrowingThinner:
         self._count = 0
         self.slot = SLOT
         """s."""
-        self.left_out = 0
-        """Samples before `begin`, or more than `JUMP` after all previous ones."""
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
-        """Add samples.
+        """Add samples; those before `begin` are left out.
 
         `times`: s, shape (n,). `values`: shape (n, columns). Non-finite values count as missing.
         """
-        good = (times >= self._begin) & (times < self.end + JUMP)
-        self.left_out += int(len(times) - np.count_nonzero(good))
+        good = times >= self._begin
         times, values = times[good], values[good]
         if not len(times):
             return

@@ -38,6 +38,32 @@ APART = 2.0
 """s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""
 
 
+JUMP_BACK, JUMP_AHEAD = 1.0, 3600.0
+"""s by which a stamp goes back, or ahead, once the clock was set."""
+
+
+class SteadyTimes:
+    """Stamps of one topic without jumps: where the clock was set, time goes on behind the message before."""
+
+    def __init__(self) -> None:
+        self._last: float | None = None
+        self._offset = 0.0
+        self.jumps: list[tuple[float, float]] = []
+        """Time on the steady clock, and step, of each jump [s]."""
+
+    def take(self, stamps: FloatArray) -> FloatArray:
+        """Return the times [s] of the next messages by their stamps [s], both of shape (n,)."""
+        if not len(stamps):
+            return stamps
+        steps = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
+        jumps = (steps < -JUMP_BACK) | (steps > JUMP_AHEAD)
+        offsets = self._offset - np.cumsum(np.where(jumps, steps, 0.0))
+        self._last, self._offset = float(stamps[-1]), float(offsets[-1])
+        times: FloatArray = stamps + offsets
+        self.jumps += zip(times[jumps].tolist(), steps[jumps].tolist(), strict=True)
+        return times
+
+
 class SampleClock:
     """Tracks the samples of a recording as it is read, block by block."""
 
@@ -127,6 +153,10 @@ class _Reading:
     marks: Marks = field(default_factory=Marks)
     curve: status.Curve = field(default_factory=status.Curve)
     clock: SampleClock = field(default_factory=SampleClock)
+    steady: dict[str, SteadyTimes] = field(
+        default_factory=lambda: {topic: SteadyTimes() for topic in (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)}
+    )
+    """Of the topics with the samples' stamps."""
     foreign: set[str] = field(default_factory=set)
     """Topics whose messages are of another version or type."""
 
@@ -199,6 +229,8 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
             layout = source.layout(scan, channel)
             if layout is not None and set(layout.table.names or ()) >= _NEEDED[topic]:
                 table = decode_span(scan.path, topic, layout, block, part)
+                if topic in reading.steady:
+                    table["time"] = reading.steady[topic].take(table["time"])
                 if topic == STATE_TOPIC:
                     reading.clock.see(part.log_times, table["time"])
                 elif topic in (TRAINING_TOPIC, POLICY_TOPIC):  # the trainer stamps by the wall clock
@@ -259,8 +291,8 @@ def _lacking(messages: dict[str, int], reading: _Reading) -> list[str]:
     notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOLD_BY.items()
              if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
     notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(reading.foreign)]
-    if left_out := sum(thinner.left_out for thinner in reading.thinners):
-        notes.append(f"{left_out} samples have stamps from before the first one, or from an hour after the one before")
+    notes += [f"the clock was set by {step:+.10g} s after {time - reading.begin:.1f} s: time goes on behind it"
+              for time, step in reading.steady[STATE_TOPIC].jumps]  # fmt: skip
     if reading.marks.dropped:
         notes.append(f"{reading.marks.dropped} more marks are not shown: give a part of it by --from and --to")
     return notes
