@@ -212,7 +212,8 @@ def mdf_columns(path: Path) -> Columns:
         raise InputError(
             f"an MDF file is read by asammdf, which is not installed: `python -m pip install {NEEDED}`"
         ) from None
-    MDF3.__del__ = MDF4.__del__ = lambda self: None  # of a file that cannot be read it prints a traceback of its own
+    for kind in (MDF3, MDF4):  # of a file that cannot be read it prints a traceback of its own
+        setattr(kind, "__del__", lambda self: None)  # noqa: B010
     with _read_as("an MDF file"), MDF(str(path)) as file:
         return _channels(file)
 
