@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros.topics import CORRECTION, STATE
+from hydro_bridge.ros.topics import CORRECTION
 from hydro_core.signals import Flag
 from tests.graph_probe import Probe, own_domain
 
@@ -63,14 +63,16 @@ def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(
         probe.arm(True)
         probe.drive(75.0, 10.0, 1.0)
         assert 90.0 in {state.proportional_gain for state in probe.states}
-        probe.wait_for(STATE, lambda state: state.flags & Flag.FILTER_STALE, 20.0)
+        probe.wait(lambda: "the filter failed" in (tmp_path / "said").read_text(), 20.0)
+        probe.drive(75.0, 10.0, 0.2)
         probe.forget()
         probe.drive(75.0, 10.0, 0.5)
         assert {state.proportional_gain for state in probe.states[100:]} == {15.0}
         assert {state.valve_current - state.nominal_valve_current for state in probe.states[100:]} == {0.0}
+        assert all(state.flags & Flag.FILTER_STALE for state in probe.states[100:])
         assert process.poll() is None
-    assert "[FATAL]" in (said := (tmp_path / "said").read_text()) and "the filter failed" in said
-    assert "ArithmeticError: a defect" in said
+    said = (tmp_path / "said").read_text()
+    assert "[FATAL]" in said and "ArithmeticError: a defect" in said
 
 
 def test_a_plant_whose_thread_fails_ends_its_node_with_the_error(failing, tmp_path: Path) -> None:

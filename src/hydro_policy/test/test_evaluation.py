@@ -67,7 +67,7 @@ def test_a_figure_of_a_run_that_was_held_up_is_marked_and_makes_nobody_the_best(
     assert [row["1 Hz"] for row in shown.rows] == [2.0, "1.00 *"] and shown.columns["controller"].startswith(
         "*: in more"
     )
-    assert report.best(session) == ""
+    assert report.best(session) == f"Nobody is named the best: the machine was held up in runs of {held}."
     report.write_json(session, tmp_path / "evaluation.json", {})
     assert [one["spoilt"] for one in json.loads((tmp_path / "evaluation.json").read_text())["runs"]] == [False, True]
     session.scores[1] = replace(session.scores[1], held=0)

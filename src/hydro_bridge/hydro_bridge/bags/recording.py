@@ -113,16 +113,14 @@ class _Column:
             self.table[: self.count] = kept
 
 
-def read_bag(
-    path: Path | str, topics: Collection[str] | None = None, rows: int | None = None, *, salvages: bool = False
-) -> Recording:
+def read_bag(path: Path | str, topics: Collection[str] | None = None, rows: int | None = None) -> Recording:
     """Read a recording into arrays.
 
     `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: of a longer table every
-    n-th row is kept, less than twice so many. `salvages`: damaged blocks are left out, with a note. Raises
-    RecordingError: nothing there, damaged, or a topic in `topics` has no messages.
+    n-th row is kept, less than twice so many. Raises RecordingError: nothing there, damaged, or a topic in `topics` has
+    no messages.
     """
-    source = BagSource(Path(path), salvages=salvages)
+    source = BagSource(Path(path))
     types: dict[str, str] = {}
     qos: dict[str, TopicQos] = {}
     columns: dict[str, _Column] = {}
@@ -170,10 +168,10 @@ def stream_bag(path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | No
         notes += source.notes
 
 
-def messages(path: Path | str, *, salvages: bool = False) -> Iterator[tuple[str, str, int, bytes]]:
-    """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; as `read_bag`."""
+def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
+    """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; errors as `read_bag`."""
     spans: list[tuple[int, int, str, str, int]] = []
-    source, last = BagSource(Path(path), salvages=salvages), b""
+    source, last = BagSource(Path(path)), b""
     for scan, channel, block, span in source.spans():
         if block is not last:
             yield from _ordered(last, spans)

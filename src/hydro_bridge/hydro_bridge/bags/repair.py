@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Repair of a recording whose recorder was killed, or that is damaged: `recorder --repair FOLDER`.
 
-The new file is complete, read back and counted before anything of the old ones is touched; what was not read to its end
-is never removed. A recording that is still being written is refused: our recorder holds a lock on its file (`locked`),
-and another's file grows.
+Each file is copied record by record, as it is: definitions, channels, times, metadata and attachments of whoever wrote
+it. What cannot be read is left out and told. The copies are read back and counted before they take the places of the
+files, which are kept in a sub-folder: a repair removes nothing. A recording that is still being written is refused: our
+recorder holds a lock on its file (`locked`), another's has it open.
 """
 
 from __future__ import annotations
@@ -11,98 +12,197 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import yaml
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
-from hydro_bridge.bags.recording import messages, read_bag
-from hydro_bridge.bags.storage import OF_SEVERAL, BagSource
+from hydro_bridge.bags.storage import OF_SEVERAL, McapScan, listed_topics, mcap_files, message_head
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.bags.writer import BagWriter, locked
+from hydro_bridge.bags.writer import TopicEntry, information, locked
 
+BEFORE = "before_repair"
+"""Sub-folder in which the files are kept as they were."""
 _RECENT, _GROWS = 10.0, 1.5
-"""s since a file was written within which it is watched, and for how long, for another recorder's."""
+"""s since a file was written within which it is watched, and for how long."""
+
+
+@dataclass
+class Copy:
+    """What has been copied of one file."""
+
+    path: Path
+    topics: dict[str, TopicEntry] = field(default_factory=dict)
+    span: tuple[int, int] = (2**63 - 1, 0)
+    """Log times of first and last message [ns]."""
+    missing: list[str] = field(default_factory=list)
+    """Sentences on what could not be read."""
+    custom: dict[str, str] = field(default_factory=dict)
+    """Metadata record `hydro`."""
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        return sum(topic.count for topic in self.topics.values())
 
 
 def repair(folder: Path | str) -> tuple[int, list[str]]:
-    """Finish a recording, so that other readers can open it too; damaged blocks are left out.
+    """Finish a recording, so that other readers can open it too.
 
     Returns
     -------
-    Number of messages kept, and sentences on what is missing.
+    Number of messages kept, and sentences on what is missing and where the files are that were there before.
 
     Raises
     ------
     RecordingError
         The folder is no recording, or whole; it is being written, holds files of which metadata.yaml says nothing or
-        those of several recordings, or there is no room for the new file.
+        those of several recordings, nothing can be read, or there is no room. Then nothing was changed.
     """
-    folder = Path(folder)
+    folder = Path(folder).resolve()
     if folder.is_file():
         raise RecordingError(f"{folder} is a file: name the folder of the recording, with its .mcap alone in it")
-    source = BagSource(folder, salvages=True)
-    files = [scan.path for scan in source.scans]
-    if any(OF_SEVERAL in note for note in source.notes):
+    files, notes = mcap_files(folder)
+    if any(OF_SEVERAL in note for note in notes):
         raise RecordingError(f"{folder} holds files of several recordings: move each into a folder of its own first")
     if strange := sorted(path.name for path in set(folder.glob("*.mcap")) - set(files)):
         raise RecordingError(
             f"{folder} holds {', '.join(strange)}, of which its metadata.yaml says nothing: move that elsewhere first"
         )
-    scratch = folder.with_name(f".{folder.name}.repair") / folder.name
     with ExitStack() as stack:
         for path in files:
             stack.enter_context(_at_rest(path))
-        shutil.rmtree(scratch.parent, ignore_errors=True)
-        stack.callback(shutil.rmtree, scratch.parent, ignore_errors=True)
+        scratch = folder / f".repair_{os.getpid()}"
+        stack.callback(shutil.rmtree, scratch, ignore_errors=True)
         try:
-            count, missing = _copied(folder, scratch)
+            scratch.mkdir()
+            copies = [_copied(path, scratch / path.name, listed_topics(folder)) for path in files]
+            if not notes and all(copy.missing == [] for copy in copies):
+                raise RecordingError(f"{folder} is whole: there is nothing to repair")
+            if not (count := sum(copy.count for copy in copies)):
+                raise RecordingError(f"{folder}: no message can be read: nothing was changed")
+            _write_metadata(scratch, copies)
+            before = _exchange(folder, scratch, files)
         except OSError as error:
-            raise RecordingError(f"{folder} cannot be repaired: {error.strerror}: nothing was changed") from None
-        new = {path.name for path in scratch.glob("*.mcap")}
-        for path in sorted(scratch.iterdir()):
-            os.replace(path, folder / path.name)
-        for path in files:
-            if path.name not in new:
-                path.unlink()
-    return count, missing
+            raise RecordingError(f"{folder} cannot be repaired: {error.strerror}: nothing was removed") from None
+    missing = [f"{copy.path.name}: {sentence}" for copy in copies for sentence in copy.missing]
+    return count, [*missing, f"the files as they were are in {before}: remove them once the new ones are what you want"]
 
 
-def _copied(folder: Path, scratch: Path) -> tuple[int, list[str]]:
-    """Copy what can be read into a complete recording, and check that it is there."""
-    broken = read_bag(folder, topics=(), salvages=True)
-    if not broken.notes:
-        raise RecordingError(f"{folder} is whole: there is nothing to repair")
-    metadata = {**broken.metadata.get("hydro", {}), "repaired": "; ".join(broken.notes)}
-    count, known = 0, set[str]()
-    with BagWriter(scratch, metadata=metadata, attachments=broken.attachments) as writer:
-        for topic, type_name, time_ns, data in messages(folder, salvages=True):
-            if topic not in known:
-                known.add(topic)
-                writer.add_topic(topic, type_name, broken.qos[topic])
-            writer.write(topic, data, time_ns)
-            count += 1
-    with writer.path.open("rb") as stream:
+def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> Copy:
+    """Copy one file record by record, and check that all is there; `listed`: topics and types of metadata.yaml."""
+    copy, scan = Copy(target), McapScan(path, salvages=True)
+    schemas: dict[int, int] = {}
+    channels: dict[int, int] = {}
+    unknown: Counter[int] = Counter()
+    with target.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        writer.start(profile="ros2", library="hydro_bridge, repaired")
+        for block, spans in scan.blocks():
+            starts = sorted(
+                (start, size, number)
+                for number, span in spans.items()
+                for start, size in zip(span.starts.tolist(), span.sizes.tolist(), strict=True)
+            )
+            for start, size, number in starts:
+                if number not in scan.channels and scan.ours:
+                    scan.declare(number, listed)
+                if number not in scan.channels:
+                    unknown[number] += 1
+                    continue
+                channel = scan.channels[number]
+                if number not in channels:
+                    schema = scan.schemas.get(channel.schema_id)
+                    if schema is not None and channel.schema_id not in schemas:
+                        schemas[channel.schema_id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    schema_id = schemas.get(channel.schema_id, 0)
+                    channels[number] = writer.register_channel(
+                        channel.topic, channel.message_encoding, schema_id, channel.metadata
+                    )
+                    copy.topics.setdefault(channel.topic, TopicEntry.of_channel(channel, schema))
+                sequence, log_time, publish_time = message_head(block, start)
+                data = block[start : start + size]
+                writer.add_message(channels[number], log_time, data, publish_time, sequence)
+                copy.topics[channel.topic].count += 1
+                copy.span = (min(copy.span[0], log_time), max(copy.span[1], log_time))
+        for name, data in scan.attachments.items():
+            writer.add_attachment(0, 0, name, "", data)
+        for name, record in scan.metadata.items():
+            if name != "rosbag2":  # of the file as it was
+                writer.add_metadata(name, record)
+        writer.finish()  # type: ignore[no-untyped-call]
+        stream.flush()
         os.fsync(stream.fileno())
-        there = sum(1 for _ in make_reader(stream).iter_messages())
-    if there != count:
-        raise RecordingError(f"{folder}: {count} messages were read, {there} came back: nothing was changed")
-    return count, [note for note in broken.notes if "was not finished" not in note]
+    copy.custom = scan.metadata.get("hydro", {})
+    copy.missing += [f"{scan.damaged} damaged blocks are left out"] if scan.damaged else []
+    copy.missing += (
+        [f"{sum(unknown.values())} messages are left out whose channels nothing describes"] if unknown else []
+    )
+    copy.missing += [f"{scan.unread} bytes could not be read"] if scan.unread else []
+    copy.missing += ["it has no index"] if not (scan.finished or copy.missing) else []
+    with target.open("rb") as stream:
+        there = Counter(channel.topic for _, channel, _ in make_reader(stream).iter_messages())
+    if there != Counter({name: topic.count for name, topic in copy.topics.items()}):
+        raise RecordingError(f"{path}: not all that was read came back from the new file: nothing was changed")
+    return copy
+
+
+def _write_metadata(scratch: Path, copies: list[Copy]) -> None:
+    topics: dict[str, TopicEntry] = {}
+    for copy in copies:
+        for name, topic in copy.topics.items():
+            count = topics[name].count if name in topics else 0
+            topics[name] = topic.with_count(count + topic.count)
+    said = "; ".join(sentence for copy in copies for sentence in copy.missing) or "metadata.yaml"
+    custom = {**{key: value for copy in copies for key, value in copy.custom.items()}, "repaired": said}
+    content = information(topics, [(copy.path.name, *copy.span, copy.count) for copy in copies], custom)
+    text = yaml.safe_dump({"rosbag2_bagfile_information": content}, sort_keys=False)
+    (scratch / "metadata.yaml").write_text(text, encoding="utf-8")
+
+
+def _exchange(folder: Path, scratch: Path, files: list[Path]) -> Path:
+    """Move the files into a sub-folder, and the new ones into their places; return the sub-folder."""
+    before = next(
+        path for n in range(1, 10**6) if not (path := folder / (BEFORE if n == 1 else f"{BEFORE}_{n}")).exists()
+    )
+    before.mkdir()
+    for path in (*files, folder / "metadata.yaml"):
+        if path.exists():
+            os.replace(path, before / path.name)
+    for path in sorted(scratch.iterdir()):
+        os.replace(path, folder / path.name)
+    return before
 
 
 @contextmanager
 def _at_rest(path: Path) -> Iterator[None]:
     """Hold the lock of a file that nobody writes; raises RecordingError."""
-    if not path.exists():
-        yield
-        return
     with path.open("rb") as file:
         if not locked(file):
             raise RecordingError(f"{path} is being written by a recorder: end that first")
+        if writer := _writer_of(path):
+            raise RecordingError(f"{path} is open for writing in process {writer}: end that first")
         before = path.stat()
-        if time.time() - before.st_mtime < _RECENT:
+        if time.time() - before.st_mtime < _RECENT:  # on another machine, say
             time.sleep(_GROWS)
             if path.stat().st_size != before.st_size:
                 raise RecordingError(f"{path} grows: end the recorder that writes it first")
         yield
+
+
+def _writer_of(path: Path) -> str:
+    """Return a process that has the file open for writing, of those that this user may look at; empty if none has."""
+    wanted = path.stat()
+    for entry in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError, ValueError, IndexError):
+            found = entry.stat()
+            if (found.st_dev, found.st_ino) == (wanted.st_dev, wanted.st_ino):
+                flags = (entry.parent.parent / "fdinfo" / entry.name).read_text().split("flags:")[1].split()[0]
+                if int(flags, 8) & (os.O_WRONLY | os.O_RDWR):
+                    return entry.parent.parent.name
+    return ""

@@ -101,9 +101,26 @@ def _listed(folder: Path) -> list[Path]:
     return [folder / name for name in names]
 
 
+def listed_topics(folder: Path) -> list[tuple[str, str]]:
+    """Return topics and types in the order of metadata.yaml; empty where it is not there or damaged."""
+    with suppress(OSError, yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+        topics = yaml.safe_load(text)["rosbag2_bagfile_information"]["topics_with_message_count"]
+        return [(topic["topic_metadata"]["name"], topic["topic_metadata"]["type"]) for topic in topics]
+    return []
+
+
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = Struct("<BQ")
 _MESSAGE = Struct("<HIQQ")
+
+
+def message_head(block: bytes, start: int) -> tuple[int, int, int]:
+    """Return sequence, log time and publish time [ns] of the message whose data begin at `start` of a block."""
+    _, sequence, log_time, publish_time = _MESSAGE.unpack_from(block, start - _MESSAGE.size)
+    return sequence, log_time, publish_time
+
+
 _LOOSE = 1 << 20  # bytes of messages outside chunks that are handed on together
 
 
@@ -139,6 +156,10 @@ class McapScan:
     """Whether damaged chunks are left out in place of an error."""
     damaged: int = 0
     """Chunks that were left out."""
+    unread: int = 0
+    """Bytes behind the last record that could be read, of a file that is not finished."""
+    ours: bool = False
+    """Whether our writer wrote it, whose channels have the order of metadata.yaml."""
 
     def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
         """Yield the bytes of each block and the location of each channel's messages in it.
@@ -193,6 +214,18 @@ class McapScan:
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be read: {error.strerror or error}") from None
 
+    def declare(self, number: int, listed: list[tuple[str, str]]) -> None:
+        """Describe a channel whose own description is lost, by topics and types in the order of metadata.yaml."""
+        with suppress(UnknownTypeError, IndexError):
+            topic, type_name = listed[number - 1]
+            text = definition(type_name).text.encode()
+            schema = next((one for one in self.schemas.values() if one.name == type_name), None)
+            schema = schema or Schema(id=0xFF00 + number, data=text, encoding="ros2msg", name=type_name)
+            self.schemas[schema.id] = schema
+            self.channels[number] = Channel(
+                id=number, topic=topic, message_encoding="cdr", metadata={}, schema_id=schema.id
+            )
+
     def _declare(self, stream: BinaryIO) -> None:
         """Take the channels from the index, if there is one: the chunk that declares them may be damaged."""
         place = stream.tell()
@@ -230,7 +263,13 @@ class McapScan:
         while len(head := stream.read(_RECORD.size)) == _RECORD.size:
             opcode, length = _RECORD.unpack(head)
             if opcode == 0 or stream.tell() + length > size:
-                break  # cut off here
+                self.unread = size - stream.tell() + _RECORD.size  # cut off here
+                if self.salvages:
+                    yield from self._rest(stream, stream.tell())
+                break
+            if opcode == Opcode.HEADER:
+                self.ours = b"hydro_bridge" in stream.read(length)
+                continue
             if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 loose += head + stream.read(length)
             elif opcode == Opcode.CHUNK:
@@ -255,6 +294,19 @@ class McapScan:
                 loose.clear()
         if loose:
             yield bytes(loose)
+
+    def _rest(self, stream: BinaryIO, place: int) -> Iterator[bytes]:
+        """Yield the chunks behind a record that is damaged, by the index, if there is one."""
+        with suppress(RecordingError):
+            chunks = [one for one in self._index(stream).chunk_indexes if one.chunk_start_offset > place]
+            self.unread, self.damaged = 0, self.damaged + 1
+            for chunk in sorted(chunks, key=lambda one: one.chunk_start_offset):
+                start = chunk.chunk_start_offset + _RECORD.size
+                stream.seek(start)
+                try:
+                    yield self._chunk(stream.read(chunk.chunk_length - _RECORD.size), start)
+                except RecordingError:
+                    self.damaged += 1
 
     def _chunk(self, body: bytes, place: int) -> bytes:
         try:
@@ -319,8 +371,6 @@ class BagSource:
     """The files of one recording, read one after the other."""
 
     path: Path
-    salvages: bool = False
-    """Whether damaged blocks, and messages that nothing describes any more, are left out with a note."""
     scans: list[McapScan] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
@@ -328,7 +378,7 @@ class BagSource:
     def __post_init__(self) -> None:
         whole, part = parted(self.path)
         files, self.notes = mcap_files(whole)
-        self.scans = _in_time([McapScan(path, salvages=self.salvages) for path in files])
+        self.scans = _in_time([McapScan(path) for path in files])
         if part is not None:
             first = self.scans[0].times()[0]
             for scan in self.scans:
@@ -344,15 +394,10 @@ class BagSource:
             for block, spans in scan.blocks():
                 for number, span in spans.items():
                     if number not in scan.channels:
-                        if self.salvages:
-                            scan.damaged += 1
-                            continue
                         raise RecordingError(f"{scan.path} has messages on a channel that it does not declare")
                     if topic in (None, scan.channels[number].topic):
                         found = True
                         yield scan, scan.channels[number], block, span
-            if scan.damaged:
-                self.notes.append(f"{scan.path.name}: {scan.damaged} damaged blocks are left out")
             if not scan.finished:
                 self.notes.append(
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"

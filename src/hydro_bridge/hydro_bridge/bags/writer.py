@@ -9,15 +9,16 @@ from __future__ import annotations
 import fcntl
 import os
 import subprocess
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from struct import unpack_from
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import yaml
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE, encode_states
@@ -30,11 +31,31 @@ NOT_FINISHED = "recording was not finished"
 
 
 @dataclass(kw_only=True)
-class _Topic:
+class TopicEntry:
+    """A topic in metadata.yaml."""
+
     type_name: str
-    qos: TopicQos
-    channel: int
+    encoding: str = "cdr"
+    profiles: list[Any]
+    """Offered quality of service, as rosbag2 writes it."""
+    type_hash: str
+    channel: int = 0
     count: int = 0
+
+    @classmethod
+    def of_channel(cls, channel: Channel, schema: Schema | None) -> TopicEntry:
+        """Return the entry of a channel of any writer."""
+        profiles = channel.metadata.get("offered_qos_profiles", "")
+        return cls(
+            type_name=schema.name if schema else "",
+            encoding=channel.message_encoding,
+            profiles=[TopicQos.from_rosbag2(profiles).as_rosbag2()],
+            type_hash=channel.metadata.get("topic_type_hash", ""),
+        )
+
+    def with_count(self, count: int) -> TopicEntry:
+        """Return the same with another number of messages."""
+        return replace(self, count=count)
 
 
 def locked(file: BinaryIO) -> bool:
@@ -75,7 +96,7 @@ class BagWriter:
             raise RecordingError(f"{self.folder} cannot be made: {error.strerror}") from None
         self.path = self.folder / f"{self.folder.name}_0.mcap"
         self._metadata = dict(metadata or {})
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, TopicEntry] = {}
         self._schemas: dict[str, int] = {}
         self._span = (2**63 - 1, 0)
         self._file = self.path.open("wb")
@@ -102,7 +123,9 @@ class BagWriter:
             self._schemas[type_name],
             {"offered_qos_profiles": profiles, "topic_type_hash": known.type_hash},
         )
-        self._topics[topic] = _Topic(type_name=type_name, qos=qos, channel=channel)
+        self._topics[topic] = TopicEntry(
+            type_name=type_name, profiles=[qos.as_rosbag2()], type_hash=known.type_hash, channel=channel
+        )
         self._write_metadata_yaml({"hydro": NOT_FINISHED})
 
     def write(self, topic: str, data: bytes, time_ns: int) -> None:
@@ -148,35 +171,49 @@ class BagWriter:
         os.replace(scratch, self.folder / "metadata.yaml")
 
     def _information(self, custom: Mapping[str, str] | None) -> dict[str, object]:
-        """Return all keys of version 9: rosbag2 throws on a missing one."""
         count = sum(topic.count for topic in self._topics.values())
         start, end = self._span if count else (0, 0)
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": name,
-                    "type": topic.type_name,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": [topic.qos.as_rosbag2()],
-                    "type_description_hash": definition(topic.type_name).type_hash,
-                },
-                "message_count": topic.count,
-            }
-            for name, topic in self._topics.items()
-        ]
-        return {
-            "version": VERSION,
-            "storage_identifier": "mcap",
-            **_times(start, end),
-            "message_count": count,
-            "topics_with_message_count": topics,
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self.path.name],
-            "files": [{"path": self.path.name, **_times(start, end), "message_count": count}],
-            "custom_data": dict(custom) if custom else None,
-            "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+        return information(self._topics, [(self.path.name, start, end, count)], custom)
+
+
+def information(
+    topics: Mapping[str, TopicEntry], files: Sequence[tuple[str, int, int, int]], custom: Mapping[str, str] | None
+) -> dict[str, object]:
+    """Return the content of metadata.yaml with all keys of version 9: rosbag2 throws on a missing one.
+
+    `files`: name, first and last log time [ns] and number of messages of each.
+    """
+    listed = [
+        {
+            "topic_metadata": {
+                "name": name,
+                "type": topic.type_name,
+                "serialization_format": topic.encoding,
+                "offered_qos_profiles": topic.profiles,
+                "type_description_hash": topic.type_hash,
+            },
+            "message_count": topic.count,
         }
+        for name, topic in topics.items()
+    ]
+    told = [file for file in files if file[3]] or [(*file[:1], 0, 0, 0) for file in files]
+    start, end = min(file[1] for file in told), max(file[2] for file in told)
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        **_times(start, end),
+        "message_count": sum(file[3] for file in files),
+        "topics_with_message_count": listed,
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file[0] for file in files],
+        "files": [
+            {"path": name, **_times(*((begin, end) if count else (0, 0))), "message_count": count}
+            for name, begin, end, count in files
+        ],
+        "custom_data": dict(custom) if custom else None,
+        "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+    }
 
 
 def _times(start: int, end: int) -> dict[str, dict[str, int]]:

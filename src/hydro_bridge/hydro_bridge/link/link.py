@@ -14,6 +14,7 @@ command is sent for each sample, with the sample's time, once the graph has answ
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import deque
@@ -80,6 +81,8 @@ def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails
         )
     return said
 
+
+UNANSWERED = "frames of a box come, and it does not answer: does the line to it work, and does nobody else talk to it?"
 
 FRESH = 0.1
 """s, age of the last sample up to which what it says still holds; of a box in real time."""
@@ -216,7 +219,8 @@ class Link:
         self._sequence = 0
         self._corrected = True
         self._connected_before = False
-        self._complaint = ""
+        self.complaint = ""
+        """Last fault of a line without a box."""
         self._greeted: BoxInfo | None = None
         """HELLO of a box, until its DETAILS arrive, and its LAW if it offers one."""
         self._told: BoxDetails | None = None
@@ -224,6 +228,7 @@ class Link:
         self._clock_told: ClockFrame | None = None  # of the box that greets
         self._sampled = -inf  # when the last new sample came, s of the monotonic clock
         self._samples = 0
+        self._asked = False  # somebody waits for the box's confirmation
         self._framed = LinkCounts()  # counts at the last frame that kept the line alive
         self._box_us = self._offset_us = 0  # time of the last sample; what keeps it from going back
         self._met = False
@@ -322,7 +327,9 @@ class Link:
             confirmed = self.pace.confirm(done)
         else:
             with self._news:
+                self._asked = True  # each sample is news
                 confirmed = self._news.wait_for(done, timeout)
+                self._asked = False
         if self.state is not LinkState.CONNECTED:
             return "the box has gone while it was to be armed: it is not armed" if arm else ""
         if confirmed:
@@ -343,7 +350,8 @@ class Link:
 
     def _converse(self) -> None:
         """Read until the port is lost."""
-        alive, next_hello, next_sign = time.monotonic(), 0.0, 0.0
+        opened = alive = time.monotonic()
+        next_hello, next_sign, frames = 0.0, 0.0, list[Frame]()
         self._framed = replace(self.counts)
         while not self._stopping.is_set():
             data = self.port.read(min(_READ_TIMEOUT, self.pace.poll()) if self.paced else _READ_TIMEOUT)
@@ -364,6 +372,8 @@ class Link:
                     next_sign = now + _SIGN_PERIOD
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
                 self._complain(foreign_box(self._decoder.foreign_version))
+            elif self.state is LinkState.OPEN and frames and now - opened > self.port.settings.silence_max:
+                self._complain(UNANSWERED)
             if time.monotonic() - alive > (limit := self._silence_max):
                 raise _MuteError(f"{self.port.settings.path}: {without_frames(self.counts, self._framed, limit)}")
 
@@ -470,7 +480,7 @@ class Link:
             self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
         self.report.reconnects += self._connected_before
-        self._connected_before, self._corrected, self._complaint = True, False, ""
+        self._connected_before, self._corrected, self.complaint = True, False, ""
         self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}; disarmed")
         for sentence in connection_remarks(self._wanted_limits, info, details, law):
             self._log(sentence)
@@ -484,7 +494,7 @@ class Link:
 
     def _note_flags(self, flags: int) -> None:
         changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags
-        if changed:
+        if changed or self._asked:
             with self._news:
                 self._news.notify_all()
 
@@ -520,7 +530,7 @@ class Link:
         self.refused = (None, None)
 
     def _complain(self, sentence: str) -> None:
-        """Report a fault once, not at every attempt."""
-        if sentence != self._complaint:
-            self._complaint = sentence
+        """Report a fault once, not at every attempt: with other numbers it is the same."""
+        told, self.complaint = self.complaint, sentence
+        if re.sub(r"[0-9.]+", "", sentence) != re.sub(r"[0-9.]+", "", told):
             self._warn(sentence)

@@ -55,7 +55,8 @@ class BridgeSide(Link):
             "each sample waits for": self.pace.waits if self.paced else "nobody: real time",
         }
         if self.state is not LinkState.CONNECTED:
-            return Status(level=Level.ERROR, message=f"no box: the port is {self.state.value}", values=values)
+            why = f": {self.complaint}" if self.complaint else ""
+            return Status(level=Level.ERROR, message=f"no box: the port is {self.state.value}{why}", values=values)
         if mute := self.mute:
             return Status(level=Level.ERROR, message=f"no samples: {mute}", values=values)
         differs = f", the box differs: {self.foreign}" if self.foreign else ""

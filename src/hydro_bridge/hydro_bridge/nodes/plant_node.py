@@ -135,7 +135,7 @@ class Corrector(Protocol):
     """A filter in the plant's process; see `PlantNode`."""
 
     def correct(self, state: Any, law: Any, epoch: int) -> Any:
-        """Return the record of the Correction of a sample; None: there is none, another filter answers.
+        """Return the record of the Correction of a sample; None: there is none yet.
 
         `state`, `law`: records of the sample's BenchState and LawState, None: the paper's law. `epoch`: the session's.
         """
@@ -359,6 +359,7 @@ class PlantNode(Node):
         self.done: Future = Future()
         """Done once the plant's thread has failed."""
         self.failure: Exception | None = None
+        self._defect = ""  # of a filter in this process
         self.components = [] if corrector is None else [corrector]
         self._publisher = create_publisher(self, STATE)
         self._law_publisher = create_publisher(self, LAW_STATE)
@@ -428,8 +429,8 @@ class PlantNode(Node):
             correction = self._corrector.correct(state, acting, self.gate.authority.epoch)
         except Exception as error:
             self._corrector = None
-            told = f"{type(error).__name__}: {error}"
-            self.get_logger().fatal(f"the filter failed, nothing is corrected until this plant is started anew: {told}")
+            self._defect = f"the filter failed, start this plant anew: {type(error).__name__}: {error}"
+            self.get_logger().fatal(f"nothing is corrected: {self._defect}")
             return
         if correction is not None:
             self._on_correction(correction)
@@ -524,6 +525,8 @@ class PlantNode(Node):
         least = Level.WARN if given_up or not required or side.flags & _TROUBLED else Level.OK
         values = {"flags": flag_names(side.flags), "require filter": required, **status.values}
         values |= {f"guard {name}": count for name, count in guard.items()} | self.gate.values()
+        if self._defect:
+            least, message = Level.ERROR, f"{message}, NOTHING IS CORRECTED: {self._defect}"
         status = Status(level=max(status.level, least), message=message, values=values)
         if self.count_publishers(STATE) > 1 and not self._beside_another:
             self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")

@@ -48,6 +48,10 @@ GAP_MAX = 10 * 1_000_000_000
 """ns between two messages beyond which nothing was recorded, or the clock was set: it is not waited for."""
 
 
+BACK_MAX = 100_000_000
+"""ns by which messages of two topics may be out of order; more is a clock that was set back."""
+
+
 def replay(
     path: Path,
     publish: Callable[[str, bytes], None],
@@ -67,7 +71,7 @@ def replay(
         if topic not in TOPICS:
             continue
         step, last = 0 if last is None else log_time - last, log_time
-        if abs(step) > GAP_MAX:
+        if step > GAP_MAX or step < -BACK_MAX:
             note(f"the recording's clock goes {1e-9 * step:+.10g} s after {1e-9 * elapsed:.1f} s: that is left out")
             step = 0
         elapsed += step

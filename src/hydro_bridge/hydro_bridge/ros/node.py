@@ -96,15 +96,17 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
 def refuse_unknown_parameters(*nodes: Node) -> None:
     """Raise for parameters that were set and would reach nothing; ROS would ignore them, even a misspelt limit.
 
-    A file may hold the parameters of several of our nodes. Raises SettingsError: the user set a parameter, by name or
+    A file may hold the parameters of other nodes as well. Raises SettingsError: the user set a parameter, by name or
     in a file, that none of these nodes has, or that is addressed to no node.
     """
     here = [node.get_fully_qualified_name() for node in nodes]
     for source, patterns in addressed(ros_arguments()[1]):
         reached = [pattern for pattern in patterns if any(_matches(pattern, name) for name in here)]
-        others = [*RIGHTS, *(node for nodes in RIGHTS.values() for node in nodes)] if reached else []
+        ours = {node for table in RIGHTS.values() for node in table}
         for pattern in patterns:
-            if pattern not in reached and not any(_matches(pattern, f"/{name}") for name in others):
+            name = pattern.rpartition("/")[2]
+            meant = name not in ours and get_close_matches(name, (*ours, *RIGHTS), 1, 0.6)
+            if (not reached or meant) and pattern not in reached:
                 close = get_close_matches(pattern, here, 1, 0.5) or here
                 nodes_here = " and ".join(here)
                 raise SettingsError(
@@ -143,9 +145,9 @@ def _sections(content: Any, above: str = "") -> Iterator[str]:
 
 
 def _matches(pattern: str, name: str) -> bool:
-    """Return whether a name of a parameter file is for this node: `**` stands for any part, `*` for one without `/`."""
-    parts = (re.escape(part).replace(r"\*", "[^/]*") for part in pattern.split("**"))
-    return re.fullmatch(".*".join(parts), name) is not None
+    """Return whether a name of a parameter file is for this node: `/**` stands for any parts of it, `/*` for one."""
+    form = re.escape(pattern).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+")
+    return re.fullmatch(form, name) is not None
 
 
 def _descriptor(setting: Setting) -> ParameterDescriptor:

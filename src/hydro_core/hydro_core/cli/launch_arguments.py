@@ -6,6 +6,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 
 from hydro_core.errors import UserError
@@ -17,7 +18,9 @@ def refuse_unknown_arguments(file: str, known: Sequence[str]) -> None:
     `file`: `__file__` of the launch file; one that another includes is not asked. `known`: included files' are, too.
     """
     words = sys.argv[1:]
-    if not any(Path(word).name == Path(file).name for word in words):
+    package = Path(file).resolve().parent.parent.name  # of the form PACKAGE FILE
+    named = any(pair == (package, Path(file).name) for pair in pairwise(words))
+    if not named and not any(Path(word).resolve() == Path(file).resolve() for word in words):
         return
     for word in words:
         name, said, _ = word.partition(":=")

@@ -13,7 +13,7 @@ Reasons come from the filter, which watches its own predictions, or from the box
 the filter was started for (/hydro/box).
 
 New files of metric, model and bench take the place of the old ones while the plant is disarmed, once they belong
-together; as at its start, nothing is answered for a second or two.
+together; until they are compiled the old ones answer.
 
 While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
 without. Where the metric is not made for the law that runs, every answer is BYPASSED.
@@ -27,6 +27,7 @@ this filter, or counts the age itself. One that it sends again is answered as be
 
 from __future__ import annotations
 
+import concurrent.futures
 import signal
 import threading
 import time
@@ -185,7 +186,7 @@ class FilterNode(Node):
         super().__init__("filter")
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
-        self.filter = self._compiled(choice)
+        self.filter = self._first(choice)
         self._unknown = self.filter.unknown(compensated=True)
         self.tally = FilterStatistics()
         self.foreign = ""
@@ -194,6 +195,8 @@ class FilterNode(Node):
         self._armed = False
         self._read = self._seen = choice.written
         """When its files were written: those that it has read, or refused, and those of the last look."""
+        self._taking: concurrent.futures.Future[Any] | None = None
+        """New files that are being read."""
         self._identity: object = None
         """The box's description and assumed bench, once received."""
         self._mismatch = ""
@@ -235,10 +238,10 @@ class FilterNode(Node):
             return
         others = self.get_publishers_info_by_topic(CORRECTION)
         if others:
-            self.get_logger().warning(
-                f"{others[0].node_name} answers already: this filter waits until that one ends",
-                throttle_duration_sec=10.0,
+            waits = (
+                "its corrections do not reach this plant, end it" if self._handed else "this filter waits until it ends"
             )
+            self.get_logger().warning(f"{others[0].node_name} answers already: {waits}", throttle_duration_sec=10.0)
         else:
             self._publisher = create_publisher(self, CORRECTION)
             if self._states is not None:
@@ -250,7 +253,7 @@ class FilterNode(Node):
         if law is not None:
             self._on_law_state(law)
         self._on_state(state)
-        return None if self._publisher is None else self._last
+        return self._last
 
     def publish(self) -> None:
         """See `hydro_bridge.nodes.plant_node.Corrector`."""
@@ -261,7 +264,7 @@ class FilterNode(Node):
         if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone
             self._epoch = message.epoch
 
-    def _compiled(self, choice: FilterChoice) -> LoopFilter:
+    def _first(self, choice: FilterChoice) -> LoopFilter:
         """Compile now, not at the first sample, and report it: until then nothing is corrected."""
         say = self.get_logger().info
         begin = time.monotonic()
@@ -271,8 +274,7 @@ class FilterNode(Node):
         late.start()
         before = endings.answer(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
-            made = choice.make(self.settings)
-            warm_up(made, choice.bench)
+            made = self._compiled(choice)
         finally:
             endings.restore(before)
             late.cancel()
@@ -280,16 +282,37 @@ class FilterNode(Node):
             say(f"compiled in {taken:.0f} s")
         return made
 
+    def _compiled(self, choice: FilterChoice) -> LoopFilter:
+        made = choice.make(self.settings)
+        warm_up(made, choice.bench)
+        return made
+
     def _look_for_new_files(self) -> None:
         """Take new files over, if the plant is disarmed or silent and they have been written."""
         armed, self._armed = self._armed, False  # the next sample tells
+        if self._taking is not None:
+            if not armed and self._taking.done():
+                taking, self._taking = self._taking, None
+                self._take_over(taking)
+            return
         before, self._seen = self._seen, self._choice.written
         if armed or self._seen == self._read or self._seen != before:
             return
         self._read = self._seen
+        self._taking = concurrent.futures.Future()
+        threading.Thread(target=self._read_again, args=[self._taking], daemon=True).start()
+
+    def _read_again(self, found: concurrent.futures.Future[Any]) -> None:
+        """Read and compile the new files, beside what answers."""
         try:
             choice = self._choice.read_again()
-            told, made = choice.describe(), self._compiled(choice)
+            found.set_result((choice, choice.describe(), self._compiled(choice)))
+        except Exception as error:
+            found.set_exception(error)
+
+    def _take_over(self, taking: concurrent.futures.Future[Any]) -> None:
+        try:
+            choice, told, made = taking.result()
         except (ValueError, OSError, UserError) as error:
             self.get_logger().warning(f"the new files are not taken over: {error}")
             return
@@ -395,8 +418,6 @@ class FilterNode(Node):
         self._mismatch = reason
 
     def _publish(self, state: Any, result: Result) -> None:
-        if self._publisher is None:
-            return
         delta_u, before, after, status = result
         infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
         numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status), self._epoch

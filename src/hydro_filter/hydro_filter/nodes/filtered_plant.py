@@ -10,12 +10,13 @@ the middleware (docs/decisions/0084-bridge-and-filter-in-one-process.md).
 from __future__ import annotations
 
 import argparse
+import re
 import shlex
 
 from hydro_bridge.nodes import bridge
 from hydro_bridge.nodes.plant_node import run_plant
 from hydro_bridge.ros.node import ros_arguments
-from hydro_core.cli.console import command
+from hydro_core.cli.console import UserError, command
 from hydro_filter.controller.factory import arguments
 from hydro_filter.nodes.filter import FilterNode
 from hydro_sim.nodes import sim
@@ -41,7 +42,11 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     asked, words = parser().parse_known_args(own)
-    choice, settings, _ = arguments(shlex.split(asked.filter))
+    choice, settings, filtering = arguments(shlex.split(asked.filter))
+    if filtering.realtime:
+        raise UserError("--realtime is the plant's: say it outside of --filter")
+    if any(re.match(r"__(node|name):=", word) for word in ros):
+        raise UserError(f"two nodes are here: say which by -r {asked.plant}:__node:=NAME or -r filter:__node:=NAME")
     choice.describe()  # a missing file is refused before ROS starts
     make = PLANTS[asked.plant](words)
     run_plant(lambda: make(FilterNode(choice, settings, handed=True)), ros)

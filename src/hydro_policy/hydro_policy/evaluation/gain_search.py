@@ -178,7 +178,8 @@ class GridSession:
             self.watch.on_sample(flags, now)
             return False
         acted = self._running.on_sample(sequence, sample, flags, now)
-        stopped = any(score.stopped for score in self._running.scores)
+        # a run in which the machine was held up tells nothing for its gains
+        stopped = any(score.stopped or score.spoilt for score in self._running.scores)
         if stopped or self._running.finished:
             cases = len(self.evaluation.cases)
             rmse = [np.inf] * cases if stopped else [score.rmse for score in self._running.scores]

@@ -63,7 +63,8 @@ def best(session: EvaluationSession) -> str:
     rmse = {name: np.array([mean(name, case) for case in cases]) for name in names}
     scores = relative_scores(rmse)
     if len(scores) < 2:
-        return ""
+        held_up = dict.fromkeys(score.controller for score in session.scores if score.spoilt)
+        return f"Nobody is named the best: the machine was held up in runs of {', '.join(held_up)}." if held_up else ""
     first, second, *_ = sorted(scores, key=scores.__getitem__)
     ratio = rmse[first] / rmse[second]
     told = f"{ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}"
@@ -153,7 +154,8 @@ def plot(session: EvaluationSession, path: Path) -> None:
             e = states["reference_force"] - states["load_force"]
             force.plot(states["time"], states["load_force"], color=color, label=trace.controller)
             rmse = np.sqrt(np.mean(e**2))
-            error.plot(states["time"], e, color=color, label=f"{rmse:.1f} N RMSE")
+            spoilt = any(score.spoilt for score in runs(session.scores, trace.controller, case))
+            error.plot(states["time"], e, color=color, label=f"{rmse:.1f} N RMSE" + (" *" if spoilt else ""))
         _plot_gains(gain, first)
         force.set_ylabel("load force [N]")
         error.set_ylabel("error [N]")

@@ -136,10 +136,12 @@ class RunState:
         The first one is that of the initial policy: the run returns it, or one that is better by more than noise.
         """
         progress, settings = self.progress, self.settings.exam
-        progress.reference_rmse = progress.reference_rmse or reference_rmse(settings, scores)
-        rmse, score, error = verdict(scores, progress.reference_rmse)
-        beaten = sum(own < fixed for own, fixed in zip(rmse, progress.reference_rmse, strict=True))
-        errors = [*(exam["error"] for exam in progress.exams), error]
+        reference = progress.reference_rmse or reference_rmse(settings, scores)
+        if not any(run.spoilt for run in scores if run.controller != EXAMINED):
+            progress.reference_rmse = reference
+        rmse, score, error = verdict(scores, reference)
+        beaten = sum(own < fixed for own, fixed in zip(rmse, reference, strict=True))
+        errors = [*(exam["error"] for exam in progress.exams if not exam.get("spoilt")), error]
         kept = next((exam["error"] for exam in reversed(progress.exams) if exam["best"]), 0.0)
         spoilt = any(run.spoilt for run in scores)
         best = not spoilt and significantly_better(score, progress.best_score, errors, kept)
@@ -149,7 +151,7 @@ class RunState:
             progress.passed_at = progress.episode
         result = {"episode": progress.episode, "policy": digest, "rmse": rmse, "beaten": beaten}
         progress.exams.append({**result, "score": score, "error": error, "best": best, "spoilt": spoilt})
-        self.record.add("exam", **progress.exams[-1], reference_rmse=progress.reference_rmse)
+        self.record.add("exam", **progress.exams[-1], reference_rmse=reference)
         return best
 
     def add_stop(self, reason: str, where: str, good: str = "") -> str:
