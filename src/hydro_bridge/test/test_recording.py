@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import sys
 import time
 from contextlib import suppress
 from functools import partial
@@ -22,6 +23,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, ChunkIndex, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -42,6 +44,7 @@ from hydro_bridge.bags.types import definition
 from hydro_bridge.bags.writer import sequence_of
 from hydro_bridge.nodes.replayer import replay
 from hydro_bridge.serial.stream import LinkCounts
+from tests.checks import ran
 
 GAINS = "/hydro/gains"
 GAINS_TYPE = "hydro_msgs/msg/Gains"
@@ -244,6 +247,27 @@ def test_a_jump_of_the_clock_is_not_waited_for_when_replayed(tmp_path, make_stat
     replay(tmp_path / "run", lambda topic, data: came.append(sequence_of(data)), Event(), 100.0, said.append)
     assert len(came) == 300 and time.monotonic() - begun < 60.0
     assert len(said) == 2 and all("left out" in sentence for sentence in said)
+
+
+def test_the_way_to_mcap_that_is_told_is_one(tmp_path):
+    types = get_typestore(Stores.ROS2_JAZZY)
+    text = types.types["std_msgs/msg/String"](data="x")
+    with Rosbag1Writer(tmp_path / "old.bag") as writer:
+        ros1 = get_typestore(Stores.ROS1_NOETIC)
+        channel = writer.add_connection("/words", "std_msgs/msg/String", typestore=ros1)
+        writer.write(channel, 1, ros1.serialize_ros1(ros1.types["std_msgs/msg/String"](data="x"), channel.msgtype))
+    with Writer(tmp_path / "sqlite", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        channel = writer.add_connection("/words", "std_msgs/msg/String", typestore=types)
+        writer.write(channel, 1, types.serialize_cdr(text, channel.msgtype))
+    for path in (tmp_path / "old.bag", tmp_path / "sqlite"):
+        with pytest.raises(RecordingError) as refused:
+            read_bag(path)
+        command = str(refused.value).partition(": ")[2]
+        ran(Path(sys.executable).with_name("rosbags-convert"), *command.split()[1:], check=True)
+        assert read_bag(command.split()[4]).topics == {"/words": "std_msgs/msg/String"}
+    (tmp_path / "sqlite/metadata.yaml").unlink()
+    with pytest.raises(RecordingError, match="SQLite bag without metadata"):
+        read_bag(tmp_path / "sqlite")
 
 
 def contents(folder: Path) -> dict[str, bytes]:

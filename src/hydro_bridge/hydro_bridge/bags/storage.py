@@ -34,11 +34,20 @@ OF_SEVERAL = ", of several recordings"
 """In the note on a folder whose files differ in more than their number."""
 
 
+def _to_mcap(path: Path) -> str:
+    """Return the command that makes a recording of another format readable."""
+    return f"rosbags-convert --src {path} --dst {path.with_name(f'{path.stem}_mcap')} --dst-storage mcap"
+
+
 def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
     """Return the .mcap files in order, and notes on anything unusual about the folder.
 
     Raises RecordingError: nothing there, or a recording that is not stored as plain mcap.
     """
+    if path.is_file() and path.suffix == ".bag":
+        raise RecordingError(f"{path} is a bag of ROS 1: {_to_mcap(path)}")
+    if path.is_file() and path.suffix == ".db3":
+        raise RecordingError(f"{path} is a file of an SQLite bag: name its folder")
     if path.is_file() or is_stored(path):
         return [path], []
     if not path.is_dir():
@@ -49,6 +58,11 @@ def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
         notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (OF_SEVERAL if several else "")]
     else:
         files, notes = _found(path, _listed(path))
+    if not files and list(path.glob("*.db3")):
+        raise RecordingError(
+            f"{path} is an SQLite bag without metadata.yaml: `ros2 bag reindex {path} sqlite3` writes it, then "
+            f"{_to_mcap(path)}"
+        )
     if not files:
         raise RecordingError(f"{path} holds no recording: there is no .mcap in it")
     return files, notes
@@ -95,9 +109,9 @@ def _listed(folder: Path) -> list[Path]:
         raise RecordingError(f"{folder / 'metadata.yaml'} is not rosbag2 metadata") from None
     storage, mode = (information.get("storage_identifier"), str(information.get("compression_mode") or "none").lower())
     if storage != "mcap":
-        raise RecordingError(f"{folder} is stored as {storage}, not as mcap: convert it with rosbags-convert")
+        raise RecordingError(f"{folder} is stored as {storage}, not as mcap: {_to_mcap(folder)}")
     if mode != "none":
-        raise RecordingError(f"{folder} is compressed by {mode}, not within mcap: convert it with rosbags-convert")
+        raise RecordingError(f"{folder} is compressed by {mode}, not within mcap: {_to_mcap(folder)}")
     return [folder / name for name in names]
 
 
