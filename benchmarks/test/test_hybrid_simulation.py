@@ -20,7 +20,7 @@ from benchmarks.hybrid_simulation.simulation import reference_response, run, sco
 from hydro_core.signals import FloatArray
 
 pytestmark = pytest.mark.study
-DATA = Path(os.environ.get("HYDRO_HYBRID_SIMULATION", Path(__file__).parents[3] / "shared" / "data" / "rths"))
+DATA = Path(os.environ.get("HYDRO_HYBRID_SIMULATION", "runs/hybrid_simulation"))
 recorded = pytest.mark.skipif(not DATA.is_dir(), reason="the public ground motions are not here")
 
 
