@@ -94,8 +94,6 @@ def _within(path: Path) -> Iterator[Path]:
 
 GAP_MAX = 60.0
 """s without a message beyond which the clock was set, or nothing was recorded: no part reaches across."""
-SHORTEST = 1.0
-"""s of a stretch between two such gaps that is worth a part."""
 
 
 def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
@@ -109,17 +107,15 @@ def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
         stretches = BagSource(path).stretches(GAP_MAX)
     except RecordingError:  # each part would be refused for the same reason
         stretches = [(0.0, every)]
-    kept = [(begin, end) for begin, end in stretches if end - begin >= SHORTEST or len(stretches) == 1]
     for (_, before), (after, _) in pairwise(stretches):
         print(
             f"{name}: nothing was logged, or the clock was set, from {before:.10g} to {after:.10g} s: no part of it",
             file=sys.stderr,
         )
     parts = []
-    for begin, end in kept:
+    for (begin, end), behind in zip(stretches, [*(f"{begin:.12g}" for begin, _ in stretches[1:]), ""], strict=True):
         count = max(round((end - begin) / every), 1)
-        last = "" if (begin, end) == stretches[-1] else f"{end + SHORTEST:.12g}"
-        borders = [*(f"{begin + k * every:.12g}" for k in range(count)), last]
+        borders = [*(f"{begin + k * every:.12g}" for k in range(count)), behind]
         parts += [f"#t={one},{other}" for one, other in pairwise(borders)]
     return {f"{name}{part}": f"{path}{part}" for part in parts}
 

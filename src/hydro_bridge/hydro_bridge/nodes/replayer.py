@@ -14,11 +14,13 @@ from pathlib import Path
 from struct import Struct
 from threading import Event
 
+import numpy as np
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from hydro_bridge.bags.recording import messages, read_bag
+from hydro_bridge.bags.steady import SteadyTimes
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATES
@@ -44,12 +46,8 @@ TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded."""
 
 
-GAP_MAX = 10 * 1_000_000_000
-"""ns between two messages beyond which nothing was recorded, or the clock was set: it is not waited for."""
-
-
-BACK_MAX = 100_000_000
-"""ns by which messages of two topics may be out of order; more is a clock that was set back."""
+NOT_WAITED_FOR = 10.0
+"""s between two messages beyond which nothing was recorded, or the clock was set."""
 
 
 def replay(
@@ -65,21 +63,21 @@ def replay(
     recorded seconds per second, above 0. `note`: called with a sentence on a gap that is left out. Raises
     RecordingError.
     """
-    last, elapsed = None, 0
+    steady, first, told = SteadyTimes(NOT_WAITED_FOR), None, 0
     began, began_ns = time.monotonic(), time.time_ns()
     for topic, type_name, log_time, data in messages(path):
         if topic not in TOPICS:
             continue
-        step, last = 0 if last is None else log_time - last, log_time
-        if step > GAP_MAX or step < -BACK_MAX:
-            note(f"the recording's clock goes {1e-9 * step:+.10g} s after {1e-9 * elapsed:.1f} s: that is left out")
-            step = 0
-        elapsed += step
-        ahead = elapsed / speed
-        if stopping.wait(max(0.0, began + 1e-9 * ahead - time.monotonic())):
+        now = float(steady.take(np.array([1e-9 * log_time]))[0])
+        first = now if first is None else first
+        for when, step in steady.jumps[told:]:
+            note(f"the recording's clock goes {step:+.10g} s after {when - first:.1f} s: that is left out")
+        told = len(steady.jumps)
+        ahead = (now - first) / speed
+        if stopping.wait(max(0.0, began + ahead - time.monotonic())):
             return
         stamped = type_name.rpartition("/")[2] in _STAMPED
-        publish(topic, restamp(data, began_ns + int(ahead)) if stamped else data)
+        publish(topic, restamp(data, began_ns + int(1e9 * ahead)) if stamped else data)
 
 
 class ReplayerNode(Node):

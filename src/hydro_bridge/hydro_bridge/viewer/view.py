@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
+from hydro_bridge.bags.steady import SteadyTimes
 from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, status
@@ -38,30 +39,8 @@ APART = 2.0
 """s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""
 
 
-JUMP_BACK, JUMP_AHEAD = 1.0, 3600.0
-"""s by which a stamp goes back, or ahead, once the clock was set."""
-
-
-class SteadyTimes:
-    """Stamps of one topic without jumps: where the clock was set, time goes on behind the message before."""
-
-    def __init__(self) -> None:
-        self._last: float | None = None
-        self._offset = 0.0
-        self.jumps: list[tuple[float, float]] = []
-        """Time on the steady clock, and step, of each jump [s]."""
-
-    def take(self, stamps: FloatArray) -> FloatArray:
-        """Return the times [s] of the next messages by their stamps [s], both of shape (n,)."""
-        if not len(stamps):
-            return stamps
-        steps = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
-        jumps = (steps < -JUMP_BACK) | (steps > JUMP_AHEAD)
-        offsets = self._offset - np.cumsum(np.where(jumps, steps, 0.0))
-        self._last, self._offset = float(stamps[-1]), float(offsets[-1])
-        times: FloatArray = stamps + offsets
-        self.jumps += zip(times[jumps].tolist(), steps[jumps].tolist(), strict=True)
-        return times
+CLOSED_UP = 3600.0
+"""s without samples that the page does not show."""
 
 
 class SampleClock:
@@ -154,7 +133,7 @@ class _Reading:
     curve: status.Curve = field(default_factory=status.Curve)
     clock: SampleClock = field(default_factory=SampleClock)
     steady: dict[str, SteadyTimes] = field(
-        default_factory=lambda: {topic: SteadyTimes() for topic in (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)}
+        default_factory=lambda: {topic: SteadyTimes(CLOSED_UP) for topic in (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)}
     )
     """Of the topics with the samples' stamps."""
     foreign: set[str] = field(default_factory=set)

@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     """Build the parser of what is not the plant's."""
     result = argparse.ArgumentParser(
         prog="filtered_plant",
-        description="A plant and the filter in one process: same nodes and topics as side by side, half the work.",
+        description="A plant and the filter in one process: same nodes and topics as side by side, less work.",
         epilog="Further options are the plant's: `filtered_plant bridge --port /dev/ttyUSB0`; see `bridge --help`.",
         allow_abbrev=False,
     )
