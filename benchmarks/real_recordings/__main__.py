@@ -43,6 +43,7 @@ COLUMNS = {
     "open": "claims that it cannot judge",
     "missed": "causes that it holds and that were not named",
     "curve": "steady speeds at which the force that the claims make is within the tolerance",
+    "accounted": "% of the force that the bench file misses on what was held out that names account for (all terms)",
     "left": "% of the error of the bench file alone that is left on what was held out, worst channel",
     "cpu": "s of CPU",
     "work": "s of CPU as the budget counts them",
@@ -62,6 +63,7 @@ class Score:
     missed: list[str] = field(default_factory=list)
     curve: list[tuple[float, float, float, bool]] = field(default_factory=list)
     """Speed [m/s], force of the answer, force of the claims [N], within the tolerance."""
+    accounted: dict[str, dict[str, float]] = field(default_factory=dict)
     left: dict[str, float] = field(default_factory=dict)
     claims: list[str] = field(default_factory=list)
     laws: list[str] = field(default_factory=list)
@@ -145,10 +147,12 @@ def scored(name: str, rig: Mapping[str, Any], found: Diagnosis) -> Score:
             (score.agree if effect.id in known_ids(answer) else score.open).append(effect.id)
     named = {effect.id for effect in report.effects}
     score.missed = [one for one in answer["named"] if one not in named]
-    if report.verdict != "unknown" and not report.closures:
+    score.missed += [" or ".join(some) for some in answer.get("any_of", ()) if not named & set(some)]
+    if report.verdict != "unknown":
         for speed, right, tolerance in answer.get("curve", ()):
             said = force(report.effects, speed)
             score.curve.append((speed, right, said, abs(said - right) <= tolerance))
+    score.accounted = report.accounted
     for channel, one in {**report.fit["holdout"], **report.fit["equations"]}.items():
         share = 100.0 * one["rmse_after"] / one["rmse_before"]
         if np.isfinite(share):
@@ -158,7 +162,7 @@ def scored(name: str, rig: Mapping[str, Any], found: Diagnosis) -> Score:
 
 def known_ids(answer: Mapping[str, Any]) -> set[str]:
     """Effects that the answer holds."""
-    return {*answer["named"], *answer.get("numbers", {})}
+    return {*answer["named"], *answer.get("numbers", {}), *(one for some in answer.get("any_of", ()) for one in some)}
 
 
 def carried_out(name: str, folder: Path) -> Score:
@@ -231,6 +235,8 @@ def add(table: Table, score: Score) -> None:
         claims=", ".join([*score.claims, *score.laws]) or "-", agree=len(score.agree), contradict=len(score.contradict),
         open=len(score.open), missed=len(score.missed),
         curve=f"{sum(right)}/{len(right)}" if right else "-",
+        accounted=", ".join(f"{100 * one['named']:.0f} ({100 * one['all']:.0f})" for one in score.accounted.values())
+        or "-",
         left=max(score.left.values(), default=float("nan")), cpu=score.cpu, work=score.work,
     )  # fmt: skip
 

@@ -136,7 +136,7 @@ def diagnosed(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, A
 def rows(report: Report) -> dict[str, Any]:
     """A report as a row of `DIAGNOSES` and rows of `PARAMETERS`, without the recording's name."""
     begin = report.recordings[0]["begin"]
-    shares = [share for share in report.checks.get("explained", {}).values() if share is not None]
+    shares = [one["all"] for one in report.accounted.values()]
     parameters = [
         {
             "cause": effect.id,

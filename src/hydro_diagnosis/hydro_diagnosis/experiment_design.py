@@ -25,10 +25,10 @@ from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import InputError, RawTable
+from hydro_diagnosis.judge import Assessment
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.selection.search import CLOSE, Outcome
-from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
 from hydro_sim.model.plant import AnalyticPlant

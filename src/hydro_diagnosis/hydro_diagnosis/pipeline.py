@@ -17,7 +17,7 @@ from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.selection.search import NAMES, Search, SearchSettings
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
-from hydro_diagnosis.stages.naming import model_claims, search_causes
+from hydro_diagnosis.stages.naming import model_remainder, name_causes
 from hydro_diagnosis.stages.reading import Progress, Question
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
 from hydro_sim.model.bench import Bench
@@ -84,11 +84,11 @@ def diagnose(
     search = Search(case.problem, case.candidates, settings or NAMES, progress, given=given)
     try:
         with threadpool_limits(1, "blas"):
-            names = search_causes(search, case.held)
-            before, case = case, reconsider_wiring(case, names, progress)
+            found = name_causes(case, search)
+            before, case = case, reconsider_wiring(case, found, progress)
             if case.problem is not before.problem:
                 search = Search(case.problem, case.candidates, settings or NAMES, progress, given=given)
-                names = search_causes(search, case.held)
-            return build_report(case, search, model_claims(names, search), begun)
+                found = name_causes(case, search)
+            return build_report(case, search, model_remainder(found, case, search), begun)
     except KeyboardInterrupt as interruption:
         raise DiagnosisInterrupted(interrupted_report(case, search, begun), endings.status(interruption)) from None

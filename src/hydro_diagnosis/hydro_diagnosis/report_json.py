@@ -121,6 +121,25 @@ class NumberEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CurveReport:
+    """What is missing in an equation as a function of one variable, SI units; numbers of each point, side by side."""
+
+    equation: str
+    over: str
+    """velocity, position, current or pressure_difference."""
+    unit_x: str
+    unit_y: str
+    x: list[float]
+    y: list[float]
+    """Recorded less what the bench file says."""
+    low: list[float]
+    high: list[float]
+    """95 % band of `y`."""
+    named: list[float]
+    """What the claimed effects make of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Result of a diagnosis."""
 
@@ -134,9 +153,11 @@ class Report:
     """Terms that model what no name explains; empty where names do, or no term holds on held-out recordings."""
     estimated: list[NumberEstimate] = field(default_factory=list)
     """Numbers of the bench that were to be estimated; they are no causes."""
-    checks: dict[str, Any] = field(default_factory=dict)
-    """Checks by simple physics: `curves` (`steady_motion.Point`s by name), `explained` (share of each equation's
-    held-out mismatch), `refused` (reasons, by label, why names that fit are not claimed), `objections` (sentences)."""
+    curves: list[CurveReport] = field(default_factory=list)
+    """What is missing, as curves."""
+    accounted: dict[str, dict[str, float]] = field(default_factory=dict)
+    """By equation: 1 - (rms left) / (rms missing) on what was held out, the noise taken off both; with the `named`
+    effects, and with `all` terms."""
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]

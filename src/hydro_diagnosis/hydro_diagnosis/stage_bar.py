@@ -10,11 +10,12 @@ from tqdm import tqdm
 from hydro_core.cli.console import progress
 
 READING = "reading"
+CURVES = "reading curves off"
 SEARCHING = "searching"
 JUDGING = "judging"
 CHECKING = "checking on held-out recordings"
 MODELLING = "modelling what has no name"
-STAGES = (READING, SEARCHING, JUDGING, CHECKING, MODELLING)
+STAGES = (READING, CURVES, SEARCHING, JUDGING, CHECKING, MODELLING)
 """In order; the last is passed over where names explain everything."""
 LINES = 10.0
 """s between the lines that stand for the bar where there is no terminal."""

@@ -23,7 +23,6 @@ from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from tests.segments import frame, problem_in, problem_of, record
@@ -33,7 +32,7 @@ BENCH = Bench.nominal()
 
 def test_a_clean_recording_has_no_closure(problem: Problem) -> None:
     nothing = fit(problem, ())
-    assert list(closures(problem, assess(problem, nothing, nothing))) == []
+    assert list(closures(problem, nothing)) == []
 
 
 def held(**errors: float) -> dict[str, object]:
@@ -147,7 +146,7 @@ LIKELY = [NAMES[label] for label in ("valve_offset", "valve_gain", "leakage_inte
 def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name() -> None:
     problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
     nothing = fit(problem, ())
-    found = next(closures(problem, assess(problem, nothing, nothing), LIKELY))
+    found = next(closures(problem, nothing, LIKELY))
     values = values_of(found.fit)
     assert set(values) == {"valve_offset", "closure:pressure_a:relief"}
     assert values["valve_offset"]["current"] == pytest.approx(2.5e-4, rel=0.01)
@@ -159,7 +158,7 @@ def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name() -> N
 def test_a_law_that_leaves_nothing_alone_gets_no_name() -> None:
     problem = problem_of(closures=(RELIEF,))
     nothing = fit(problem, ())
-    found = next(closures(problem, assess(problem, nothing, nothing), LIKELY))
+    found = next(closures(problem, nothing, LIKELY))
     assert set(values_of(found.fit)) == {"closure:pressure_a:relief"}
 
 
@@ -195,7 +194,7 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law() -> Non
     rubbed = problem_in(record(replace(BENCH, closures=(drag,), effects=(DRY,)), 3))
     nothing = fit(rubbed, ())
     names = [NAMES[label] for label in ("friction_viscous", "friction_coulomb", "moving_mass")]
-    law = next(closures(rubbed, assess(rubbed, nothing, nothing), names))
+    law = next(closures(rubbed, nothing, names))
     values = values_of(law.fit)
     assert set(values) == {FORM, "friction_coulomb"}
     assert values["friction_coulomb"]["force"] == pytest.approx(8.0, rel=0.05)

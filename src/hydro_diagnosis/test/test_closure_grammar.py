@@ -18,7 +18,6 @@ from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
@@ -185,7 +184,7 @@ def test_a_law_is_found_with_all_of_its_numbers(
     truth = replace(BENCH, closures=({"equation": equation, "form": form, "parameters": numbers},))
     problem = problem_of(record(truth, 3))
     nothing = fit(problem, ())
-    found = next(closures(problem, assess(problem, nothing, nothing)))
+    found = next(closures(problem, nothing))
     assert [one.effect.label for one in found.fit.claims] == [f"closure:{equation}:{form}"]
     assert not problem.noticeable(found.fit.residual)
     for bound, value in zip(intervals(problem, found.fit), numbers.values(), strict=True):

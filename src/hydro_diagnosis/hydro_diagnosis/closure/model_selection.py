@@ -46,9 +46,9 @@ from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.fit import screen as screen_names
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.judge import NEARLY_ALL, coincidence
 from hydro_diagnosis.model.responses import Responses
 from hydro_diagnosis.selection.search import Search, SearchSettings
-from hydro_diagnosis.selection.verdict import MOST_OF_THE_GAP, Assessment, coincidence
 from hydro_sim.model.effects.catalogue import CLOSURES
 from hydro_sim.model.tables import Table
 
@@ -56,16 +56,14 @@ SETTINGS = SearchSettings(restarts=1, effort=1500)
 """Settings of the joint search: less effort than for names alone, since a missing law is found first."""
 
 
-def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
-    """Yield models of the remainder, the preferred first; none where no term holds on held-out blocks.
+def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
+    """Yield models of what a fit leaves, the preferred first; none where no term holds on held-out blocks.
 
     `names`: causes that may stand beside a law though the judgement does not claim them. A smooth function is looked
     for only where laws leave something, or are refused.
     """
-    if not assessment.remainder:
-        return
-    closed = barred_equations(problem, assessment.fit)
-    by_law = _by_law(problem, assessment.fit, names, closed)
+    closed = barred_equations(problem, base)
+    by_law = _by_law(problem, base, names, closed)
     if problem.budget.exhausted:
         yield from [by_law] if by_law.gain > 0.0 else []
         return
@@ -73,7 +71,7 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     if not left and by_law.gain > 0.0:
         by_law = renamed(merged(by_law), names)
         yield by_law
-    by_table = _by_table(by_law if left else ClosureFit(assessment.fit, "smooth", 0.0, problem, by_law.screen), closed)
+    by_table = _by_table(by_law if left else ClosureFit(base, "smooth", 0.0, problem, by_law.screen), closed)
     both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
     yield from (renamed(one, names) for one in (both if left else (by_table,)) if one.gain > 0.0)
 
@@ -95,7 +93,7 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
     if problem.budget.exhausted or (complete and _sound(beside)):
         return beside
     alone = select_laws(problem, base, forward) if _names(beside.fit) != _names(base) else beside
-    if problem.budget.exhausted or not names or alone.gain >= MOST_OF_THE_GAP * screen.gains(base)[1]:
+    if problem.budget.exhausted or not names or alone.gain >= NEARLY_ALL * screen.gains(base)[1]:
         return alone  # a small remainder of the right law's form is no reason to look for names
     likely: dict[str, Effect] = {}
     for fitted in (base, beside.fit, alone.fit):

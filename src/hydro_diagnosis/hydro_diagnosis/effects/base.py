@@ -9,7 +9,7 @@ through `Memory`, which either filters a whole record or advances one step.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from math import nan
 from typing import Any, ClassVar, TypeVar
 
@@ -258,6 +258,49 @@ class Effect:
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         """True signal from a reading, as far as the sensor can be inverted."""
         return reading
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """How large the machine is that was recorded: numbers of its claims are of that order."""
+
+    force: float
+    """Largest recorded force [N]."""
+    speed: float
+    """Top speed [m/s]."""
+    stroke: float
+    """Distance [m]."""
+
+    def reach(self, unit: str) -> float:
+        """Largest size that a claim in a unit may have; 0 where the machine does not tell."""
+        slow = 0.02 * self.speed
+        sizes = {
+            "N": self.force, "N s/m": self.force / slow, "m/s": self.speed,
+            "N/m": self.force / (1e-3 * self.stroke), "kg": self.force * self.stroke / slow**2,
+        }  # fmt: skip
+        return 3.0 * sizes.get(unit, 0.0)
+
+
+def sized(effect: Effect, machine: Machine) -> Effect:
+    """The effect with bounds that hold what the machine may show; never narrower than its own."""
+    changed_ = [_sized(one, machine) for one in effect.parameters]
+    if all(one is two for one, two in zip(changed_, effect.parameters, strict=True)):
+        return effect
+    kind = type(effect)
+    made = type(kind.__name__, (kind,), {"parameters": tuple(changed_), "__module__": kind.__module__})
+    found: Effect = made(**{one.name: getattr(effect, one.name) for one in fields(effect)})
+    return found
+
+
+def _sized(one: FitParameter, machine: Machine) -> FitParameter:
+    reach = machine.reach(one.unit)
+    low, high = one.low, one.high
+    if one.unit in ("m/s", "N/m") and one.smallest == 0.0:
+        low = min(low, 1e-3 * reach)
+    elif low < 0.0 and one.neutral == 0.0 and low == -high:
+        low = min(low, -reach)
+    high = max(high, reach)
+    return one if (low, high) == (one.low, one.high) else replace(one, low=low, high=high)
 
 
 @dataclass(frozen=True)

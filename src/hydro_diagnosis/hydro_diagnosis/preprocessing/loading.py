@@ -29,7 +29,7 @@ from hydro_diagnosis.recording import MEASURED, Recording, Segment
 from hydro_diagnosis.wiring import Inspection, inspect_table
 from hydro_sim.model.bench import Bench
 
-LONGEST = 100.0
+LONGEST = 300.0
 """Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
 ENOUGH = 3.0
 """Time [s] in which the piston must move."""

@@ -137,10 +137,17 @@ Mask = npt.NDArray[np.bool_]
 
 
 def repeats(values: FloatArray) -> Mask:
-    """Samples within a run of at least `FROZEN` equal values."""
+    """Samples in which a sensor has stopped: at least `FROZEN` equal values, and what comes after is far from them.
+
+    One that reads in coarse steps may stand at its zero, and goes on by a step or two.
+    """
     mask = np.zeros(len(values), dtype=bool)
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
+    coarse = float(np.median(steps)) < QUANTA * quantum
     for begin, end in _runs(values):
-        mask[begin:end] = True
+        goes_on = abs(values[end] - values[end - 1]) <= QUANTA * quantum if end < len(values) else coarse
+        mask[begin:end] = not goes_on
     return mask
 
 
@@ -352,8 +359,8 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
         if knows(bench, "stroke"):
             outside |= (position < STOP_MARGIN) | (position > bench.stroke - STOP_MARGIN)
     for name in ("pressure_a", "pressure_b"):
-        if name in columns:
-            outside |= _cavitates(columns[name])
+        if name in columns and "valve_current" in columns:  # else no equation of the oil is checked
+            outside |= _cavitates(columns[name], bench.tank_pressure)
     if not outside.any():
         return outside
     notes.append(
@@ -363,13 +370,17 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
     return wide
 
 
-def _cavitates(pressure: FloatArray) -> Mask:
-    """Samples whose pressure is too low, alone or in the mean around them, by more than its noise would make it."""
+def _cavitates(pressure: FloatArray, tank: float) -> Mask:
+    """Samples whose pressure is too low, alone or in the mean around them, by more than its noise would make it.
+
+    Where the `tank` [Pa] is nearer to nothing than that, gauges count from the atmosphere.
+    """
+    least = CAVITATION if tank > CAVITATION else -CAVITATION
     known = np.isfinite(pressure)
     noise, pressure = white_noise(pressure[known]), np.where(known, pressure, np.median(pressure[known]))
     found = np.zeros(len(pressure), dtype=bool)
     for count in (1, AVERAGED):
-        found |= uniform_filter1d(pressure, count) < CAVITATION - BEYOND_NOISE * noise / count**0.5
+        found |= uniform_filter1d(pressure, count) < least - BEYOND_NOISE * noise / count**0.5
     return found
 
 

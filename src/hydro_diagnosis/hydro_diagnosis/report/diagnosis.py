@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from hydro_diagnosis.bench_numbers import PartialBench
 from hydro_diagnosis.effects.base import display_unit
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.judge import Assessment
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import LAST_THIRD
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import Report, row_of
 from hydro_diagnosis.selection.search import Outcome
-from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
@@ -28,6 +28,22 @@ def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
     if ci95 is None:
         return "not identifiable from these recordings"
     return f"95 % {ci95[0] * factor:.5g} to {ci95[1] * factor:.5g}"
+
+
+_WHAT = {
+    "pressure_a": "flow of chamber A", "pressure_b": "flow of chamber B", "actuation": "valve's flow",
+    "motion": "force on the moving mass", "load": "force of the load", "sensor": "sum of the pressures' forces",
+}  # fmt: skip
+
+
+def accounted_sentence(report: Report) -> str:
+    """How much of what the bench file misses is accounted for, on what was held out; empty without a mismatch."""
+    said = []
+    for equation, shares in report.accounted.items():
+        named, everything = (100.0 * max(shares[key], 0.0) for key in ("named", "all"))
+        further = f" ({everything:.0f} % with terms that have no name)" if everything - named > 1.0 else ""
+        said.append(f"{named:.0f} % of the {_WHAT[equation]} that your simulation misses{further}")
+    return f"What is named accounts for {', and '.join(said)}, on what was held out; the rest is not." if said else ""
 
 
 def _seconds(models: Sequence[SegmentModel]) -> dict[str, float]:
@@ -53,6 +69,8 @@ class Diagnosis:
     def __str__(self) -> str:
         """Return what the command prints."""
         report, lines = self.report, [f"verdict: {self.report.verdict}", f"  {self.used}"]
+        if accounted := accounted_sentence(report):
+            lines.append(f"  {accounted}")
         for effect in report.effects:
             lines.append(f"  {effect.id}: {effect.sentence}")
             for name, estimate in effect.parameters.items():

@@ -19,7 +19,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
-from hydro_diagnosis.report.diagnosis import Diagnosis, interval
+from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
 from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.report_json import EffectReport, Report
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
@@ -147,8 +147,8 @@ def nrmse(measured: FloatArray, simulated: FloatArray) -> float | None:
 
 _VERDICTS = {
     "no_mismatch": "The simulation matches these recordings: nothing is missing that they could show.",
-    "explained": "What is missing was found and named; with it, nothing but noise remains.",
-    "modelled": "What is missing is modelled, part of it without a name; with it, nothing but noise remains.",
+    "explained": "What is missing was found and named.",
+    "modelled": "What is missing is modelled, part of it without a name.",
     "partly_explained": "A cause was named, but something remains that it does not account for.",
     "unknown": "Something is missing, and no known cause accounts for it.",
 }
@@ -185,7 +185,8 @@ def rendered(found: Diagnosis) -> str:
         held_out=_held_out(report),
         equations=_equations(report),
         location_plot=plots.location_plot(found) if report.location else "",
-        curves=plots.curves_plot(found) if any(report.checks.get("curves", {}).values()) else "",
+        curves=plots.curves_plot(found) if report.curves else "",
+        accounted=accounted_sentence(report),
         residual_plot=plots.residual_plot(found),
     )  # fmt: skip
 
@@ -219,7 +220,7 @@ def _gain(share: float) -> str:
 def _number(value: float | None, factor: float) -> str:
     if value is None:
         return ""
-    return f"{value * factor:.4g}" if isfinite(value) else "diverges"
+    return f"{value * factor:.4g}" if isfinite(value) else "not finite"
 
 
 def _picture(found: Diagnosis, effect: EffectReport) -> str:

@@ -100,31 +100,27 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
     return svg(1, (8.0, 3.2), draw)
 
 
-_CURVES = {
-    "friction": ("force over\nsteady speed [N]", 1.0, "velocity"),
-    "valve_flow": ("flow at steady\nspeed [l/min]", 6e4, "current"),
-    "leak_at_rest": ("flow into A\nat rest [l/min]", 6e4, "pressure_difference"),
-}
+_FLOW = ("m3/s", "flow [l/min]", 6e4)
 
 
 def curves_plot(found: Diagnosis) -> str:
-    """Plot what is read off the recordings at steady speed and at rest, and what the model says there."""
-    curves = found.report.checks["curves"]
+    """Plot what is missing in the equations over their variables, and what the claims make of it."""
+    curves = found.report.curves
 
     def draw(axes: Any) -> None:
-        for axis, (name, points) in zip(axes, curves.items(), strict=True):
-            words, factor, variable = _CURVES[name]
-            label, units = _VARIABLES[variable]
-            at = [point["at"] * units for point in points]
-            measured, before, after, error = (
-                [point[key] * factor for point in points] for key in ("measured", "before", "model", "uncertainty")
-            )
-            axis.errorbar(at, measured, [2.0 * one for one in error], fmt="o", color=GRAY, markersize=3,
-                          label="recorded")  # fmt: skip
-            axis.plot(at, before, color=ORANGE, linewidth=0.8, label="before")
-            axis.plot(at, after, color=BLUE, linewidth=0.8, label="after")
+        for axis, curve in zip(axes, curves, strict=True):
+            label, units = _VARIABLES[curve.over]
+            words, factor = _FLOW[1:] if curve.unit_y == _FLOW[0] else ("force [N]", 1.0)
+            x, y, low, high, named = (
+                np.array(values) * size
+                for values, size in zip((curve.x, curve.y, curve.low, curve.high, curve.named), (units, *[factor] * 4),
+                                        strict=True)
+            )  # fmt: skip
+            axis.errorbar(x, y, [y - low, high - y], fmt="o", color=GRAY, markersize=3, label="missing, 95 %")
+            axis.plot(x, named, color=BLUE, linewidth=1.0, label="named")
+            axis.axhline(0.0, color=ORANGE, linewidth=0.8, label="bench file")
             axis.set_xlabel(label)
-            axis.set_ylabel(words)
+            axis.set_ylabel(f"missing in\n{curve.equation.replace('_', ' ')}: {words}")
         legend(axes[0])
 
     return svg(len(curves), (8.0, 2.6 * len(curves)), draw)

@@ -212,6 +212,11 @@ class Search:
         self.steps[:] = best.steps
         return best
 
+    def nothing(self) -> Outcome:
+        """The outcome without a search."""
+        problem = self.problem.weighed(())
+        return Outcome(problem, fit(problem, ()), fit(problem, ()))
+
     def _beside_given(self) -> Outcome | None:
         """Return the outcome with the estimated numbers held where they begin, and estimated beside its claims.
 

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second and third stage: causes of the table are searched for and judged, the remainder is modelled by laws.
+"""Names for what is missing: by the shapes of its curves where recordings are rough, else by the search; then laws.
 
-Names and laws are tried on the held-out recordings, and withdrawn where they predict these worse. Names that the
-recordings contradict are dropped, and what they leave is modelled again.
+Rough recordings hold more in the force than any curve of their motion shows: there the evidence of samples is that of
+what is not modelled, and names are shapes of the curve (`shapes`). What the search left in the oil's equations stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,32 +15,26 @@ import numpy as np
 
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import can_simulate
-from hydro_diagnosis.closure.admission import Admitted, admitted, reports, without_harmful_names
+from hydro_diagnosis.closure.admission import admitted, reports, without_harmful_names
 from hydro_diagnosis.closure.model_selection import closures
-from hydro_diagnosis.effects.base import MOTION, Claim, Effect
-from hydro_diagnosis.estimation.fit import QUANTILE, Fit, by_claim, fit, without_one
-from hydro_diagnosis.estimation.intervals import (
-    Interval,
-    all_exclude_neutral,
-    intervals,
-    is_significant,
-    without_insignificant,
-)
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.curve_claims import CurveClaims, read_off
+from hydro_diagnosis.curves import ForceCurve, Motion, motions
+from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim, Effect
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
+from hydro_diagnosis.judge import Accounted, Assessment, assessed, judged, shares
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.selection.localisation import locate_claims
 from hydro_diagnosis.selection.search import Outcome, Search
-from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed, reproduced
-from hydro_diagnosis.selection.verdict import Assessment, assess, refuted, unexplained
-from hydro_diagnosis.stages.reading import Progress
-from hydro_diagnosis.validation import Known, equation_errors, held_out
+from hydro_diagnosis.stages.reading import Case, Progress
+from hydro_diagnosis.validation import HORIZON, Known, equation_errors, held_out
 
 
 @dataclass(frozen=True, kw_only=True)
-class StageResult:
-    """Claims at the end of a stage, and their validation."""
+class Findings:
+    """What stands, and its validation."""
 
     problem: Problem
     outcome: Outcome
@@ -48,15 +42,16 @@ class StageResult:
     bounds: list[Interval]
     """Intervals of the claims' parameters."""
     holdout: Problem
-    """The held-out recordings, weighed for the claims."""
+    """What was held out, weighed for the claims."""
     simulated: Known
-    """Simulations of the held-out recordings so far."""
+    """Simulations of it so far."""
     proof: dict[str, Any]
     """`fit` of report.json."""
-    withdrawn: str = ""
-    """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
-    refused: Mapping[str, str] = field(default_factory=dict)
-    """Reasons, by label, why names that fit are not claimed."""
+    accounted: Accounted
+    curve: ForceCurve | None = None
+    """Of the force; None without the equation of motion."""
+    by_curve: CurveClaims | None = None
+    """Claims that are shapes of it, where recordings are rough."""
     closures: list[ClosureReport] = field(default_factory=list)
     next_recording: dict[str, Any] | None = None
     """The recording that separates the closest rivals among the claims."""
@@ -67,306 +62,127 @@ class StageResult:
         return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}
 
 
-def search_causes(search: Search, held: Sequence[Segment]) -> StageResult:
-    """Names that account for the recordings, unless they make the held-out ones worse."""
-    progress = search.progress
+def name_causes(case: Case, search: Search) -> Findings:
+    """The names that stand."""
+    problem, progress = search.problem, search.progress
+    progress(stage_bar.CURVES)
+    curve = force_curve(problem)
+    rough = curve is not None and curve.rough
+    if curve is not None and rough:
+        curve = ForceCurve(curve.motions)
+    if curve is not None and rough and PRESSURE not in problem.blocks:
+        outcome = search.nothing()
+        return _by_curve(problem, outcome, case.held, curve, search, ())
     progress(stage_bar.SEARCHING)
     outcome = search.run()
     problem = outcome.problem
     progress(stage_bar.JUDGING)
-    assessment, bounds = _assess(problem, outcome)
+    holdout = problem.on(case.held)
+    kept, bounds = judged(problem, holdout, outcome.fit, outcome.nothing)
     progress(stage_bar.CHECKING)
-    holdout = problem.on(held).weighed(assessment.fit.claims)
+    holdout = holdout.weighed(kept.claims)
     simulated: Known = {}
-    proof = held_out(problem, holdout, assessment.fit.claims, simulated)
-    found = StageResult(
-        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout,
-        simulated=simulated, proof=proof,
+    proof = held_out(problem, holdout, kept.claims, simulated)
+    accounted = shares(proof["equations"], proof["equations"])
+    assessment = assessed(problem, outcome.fit, kept, outcome.nothing, holdout, accounted)
+    found = Findings(
+        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated=simulated,
+        proof=proof, accounted=accounted, curve=curve,
     )  # fmt: skip
-    if assessment.verdict == "explained" and (worse := made_worse(proof)):
-        return _withdraw(found, outcome.nothing, worse)
     return replace(found, next_recording=_next_recording(found))
 
 
-def model_claims(names: StageResult, search: Search) -> StageResult:
-    """Names that the recordings do not contradict, and laws for what they leave."""
-    refused: dict[str, str] = {}
-    earlier: list[Fit] = []
-    while True:
-        library = [effect for effect in search.library if effect.named and effect.label not in refused]
-        found = withdraw_if_worse(model_remainder(names, library, search.progress), names)
-        reasons = _contradicted(found, earlier, search.settings.threshold)
-        unsure = found.closures and reasons and reasons.keys() <= names.names
-        if unsure and not _contradicted(names, earlier, search.settings.threshold):
-            found, reasons = names, {}  # alone they hold: it is the law beside which they do not
-        if not reasons:
-            return replace(found, refused=refused)
-        refused |= reasons
-        earlier.append(found.assessment.fit)
-        claims = names.assessment.fit.claims
-        kept = tuple(claim for claim in claims if claim.effect.label not in refused)
-        ids = {claim.effect.id for claim in kept}
-        kept = tuple(claim for claim in kept if set(claim.effect.needs) <= ids)
-        names = _withdraw(names, fit(names.problem, kept) if kept else names.outcome.nothing)
+def force_curve(problem: Problem) -> ForceCurve | None:
+    """Force over speed alone; None without the equation of motion, or without motion."""
+    if MOTION not in problem.blocks:
+        return None
+    moving = moving_in(problem)
+    return ForceCurve.over_speed(moving) if moving else None
 
 
-def _contradicted(found: StageResult, earlier: Sequence[Fit], threshold: float) -> dict[str, str]:
-    """`contradicted`, with what it needs; `earlier`: fits with names that are refused by now."""
-    problem, fitted = found.problem, found.assessment.fit
-    noise = found.proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
-    points = curves(problem, fitted.claims).get(FRICTION, ()) if fitted.judged else ()
-    searched = [] if found.closures else [found.outcome.fit]
-    return contradicted(problem, fitted, [*earlier, *searched], found.bounds, points, noise, threshold)
+def moving_in(problem: Problem) -> list[Motion]:
+    """The motions of its recordings in which the piston moves at all."""
+    return [one for one in motions(problem.models) if float(np.ptp(one.position)) > 0.0]
 
 
-def withdraw_if_worse(found: StageResult, names: StageResult) -> StageResult:
-    """`found`, or neither names nor closures where on the whole the held-out recordings are predicted worse with them.
+def model_remainder(found: Findings, case: Case, search: Search) -> Findings:
+    """Names and laws together; the names alone where nothing remains, or no law is admitted.
 
-    `names`: the same before closures.
+    Nor is any sought where what remains may be a ringing that the rows are too slow to show. Where none is admitted in
+    the motion of rough recordings, names are read off its curve.
     """
-    worse = made_worse_in_all(found.proof) if found.names else ""
-    return _withdraw(names, names.outcome.nothing, worse) if worse else found
+    problem, curve = found.problem, found.curve
+    if found.by_curve is not None or not found.assessment.remainder:
+        return found
+    if not problem.unseen_ringing and not problem.budget.exhausted:
+        search.progress(stage_bar.MODELLING)
+        library = [effect for effect in search.library if effect.named]
+        if modelled := _with_laws(found, library, search.progress):
+            return modelled
+    in_motion = any(place.equation == MOTION for place in found.assessment.remainder)
+    if curve is None or not in_motion or not (curve.rough or problem.unseen_ringing):
+        return found
+    others = tuple(one for one in found.assessment.fit.claims if MOTION not in one.effect.blocks)
+    read = _by_curve(problem, found.outcome, case.held, curve, search, others)
+    return read if read.by_curve is not None and read.names - found.names else found
 
 
-def _withdraw(found: StageResult, kept: Fit, worse: str = "") -> StageResult:
-    """The claims of `kept` alone, with a note on the others if they are `worse` on held-out recordings."""
-    problem = found.problem
-    assessment = refuted(problem, found.assessment, kept)
-    holdout = found.holdout.weighed(assessment.fit.claims)
-    bare = replace(
-        found,
-        holdout=holdout,
-        assessment=assessment,
-        bounds=intervals(problem, assessment.fit),
-        proof=held_out(problem, holdout, assessment.fit.claims, found.simulated),
-        withdrawn=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder) if worse else "",
-    )
-    return replace(bare, next_recording=_next_recording(bare))
+def _by_curve(
+    problem: Problem, outcome: Outcome, held: Sequence[Segment], curve: ForceCurve, search: Search,
+    others: Sequence[Claim],
+) -> Findings:  # fmt: skip
+    """Names read off the curve of the force, beside claims of other equations."""
+    search.progress(stage_bar.JUDGING)
+    holdout = problem.on(held)
+    read = read_off(curve, moving_in(holdout), problem, search.library)
+    beside = fit(problem, others)
+    kept = fit(problem, (*beside.claims, *read.claims), iterations=0)
+    holdout = holdout.weighed(kept.claims)
+    proof: dict[str, Any] = {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": read.why or ROUGH,
+             "equations": equation_errors(holdout, kept.claims)}  # fmt: skip
+    accounted = shares(proof["equations"], proof["equations"]) | {MOTION: dict(read.accounted)}
+    bounds = [*intervals(problem, beside), *read.bounds]
+    assessment = assessed(problem, kept, kept, outcome.nothing, holdout, accounted)
+    return Findings(
+        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated={},
+        proof=proof, accounted=accounted, curve=curve, by_curve=read, closures=list(read.closures),
+    )  # fmt: skip
 
 
-def _next_recording(found: StageResult) -> dict[str, Any] | None:
+ROUGH = "the recorded force holds more than any curve of its motion: a simulation would tell no more than the curve"
+
+
+def _next_recording(found: Findings) -> dict[str, Any] | None:
     """The next recording; None where the bench file is not known enough to rehearse one."""
     problem = found.problem
     return next_recording(problem, found.outcome, found.assessment) if can_simulate(problem.bench) else None
 
 
-def _assess(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
-    """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged again."""
-    assessment = assess(problem, outcome.fit, outcome.nothing)
-    while True:
-        sure, bounds = without_insignificant(problem, assessment.fit)
-        if len(sure.claims) == len(assessment.fit.claims):
-            return assessment, bounds
-        assessment = assess(problem, sure, outcome.nothing)
-
-
-def model_remainder(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult:
-    """Names and closure together; the names alone where nothing remains, or no closure is admitted.
-
-    Nor is any sought where what remains may be a ringing that the rows are too slow to show. `library`: causes that may
-    stand beside it.
-    """
-    if not names.assessment.remainder or names.problem.budget.exhausted or names.problem.unseen_ringing:
-        return names
-    progress(stage_bar.MODELLING)
+def _with_laws(names: Findings, library: Sequence[Effect], progress: Progress) -> Findings | None:
+    """Names and the first model without a name that is admitted; None where none is."""
     problem, holdout = names.problem, names.holdout
-    candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment, library))
+    candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment.fit, library))
     found = admitted(problem, holdout, candidates, names.proof, names.simulated)
     bounds = intervals(found.closed.problem, found.closed.fit) if found else []
     if not found or not all_exclude_neutral(found.closed.fit.claims, bounds):
-        return names
+        return None
+    closed, problem = found.closed.fit, found.closed.problem
+    holdout = holdout.weighed(closed.claims)
+    named = tuple(one for one in closed.claims if one.effect.named)
+    everything = equation_errors(holdout, closed.claims)
+    accounted = shares(everything, equation_errors(holdout, named))
+    nothing = names.outcome.nothing
     beside = replace(
         names,
-        problem=found.closed.problem,
-        assessment=_closed(found.closed.problem, names.assessment, found),
+        problem=problem,
+        holdout=holdout,
+        assessment=assessed(problem, names.outcome.fit, closed, nothing, holdout, accounted),
         bounds=bounds,
         closures=reports(found, bounds),
+        accounted=accounted,
+        proof={**found.held, "equations": everything},
     )
     ahead = names.next_recording if beside.names == names.names else None  # it would tell apart what is not claimed
     if ahead is None and can_simulate(problem.bench):
-        ahead = next_for_law(beside.problem, found.closed.fit, found.closed.screen)
-    holdout = holdout.weighed(found.closed.fit.claims)
-    proof = {**found.held, "equations": equation_errors(holdout, found.closed.fit.claims)}
-    return replace(beside, holdout=holdout, proof=proof, next_recording=ahead)
-
-
-def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assessment:
-    """The judgement with a closure: `model_remainder` where it leaves nothing, else something remains as before."""
-    claims = found.closed.fit.claims
-    labels = {claim.effect.label for claim in claims}
-    dropped = tuple(claim for claim in assessment.dropped if claim.effect.label not in labels)
-    places = tuple(locate_claims(problem, found.closed.fit, problem.residual(())))
-    assessment = replace(assessment, fit=found.closed.fit, places=places, dropped=dropped)
-    if not problem.noticeable(found.closed.fit.residual):
-        return replace(assessment, verdict="modelled", remainder=(), forms=())
-    search_causes = any(claim.effect.named and not claim.effect.estimated for claim in claims)
-    verdict = "partly_explained" if search_causes else assessment.verdict
-    remainder, forms = unexplained(problem, found.closed.fit)
-    return replace(assessment, verdict=verdict, remainder=remainder or assessment.remainder, forms=forms)
-
-
-WORSE = 1.1
-"""Ratio of a held-out channel's error after to that before from which a model has made it worse."""
-SHOWN = 1.35
-"""Noise floors from which a simulated held-out channel's RMS error is more than noise and an uncertain start."""
-
-
-def made_worse(proof: Mapping[str, Any]) -> str:
-    """Held-out channels that the corrected model predicts worse than the bench file; empty where none is.
-
-    `proof`: `fit` of report.json. Under much noise wrong names may leave nothing in what they were fitted to.
-    """
-    worse = [
-        f"{channel} at {error['rmse_after'] / error['noise_floor']:.3g} noise floors instead of "
-        f"{error['rmse_before'] / error['noise_floor']:.3g}"
-        for channel, error in proof["holdout"].items()
-        if error["rmse_after"] > max(WORSE * error["rmse_before"], SHOWN * error["noise_floor"])
-    ]
-    return "; ".join(worse)
-
-
-def made_worse_in_all(proof: Mapping[str, Any]) -> str:
-    """`made_worse`, where the squared errors beyond the noise have grown over all channels together; else empty."""
-    ratios = [(error["rmse_before"], error["rmse_after"], error["noise_floor"]) for error in proof["holdout"].values()]
-    grown = [max((after / floor) ** 2, 1.0) - max((before / floor) ** 2, 1.0) for before, after, floor in ratios]
-    return made_worse(proof) if sum(grown) > 0.0 else ""
-
-
-def withheld(claims: Sequence[Claim], worse: str, *, whole: bool) -> str:
-    """Note on names that fit and are not handed back, since `worse` of the held-out recordings.
-
-    `whole`: whether they leave nothing of what was fitted.
-    """
-    names = ", ".join(dict.fromkeys(claim.effect.id for claim in claims))
-    share = "" if whole else "a part of "
-    return (
-        f"{names} would explain {share}the recordings that were fitted, but predict the held-out ones worse than the "
-        f"bench file does ({worse}): not claimed; record with less noise or more motion"
-    )
-
-
-MOVED = 0.25
-"""Share of its size by which a number may move when one recording is left out."""
-MOST_SPEEDS = 0.5
-"""Share of the steady speeds that claims may miss."""
-_CONFIRMING = 4
-"""Steps of the fit without a recording: it begins where the fit with all of them ended."""
-
-
-def contradicted(
-    problem: Problem,
-    found: Fit,
-    earlier: Sequence[Fit],
-    bounds: Sequence[Interval],
-    points: Sequence[Point],
-    noise: float,
-    threshold: float,
-) -> dict[str, str]:
-    """Reasons by label of named claims that the recordings contradict, though they fit.
-
-    Parameters
-    ----------
-    earlier
-        Fits with names that are not claimed any more, and nothing else that is not in `found`.
-    bounds
-        Of the parameters of all claims, in their order.
-    points, noise
-        Force over steady speed (`steady_motion.curves`), and the standard deviation [N] of a residual.
-    threshold
-        Evidence [BIC] that a claim needs: that of the search.
-    """
-    named = [claim for claim in found.judged if claim.effect.named]
-    ends = [claim.effect.label for claim in named if not is_significant(claim)]
-    reasons = dict.fromkeys(ends, "ends at a bound of what is physical, or is too small to matter")
-    reasons |= dict.fromkeys(
-        moved(problem, found, bounds), "moves by more than a quarter without one of the recordings"
-    )
-    turned = "has another size while the piston speeds up than while it slows down"
-    reasons |= dict.fromkeys(differing(problem, found, bounds), turned)
-    depends = "has another size beside names that are not claimed"
-    reasons |= dict.fromkeys((label for one in earlier for label in apart(found, one, bounds)), depends)
-    if reproduced(problem, found.claims) <= 0.0:
-        unfounded = "in motion the equation predicts the force no better than the force's mean would"
-        reasons |= {claim.effect.label: unfounded for claim in named if MOTION in claim.effect.blocks}
-    for label, evidence in _evidence(problem, found, bounds).items():
-        if evidence < threshold:
-            reasons[label] = "by the number of its independent samples it may be chance"
-    off = missed(points, noise)
-    if len(off) > MOST_SPEEDS * len(points):
-        for claim in named:
-            others = curves(problem, found.but(claim))[FRICTION]
-            without = {one.at: one.model for one in others}
-            if any(abs(without[one.at] - one.model) > noise for one in off):
-                reasons[claim.effect.label] = f"misses the force at {len(off)} of {len(points)} steady speeds"
-    return reasons
-
-
-def _evidence(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> dict[str, float]:
-    """Evidence [BIC] of each named claim by its label, by as many samples as are worth one that is independent."""
-    evidence, needed = {}, {name for claim in found.claims for name in claim.effect.needs}
-    for claim, own in by_claim(found.claims, bounds):
-        variance = max((bound.inflation**2 for bound in own), default=1.0)
-        if claim.effect.named and not claim.effect.estimated and claim.effect.id not in needed:
-            rise = without_one(problem, found, claim).deviance - found.deviance
-            evidence[claim.effect.label] = rise / variance - len(own) * float(np.log(len(found.residual) / variance))
-    return evidence
-
-
-def moved(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]:
-    """Named claims whose size moves by more than `MOVED`, and out of its interval, without one of the recordings.
-
-    `bounds`: of the parameters of all claims, in their order.
-    """
-    names = list(dict.fromkeys(model.segment.recording for model in problem.models))
-    labels: list[str] = []
-    for name in names if len(names) > 1 and found.judged else []:
-        others = [model.segment for model in problem.models if model.segment.recording != name]
-        fewer = problem.on(others).weighed(found.claims)
-        labels += apart(found, fit(fewer, found.claims, iterations=_CONFIRMING), bounds)
-    return list(dict.fromkeys(labels))
-
-
-def differing(problem: Problem, found: Fit, bounds: Sequence[Interval]) -> list[str]:
-    """Named claims of the equation of motion whose size is another where the piston speeds up, or slows down.
-
-    By more than `MOVED`, and not by chance; to first order. What takes force to set the piston moving, and gives none
-    back, is no mass.
-    """
-    if MOTION not in problem.blocks or not found.judged:
-        return []
-    rows = problem.layout.channel == CHANNELS.index(MOTION)
-    power = np.concatenate([model.kept(model.v) * model.kept_finish(model.a) for model in problem.models])
-    deviation = np.sqrt(problem.variances(found.residual)[CHANNELS.index(MOTION)])
-    slopes, left = found.jacobian[rows] / deviation, found.residual[rows] / deviation
-    labels: list[str] = []
-    for there in (power > 0.0, power < 0.0):
-        covariance = np.linalg.pinv(slopes[there].T @ slopes[there], hermitian=True)
-        moves, k = -covariance @ (slopes[there].T @ left[there]), 0
-        for claim in found.claims:
-            for one in claim.effect.parameters:
-                size, move = abs(claim.values[one.name] - one.neutral), abs(moves[k]) * one.span
-                chance = QUANTILE * float(np.sqrt(covariance[k, k])) * one.span * bounds[k].inflation
-                named = claim.effect.named and not claim.effect.estimated and MOTION in claim.effect.blocks
-                if named and one.smallest > 0.0 and move > max(MOVED * size, chance) > 0.0:
-                    labels.append(claim.effect.label)
-                k += 1
-    return list(dict.fromkeys(labels))
-
-
-def apart(found: Fit, other: Fit, bounds: Sequence[Interval]) -> list[str]:
-    """Named claims whose size in another fit differs by more than `MOVED`, and lies out of its interval."""
-    sizes, labels = {claim.effect.label: claim for claim in other.claims}, []
-    for claim, own in by_claim(found.claims, bounds):
-        label = claim.effect.label
-        if label in sizes and claim.effect.named and not claim.effect.estimated and _moves(claim, sizes[label], own):
-            labels.append(label)
-    return labels
-
-
-def _moves(claim: Claim, other: Claim, bounds: Sequence[Interval]) -> bool:
-    for parameter, bound in zip(claim.effect.parameters, bounds, strict=True):
-        value, moved_to = claim.values[parameter.name], other.values[parameter.name]
-        outside = not bound.low <= moved_to <= bound.high
-        if parameter.smallest > 0.0 and outside and abs(moved_to - value) > MOVED * abs(value - parameter.neutral):
-            return True
-    return False
+        ahead = next_for_law(problem, closed, found.closed.screen)
+    return replace(beside, next_recording=ahead)

@@ -23,7 +23,7 @@ from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import applies, completed, hiding, lacks, left_out, read_bench, refuse_missing
 from hydro_diagnosis.effects import CANDIDATES
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, Machine, sized
 from hydro_diagnosis.estimation.problem import Budget, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
@@ -145,8 +145,10 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     question.budget.allow(sum(len(segment) for segment in fitted))
     problem = Problem(
         fitted, believed, baseline_claims,
-        estimated=estimated_claims(believed, estimate), ruled_out=_acting(ruled_out, believed), budget=question.budget,
+        estimated=estimated_claims(believed, estimate), ruled_out=_acting(ruled_out, believed, None),
+        budget=question.budget,
     )  # fmt: skip
+    machine = _machine(problem)
     if not np.isfinite(problem.residual(())).all():
         raise InputError(
             "the recordings and the bench file give residuals that are not finite: check units and numbers"
@@ -165,7 +167,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     return Case(
         question=question,
         problem=problem,
-        candidates=_told_from_ringing(_acting(unruled, believed), problem),
+        candidates=_told_from_ringing(_acting(unruled, believed, machine), problem),
         held=held,
         facts=facts,
         numbers=numbers,
@@ -194,8 +196,21 @@ def _ringing(problem: Problem) -> list[str]:
     ]
 
 
-def _acting(effects: Sequence[Effect], bench: Bench) -> list[Effect]:
-    return [effect.adapted(bench) for effect in effects if applies(effect, bench)]
+def _acting(effects: Sequence[Effect], bench: Bench, machine: Machine | None) -> list[Effect]:
+    found = [effect.adapted(bench) for effect in effects if applies(effect, bench)]
+    return found if machine is None else [sized(effect, machine) for effect in found]
+
+
+def _machine(problem: Problem) -> Machine | None:
+    """How large the machine is; None where its force or its motion is not recorded."""
+    moving = [one for one in problem.models if one.has_position and MOTION in problem.blocks]
+    if not moving:
+        return None
+    return Machine(
+        force=max(float(np.max(np.abs(one.measured_force(())))) for one in moving),
+        speed=max(float(np.percentile(np.abs(one.v), 99.0)) for one in moving),
+        stroke=max(float(np.ptp(one.x)) for one in moving),
+    )
 
 
 def _candidates(without: Sequence[str]) -> list[Effect]:

@@ -4,25 +4,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.signal
 
+from hydro_diagnosis.curve_claims import OPERATORS
+from hydro_diagnosis.curve_reports import curve_reports
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import CHANNELS, NOTICEABLE, Layout, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
-from hydro_diagnosis.selection.localisation import Place, locate
+from hydro_diagnosis.selection.localisation import Place
 from hydro_diagnosis.selection.search import CLOSE, Outcome, Search
-from hydro_diagnosis.selection.steady_motion import FRICTION, Point, curves, missed
-from hydro_diagnosis.selection.verdict import Assessment
-from hydro_diagnosis.stages.naming import StageResult, made_worse
+from hydro_diagnosis.stages.naming import Findings
 from hydro_diagnosis.stages.reading import Case
 from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
 
@@ -106,42 +106,40 @@ def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str |
     return None
 
 
-def describe(
-    problem: Problem, held: Problem, outcome: Outcome, assessment: Assessment, bounds: Sequence[Interval]
-) -> list[EffectReport]:
-    """One entry per name that stands, the strongest evidence first.
-
-    `held`: the held-out recordings; `bounds`: of the parameters of all claims, in their order.
-    """
-    found = assessment.fit
+def describe(findings: Findings) -> list[EffectReport]:
+    """One entry per name that stands, the strongest evidence first."""
     reports = [
-        _report(problem, held, outcome, found, claim, own)
-        for claim, own in by_claim(found.claims, bounds)
+        _report(findings, claim, own)
+        for claim, own in by_claim(findings.assessment.fit.claims, findings.bounds)
         if claim.effect.named and not claim.effect.estimated
     ]
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
-def _report(
-    problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: Sequence[Interval]
-) -> EffectReport:
-    without = fit(problem, found.but(claim))
+def _report(findings: Findings, claim: Claim, bounds: Sequence[Interval]) -> EffectReport:
+    problem, found, read = findings.problem, findings.assessment.fit, findings.by_curve
     parameters = {
         parameter.name: bound.estimate(parameter.unit)
         for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
         if parameter.reported
     }
-    rivals, look_alikes = _rivals(outcome, found, claim)
+    if read is not None and claim.effect.label in read.evidence:
+        evidence, look_alikes = dict(read.evidence[claim.effect.label]), list[LookAlike]()
+        rivals = list(read.rivals) if claim.effect.id in OPERATORS else []
+    else:
+        without = fit(problem, found.but(claim))
+        rivals, look_alikes = _rivals(findings.outcome, found, claim)
+        evidence = {
+            "delta_bic": without.score - found.score,
+            "holdout_gain": holdout_gain(findings.holdout, without, found),
+        }
     return EffectReport(
         id=claim.effect.id,
         equation=claim.effect.equations[0],
         options=dict(claim.effect.options),
         sentence=claim.effect.sentence(claim.values),
         parameters=parameters,
-        evidence={
-            "delta_bic": without.score - found.score,
-            "holdout_gain": holdout_gain(held, without, found),
-        },
+        evidence=evidence,
         rivals=rivals,
         look_alikes=look_alikes,
     )
@@ -183,33 +181,22 @@ def location_of(place: Place, problem: Problem) -> Location:
     return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)
 
 
-def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
+def build_report(case: Case, search: Search, found: Findings, begun: float) -> Diagnosis:
     """The report and the data behind it; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
     problem.columns.clear()
-    hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold)
-    effects = describe(problem, found.holdout, found.outcome, assessment, found.bounds)
-    read_off = curves(problem, assessment.fit.claims)
-    doubts = objections(assessment.fit, found.bounds, found.proof, read_off.get(FRICTION, ()))
-    refused = [f"{label} fits, but is rejected: {reason}" for label, reason in found.refused.items()]
-    notes = (
-        *([case.wiring] if case.wiring else []),
-        *_notes(found, effects, hidden, search.library),
-        *refused,
-        *doubts,
-    )
+    searched = found.by_curve is None
+    hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
+    effects = describe(found)
+    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden or "", search.library))
     report = Report(
-        verdict=doubted(assessment.verdict, doubts, named=bool(effects)),
+        verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
         effects=effects,
         remainder=_remainder(found),
         closures=found.closures,
-        checks={
-            "curves": {name: [asdict(point) for point in points] for name, points in read_off.items()},
-            "explained": explained_shares(found.proof),
-            "refused": dict(found.refused),
-            "objections": [*refused, *doubts],
-        },
+        curves=curve_reports(problem, assessment.fit.claims, found.curve, found.by_curve),
+        accounted=found.accounted,
         estimated=number_estimates(problem, assessment.fit, found.bounds, search.library, case.numbers),
         fit=found.proof,
         next_recording=found.next_recording,
@@ -235,9 +222,7 @@ def interrupted_report(case: Case, search: Search, begun: float) -> Report:
     )
 
 
-def _notes(
-    found: StageResult, effects: Sequence[EffectReport], hidden: str | None, library: Sequence[Effect]
-) -> tuple[str, ...]:
+def _notes(found: Findings, effects: Sequence[EffectReport], hidden: str, library: Sequence[Effect]) -> tuple[str, ...]:
     """Return notes on limits of the verdict."""
     assessment, cut_short, budget = found.assessment, "", found.problem.budget
     if budget.exhausted:
@@ -247,18 +232,18 @@ def _notes(
         )
     elif found.outcome.cut_short and assessment.remainder:
         cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
-    sure = "" if assessment.remainder else confirmed(found.problem, assessment.fit, found.bounds, library, hidden or "")
+    sure = "" if assessment.remainder else confirmed(found.problem, assessment.fit, found.bounds, library, hidden)
     early = current_is_early(found.problem, effects)
-    beyond = "" if assessment.remainder else not_predicted(found.holdout, assessment.fit.claims)
-    distrust = distrusted(made_worse(found.proof))
-    return tuple(note for note in (early, hidden, cut_short, beyond, found.withdrawn, distrust, sure) if note)
+    lacking = found.by_curve.why if found.by_curve is not None else ""
+    lacking = f"no friction is named: {lacking}" if lacking else ""
+    return tuple(note for note in (early, hidden, cut_short, lacking, sure) if note)
 
 
 def _steps(search: Search) -> list[dict[str, Any]]:
     return [{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps]
 
 
-def _remainder(found: StageResult) -> dict[str, Any] | None:
+def _remainder(found: Findings) -> dict[str, Any] | None:
     problem, holdout, assessment = found.problem, found.holdout, found.assessment
     if not assessment.remainder:
         return None
@@ -273,89 +258,3 @@ def _remainder(found: StageResult) -> dict[str, Any] | None:
         "dropped": [claim.effect.id for claim in assessment.dropped if claim.effect.named],
         "looks_like": [*like, line.sentence] if line else like,
     }
-
-
-def distrusted(worse: str) -> str:
-    """Note on a model that is handed back although `worse`; empty where it is not."""
-    if not worse:
-        return ""
-    return (
-        f"the held-out recordings are predicted worse than by the bench file ({worse}): do not trust what is named; "
-        "record with less noise or more motion"
-    )
-
-
-def not_predicted(holdout: Problem, claims: Sequence[Claim]) -> str:
-    """Note on held-out recordings that hold more than noise, weighed for these claims; empty where they do not.
-
-    Names fit what they can take the form of: viscous friction with a Stribeck rise takes that of drag with the square
-    of speed, as far as the piston was moved.
-    """
-    residual = holdout.residual(claims)
-    if not holdout.noticeable(residual):
-        return ""
-    places = ", ".join(dict.fromkeys(place.equation for place in locate(holdout, residual)))
-    return (
-        f"the held-out recordings hold more than noise ({places}), which those that were fitted do not show: the "
-        "model that is handed back does not predict them; fit recordings of all that the bench does"
-    )
-
-
-LEFT = 0.25
-"""Share of the bench file's error that may be left on held-out recordings where everything is explained."""
-
-
-def explained_shares(proof: Mapping[str, Any]) -> dict[str, float]:
-    """Share of each equation's held-out mean square beyond the noise, as the bench file leaves it, that claims remove.
-
-    `proof`: `fit` of report.json. Without equations whose mismatch is noise.
-    """
-    shares = {}
-    for name, one in proof.get("equations", {}).items():
-        before, after = (max(one[key] ** 2 - one["noise_floor"] ** 2, 0.0) for key in ("rmse_before", "rmse_after"))
-        if before > NOTICEABLE * one["noise_floor"] ** 2:
-            shares[name] = 1.0 - after / before
-    return shares
-
-
-def doubted(verdict: str, doubts: Sequence[str], *, named: bool) -> str:
-    """Return the verdict with `objections`: what is not all of it is no `explained`, nor `modelled`."""
-    if verdict not in ("explained", "modelled") or not doubts:
-        return verdict
-    return "partly_explained" if named else "unknown"
-
-
-def objections(
-    found: Fit,
-    bounds: Sequence[Interval],
-    proof: Mapping[str, Any],
-    points: Sequence[Point],
-) -> list[str]:
-    """Sentences on why claims do not explain everything, though they leave no more than the noise that they allow.
-
-    `found`, `bounds`: the claims, and the intervals of their parameters. `proof`: `fit` of report.json. `points`: force
-    over steady speed (`steady_motion.curves`).
-    """
-    owners = [(claim, one) for claim in found.claims for one in claim.effect.parameters]
-    vague = [
-        f"{claim.effect.id}: {one.name}"
-        for (claim, one), bound in zip(owners, bounds, strict=True)
-        if claim.effect.named and not claim.effect.estimated and one.smallest > 0.0 and not bound.identifiable
-    ]
-    said = [f"not identifiable from these recordings, or at its bound: {', '.join(vague)}"] if vague else []
-    for name, one in proof.get("equations", {}).items():
-        before, after, floor = one["rmse_before"], one["rmse_after"], one["noise_floor"]
-        if after > LEFT * before and after**2 > (1.0 + NOTICEABLE) * floor**2:
-            left = f"{100.0 * after / before:.0f} % of the bench file's error in {name} is left on what was held out"
-            left = left if found.judged else f"something small is missing: {name} on what was held out"
-            said.append(f"{left}, {after / floor:.3g} times the sensors' noise")
-    noise = proof.get("equations", {}).get("motion", {}).get("noise_floor", 0.0)
-    off = missed(points, noise) if found.judged else []
-    if off:
-        worst = max(off, key=lambda point: abs(point.measured - point.model))
-        said.append(
-            f"the model misses the measured force at {len(off)} of {len(points)} steady speeds; worst: "
-            f"{abs(worst.measured - worst.model):.3g} N off at {worst.at * 1e3:.3g} mm/s, measured "
-            f"{abs(worst.measured):.3g} N"
-        )
-    return said

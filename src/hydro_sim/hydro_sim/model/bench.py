@@ -52,9 +52,9 @@ class Bench:
     """V_dead_a, valve block and hoses."""
     dead_volume_b: Annotated[float, quantity("m3", 1e-7, 1e-1)]
     """V_dead_b."""
-    moving_mass: Annotated[float, quantity("kg", 1e-2, 1e4)]
+    moving_mass: Annotated[float, quantity("kg", 1e-6, 1e7)]
     """m, piston, rod and load together."""
-    viscous_friction: Annotated[float, quantity("N s/m", 0.0, 1e6)]
+    viscous_friction: Annotated[float, quantity("N s/m", 0.0, 1e9)]
     """b."""
     spring_stiffness: Annotated[float, quantity("N/m", 1.0, 1e8)]
     """k_s, of the environment."""

@@ -5,7 +5,7 @@
 
     class CoulombFriction(Effect):
         id = "friction_coulomb"
-        force = parameter("N", 0.0, 5000.0, scale=10.0)
+        force = parameter("N", 0.0, 1e8, scale=10.0)
 
         def dry_level(self, level, velocity):
             return level + self.force

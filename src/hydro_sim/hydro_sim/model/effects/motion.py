@@ -26,7 +26,7 @@ class FrictionCoulomb(Effect):
     """Constant force against the motion."""
 
     id = "friction_coulomb"
-    force = parameter("N", 0.0, 5000.0, scale=10.0)
+    force = parameter("N", 0.0, 1e8, scale=10.0)
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
         return level + self.force
@@ -37,8 +37,8 @@ class FrictionCoulombDirectional(Effect):
 
     id = "friction_coulomb"
     options = {"form": ("directional",)}
-    force_positive = parameter("N", 0.0, 5000.0, scale=10.0)
-    force_negative = parameter("N", 0.0, 5000.0, scale=10.0)
+    force_positive = parameter("N", 0.0, 1e8, scale=10.0)
+    force_negative = parameter("N", 0.0, 1e8, scale=10.0)
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
         return level + choose(velocity > 0.0, self.force_positive, self.force_negative)
@@ -48,7 +48,7 @@ class FrictionStribeck(Effect):
     """Additional dry friction near standstill."""
 
     id = "friction_stribeck"
-    breakaway_force = parameter("N", 0.0, 5000.0, scale=5.0)
+    breakaway_force = parameter("N", 0.0, 1e8, scale=5.0)
     velocity = parameter("m/s", 1e-4, 10.0, scale=0.01, neutral=0.01)
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
@@ -61,8 +61,8 @@ class FrictionViscousDirectional(Effect):
 
     id = "friction_viscous"
     options = {"form": ("directional",)}
-    coefficient_positive = parameter("N s/m", -1e6, 1e6, scale=30.0)
-    coefficient_negative = parameter("N s/m", -1e6, 1e6, scale=30.0)
+    coefficient_positive = parameter("N s/m", -1e9, 1e9, scale=30.0)
+    coefficient_negative = parameter("N s/m", -1e9, 1e9, scale=30.0)
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         return choose(velocity > 0.0, self.coefficient_positive, self.coefficient_negative) * velocity
@@ -73,7 +73,7 @@ class FrictionPresliding(Effect):
 
     id = "friction_presliding"
     single = True
-    stiffness = parameter("N/m", 1.0, 1e7, scale=2e5, neutral=1e7)
+    stiffness = parameter("N/m", 1.0, 1e11, scale=2e5, neutral=1e7)
     bent = hidden("N", scale=5.0)
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
@@ -89,7 +89,7 @@ class ForceOffset(Effect):
     """A constant force on the piston."""
 
     id = "force_offset"
-    force = parameter("N", -5000.0, 5000.0, scale=5.0)
+    force = parameter("N", -1e8, 1e8, scale=5.0)
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         return -self.force
@@ -100,7 +100,7 @@ class EndCushion(Effect):
 
     id = "end_cushion"
     options = {"form": ("end", "start", "end-quadratic", "start-quadratic")}
-    stiffness = parameter("N/m", 0.0, 1e7, scale=2e4)
+    stiffness = parameter("N/m", 0.0, 1e11, scale=2e4)
     position = parameter("m", -5.0, 5.0, scale=0.01, neutral=0.0)
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:

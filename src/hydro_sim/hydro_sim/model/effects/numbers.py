@@ -44,8 +44,8 @@ class DeadVolume(Effect):
 
 
 EFFECTS = (
-    corrects("friction_viscous", "viscous_friction", "coefficient", parameter("N s/m", -1e6, 1e6, scale=30.0), add),
-    corrects("moving_mass", "moving_mass", "mass", parameter("kg", -1e4, 1e4, scale=0.3), add),
+    corrects("friction_viscous", "viscous_friction", "coefficient", parameter("N s/m", -1e9, 1e9, scale=30.0), add),
+    corrects("moving_mass", "moving_mass", "mass", parameter("kg", -1e7, 1e7, scale=0.3), add),
     wrong("spring_stiffness", 0.1),
     corrects("spring_rest", "spring_rest_position", "position", parameter("m", -5.0, 5.0, scale=1e-3), _replaced),
     wrong("supply_pressure", 0.05),

@@ -58,7 +58,7 @@ class LoadCellBias(Effect):
 
     id = "load_cell_bias"
     options = {"cell": ("hydraulic_force", "load_force")}
-    force = parameter("N", -5000.0, 5000.0, scale=5.0)
+    force = parameter("N", -1e8, 1e8, scale=5.0)
 
     def show(self, channel: str, signal: Symbol) -> Symbol:
         return signal + self.force if channel == self.cell else signal

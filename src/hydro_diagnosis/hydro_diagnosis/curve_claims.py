@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shapes of the force's curve as claims of the table, with the law of the position, and what they account for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hydro_core.signals import FloatArray
+from hydro_diagnosis.curves import ForceCurve, Motion, Terms
+from hydro_diagnosis.effects.base import MOTION, Claim, Effect
+from hydro_diagnosis.effects.closure import closure
+from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
+from hydro_diagnosis.shapes import MATTERS, Fitted, fitted, missing_sign, named
+from hydro_sim.model import grammar
+
+LABELS = {
+    "dry": "friction_coulomb", "viscous": "friction_viscous", "constant": "force_offset",
+    "stribeck": "friction_stribeck",
+}  # fmt: skip
+"""Effects of the elementary shapes."""
+DIRECTIONAL, MASS, RISE, CELL = (
+    "friction_viscous:directional", "moving_mass", "friction_presliding", "sensor_lag:hydraulic_force",
+)  # fmt: skip
+OPERATORS = frozenset({MASS, RISE, "sensor_lag"})
+"""Ids of what stands beside the shapes of the speed."""
+FLAT = 1.05
+"""Ratio to the least of what an operator's number may leave: its interval holds all that do."""
+NOTHING = {"named": 0.0, "all": 0.0}
+REACH = np.geomspace(0.25, 4.0, 17)
+"""Factors within which they are sought."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveClaims:
+    """What is read off a curve."""
+
+    shape: Fitted | None = None
+    claims: tuple[Claim, ...] = ()
+    bounds: Sequence[Interval] = ()
+    """Of all parameters of the claims, in their order."""
+    evidence: Mapping[str, dict[str, float]] = field(default_factory=dict)
+    """By label, as in report.json."""
+    rivals: Sequence[Rival] = ()
+    """What would do as well as the operator that was chosen."""
+    closures: Sequence[ClosureReport] = ()
+    accounted: Mapping[str, float] = field(default_factory=lambda: NOTHING)
+    """Shares of the force that the held-out recordings miss, its mean aside."""
+    why: str = ""
+    """Which sign of a mechanism is missing; empty if none is."""
+
+
+def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, library: Sequence[Effect]) -> CurveClaims:
+    """The claims of a curve; `unseen`: motions of what was held out; `library`: causes that may be named."""
+    effects = {effect.label: effect for effect in library if effect.named}
+    allowed = frozenset(name for name, label in LABELS.items() if label in effects)
+    shape = named(curve, np.inf, problem.bench.viscous_friction, allowed)
+    held = _HeldOut(curve, unseen)
+    found = _Claims(effects)
+    terms = curve.terms
+    if shape is not None:
+        for name in dict.fromkeys(shape.shape.names):
+            numbers = shape.number(name, -1.0 if name == "constant" else 1.0)
+            label = DIRECTIONAL if len(numbers) > 1 else LABELS[name]
+            extra = [(shape.shape.stribeck,) * 3] if name == "stribeck" else []
+            if name != "constant" or not terms.position:  # else it is the law's
+                gain = held.share(shape, terms) - held.share(shape.but(name), terms)
+                found.add(label, [*numbers, *extra], _rise(curve, shape, name), gain)
+    dry = shape.number("dry") if shape is not None else []
+    operators = {"mass": (MASS, replace(terms, mass=False)), "rise": (RISE, replace(terms, rise=0.0)),
+                 "cell": (CELL, replace(terms, cell=0.0))}  # fmt: skip
+    for name, (label, less) in operators.items():
+        if shape is None or not getattr(terms, name) or (label == RISE and not dry):
+            continue
+        strokes = len(np.unique(curve.sliding.stroke))
+        evidence = 2.0 * strokes * float(np.log(curve.left(less) / curve.left(terms))) - float(np.log(strokes))
+        found.add(label, _size(curve, name, dry), evidence, held.share(shape, terms) - held.share(shape, less))
+    accounted = {"named": held.share(shape, replace(terms, position="")), "all": held.share(shape, terms)}
+    if shape is not None and accounted["all"] <= MATTERS:
+        return CurveClaims(why="what the curve would be named after does not hold on what was held out")
+    closures = []
+    if terms.position and accounted["all"] > accounted["named"]:
+        closures.append(_law(curve, problem, shape, found, accounted))
+    return CurveClaims(
+        shape=shape, claims=tuple(found.claims), bounds=found.bounds, evidence=found.evidence, rivals=_rivals(curve),
+        closures=closures, accounted=accounted if found.claims else NOTHING, why=missing_sign(curve),
+    )  # fmt: skip
+
+
+@dataclass
+class _Claims:
+    """Claims as they are found."""
+
+    effects: Mapping[str, Effect]
+    claims: list[Claim] = field(default_factory=list)
+    bounds: list[Interval] = field(default_factory=list)
+    evidence: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def add(self, label: str, numbers: Sequence[tuple[float, float, float]], delta_bic: float, gain: float) -> None:
+        """Add a claim, if it may be made, of the values of its first parameters with their intervals."""
+        effect = self.effects.get(label)
+        if effect is None:
+            return
+        values = {one.name: one.neutral for one in effect.parameters}
+        for parameter, (value, low, high) in zip(effect.parameters, numbers, strict=False):
+            at, least, most = (float(np.clip(one, parameter.low, parameter.high)) for one in (value, low, high))
+            values[parameter.name] = at
+            self.bounds.append(Interval(at, least, most, identifiable=at == value))
+        for parameter in effect.parameters[len(numbers) :]:
+            self.bounds.append(Interval(parameter.neutral, parameter.low, parameter.high, identifiable=False))
+        self.claims.append(Claim(effect, values))
+        self.evidence[label] = {"delta_bic": delta_bic, "holdout_gain": gain}
+
+
+class _HeldOut:
+    """What claims account for of the force that held-out recordings miss."""
+
+    def __init__(self, curve: ForceCurve, unseen: Sequence[Motion]) -> None:
+        self._curve, self._unseen = curve, unseen
+
+    def share(self, shape: Fitted | None, terms: Terms) -> float:
+        """1 - (rms left) / (rms missing), their means and the noise aside."""
+        curve, left, missing, noise = self._curve, list[FloatArray](), list[FloatArray](), list[float]()
+        for one in self._unseen:
+            force, there = curve.missing(one)
+            made = curve.predicted(one, shape.force if shape is not None else _nothing, terms)
+            missing.append(force[there])
+            left.append((force - made)[there])
+            noise.append(one.noise)
+        if not sum(map(len, missing)):
+            return 0.0
+        before, after = (float(np.var(np.concatenate(parts))) for parts in (missing, left))
+        floor = float(np.mean(np.square(noise)))
+        return 1.0 - float(np.sqrt(max(after - floor, 0.0) / max(before - floor, 1e-300)))
+
+
+def _nothing(speed: FloatArray, _direction: FloatArray) -> FloatArray:
+    return np.zeros_like(speed)
+
+
+def _rise(curve: ForceCurve, shape: Fitted, name: str) -> float:
+    """Evidence [BIC] of the points for a name."""
+    without = shape.shape.without(name)
+    while name in without.names:
+        without = without.without(name)
+    fewer, count = fitted(curve.points, without, np.inf, curve.top), len(curve.points)
+    numbers = len(shape.values) - len(fewer.values)
+    return float(count * np.log(max(fewer.squares, 1e-9) / max(shape.squares, 1e-9)) - numbers * np.log(count))
+
+
+def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+    """Number of an operator with its interval: what it may be and leave no more than `FLAT` of the least."""
+    if name == "mass":
+        value, error = curve.mass
+        return [(value, value - 1.96 * error, value + 1.96 * error)]
+    value = getattr(curve.terms, name)
+    least = curve.left(curve.terms)
+    flat = [one * value for one in REACH if curve.left(replace(curve.terms, **{name: one * value})) < FLAT * least]
+    low, high = min([*flat, value]), max([*flat, value])
+    return [(value, low, high)] if name == "cell" else [(dry[0][0] / value, dry[0][0] / high, dry[0][0] / low)]
+
+
+def _rivals(curve: ForceCurve) -> list[Rival]:
+    found = []
+    for terms in curve.rivals:
+        for name, label in (("mass", MASS), ("rise", RISE), ("cell", CELL.partition(":")[0])):
+            if getattr(terms, name) and not getattr(curve.terms, name):
+                why = f"{label.replace('_', ' ')} explains these recordings as well: another recording must tell"
+                found.append(Rival(id=label, delta_bic=0.0, distinguishable=False, why=why))
+    return found
+
+
+def _law(
+    curve: ForceCurve, problem: Problem, shape: Fitted | None, found: _Claims, accounted: Mapping[str, float]
+) -> ClosureReport:
+    """Add the force over the position to the claims; it is no cause, and has no name."""
+    constant = sum(one for one, *_ in shape.number("constant")) if shape is not None else 0.0
+    effect = closure(grammar.ALL[MOTION, "table over position"], problem.bench, curve.limits)
+    values = dict(zip((one.name for one in effect.parameters), (curve.over_position + constant).tolist(), strict=True))
+    found.claims.append(Claim(effect, values))
+    found.bounds += [Interval(one, one, one, identifiable=False) for one in values.values()]
+    slope = (curve.over_position[-2] - curve.over_position[1]) / (curve.limits[1] - curve.limits[0])
+    straight = curve.terms.position == "straight"
+    return ClosureReport(
+        equation=MOTION,
+        form="smooth",
+        expression=f"{slope:.4g} N/m * position" if straight else "f(position), a sum of cubic B-splines",
+        terms={name: ParameterEstimate(value=value, ci95=None, unit="N") for name, value in values.items()},
+        range=list(curve.limits),
+        sentence=f"A force that {'rises' if slope > 0.0 else 'falls'} with the position by {abs(slope):.3g} N/m in the "
+        "mean: like that of a spring that the bench file does not hold.",
+        share_closed=float(np.clip(accounted["all"] - accounted["named"], 0.0, 1.0)),
+        share_by_form={"smooth": accounted["all"] - accounted["named"]},
+    )

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is missing as curves of its arguments, as they stand in report.json, with what the claims make of them.
+
+::
+
+    motion        force over speed, rests and turns left out; over position where that makes some of it
+    pressure_a    flow into chamber A, over the current at steady speed, and over the pressure difference at rest
+
+Measured flow: what the piston displaces and what the oil's compression stores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.special import stdtrit
+
+from hydro_core.signals import FloatArray
+from hydro_diagnosis.curve_claims import CurveClaims
+from hydro_diagnosis.curves import SLOW, ForceCurve, splines
+from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.report_json import CurveReport
+from hydro_sim.model.tables import KNOTS
+
+STEADY = 0.1
+"""s for which a speed must be steady."""
+STEADY_BY = 0.2
+"""Share of itself by which a steady speed may vary within that time."""
+BINS = 10
+"""Points of a curve of the flow."""
+LEAST = 5
+"""Stretches of `STEADY` that make a point."""
+SIDE = 0.975
+"""Confidence of each side of a band."""
+
+
+def curve_reports(
+    problem: Problem, claims: Sequence[Claim], curve: ForceCurve | None, by_curve: CurveClaims | None
+) -> list[CurveReport]:
+    """The curves that the recordings hold points of; `by_curve`: the claims, where they are shapes of the curve."""
+    found = []
+    if curve is not None and curve.points:
+        found.append(_over_speed(problem, claims, curve, by_curve))
+        if curve.terms.position:
+            found.append(_over_position(curve, by_curve))
+    if PRESSURE in problem.blocks:
+        for rest in (False, True):
+            points = list(_points(_flows(problem, claims, rest=rest)))
+            if points:
+                over, unit = ("pressure_difference", "Pa") if rest else ("current", "A")
+                found.append(_report("pressure_a", over, unit, "m3/s", *map(np.array, zip(*points, strict=True))))
+    return found
+
+
+def _over_speed(
+    problem: Problem, claims: Sequence[Claim], curve: ForceCurve, by_curve: CurveClaims | None
+) -> CurveReport:
+    points = curve.points
+    at, force, error, strokes = (
+        np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error", "strokes")
+    )
+    if by_curve is not None:
+        made = by_curve.shape.force(at) if by_curve.shape is not None else np.zeros_like(at)
+    else:
+        made = np.array(curve.means([one.force_of(problem.baseline, claims) for one in curve.motions]))
+    return _report(MOTION, "velocity", "m/s", "N", at, force, error, strokes, made)
+
+
+def _over_position(curve: ForceCurve, by_curve: CurveClaims | None) -> CurveReport:
+    share = np.arange(2.0 * KNOTS) / (2.0 * KNOTS - 1.0)
+    rows = splines(share)
+    first, count = 2 * len(curve.knots), len(share)
+    errors = np.zeros(count)
+    for k in range(count):
+        row = np.zeros(len(curve.values))
+        if curve.terms.position == "straight":
+            row[first] = share[k] - 0.5
+        else:
+            row[first : first + KNOTS - 1] = rows[k, 1:]
+        errors[k] = curve.error(row)
+    force = rows @ curve.over_position
+    made = force if by_curve is not None and by_curve.closures else np.zeros(count)
+    at: FloatArray = curve.limits[0] + share * (curve.limits[1] - curve.limits[0])
+    strokes = np.full(count, len(np.unique(curve.sliding.stroke)))
+    return _report(MOTION, "position", "m", "N", at, force, errors, strokes, made)
+
+
+def _report(
+    equation: str, over: str, unit_x: str, unit_y: str, at: FloatArray, missing: FloatArray, error: FloatArray,
+    count: npt.NDArray[Any], made: FloatArray,
+) -> CurveReport:  # fmt: skip
+    reach = error * stdtrit(np.maximum(count - 1.0, 1.0), SIDE)
+    return CurveReport(
+        equation=equation, over=over, unit_x=unit_x, unit_y=unit_y, x=at.tolist(), y=missing.tolist(),
+        low=(missing - reach).tolist(), high=(missing + reach).tolist(), named=made.tolist(),
+    )  # fmt: skip
+
+
+Samples = tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.int64]]
+"""Variable, missing, made by the claims, and stretch of each sample."""
+
+
+def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> Iterator[Samples]:
+    top = max(float(np.percentile(np.abs(model.v), 95)) for model in problem.models)
+    for k, model in enumerate(problem.models):
+        modelled = []
+        for everything in ((*problem.baseline, *claims), problem.baseline):
+            bench, oil = model.bench(everything), model.oil(everything)
+            modelled.append(chambers.net_flows(bench, oil, everything, model.memory)[0])
+        stiff = chambers.compliances(bench, oil, everything)[0]
+        p_a, p_b = (model.smooth(model.channels["pressure_" + chamber]) for chamber in "ab")
+        measured = bench.piston_area * model.v + np.gradient(p_a, model.step) / stiff
+        over = p_a - p_b if rest else model.channels["valve_current"]
+        there = (at_rest(model, top) if rest else steady(model, top))[model.rows]
+        at, one, after, before = (model.kept(_mean(model, each))[there] for each in (over, measured, *modelled))
+        stretch = np.floor(model.kept_time()[there] / STEADY).astype(np.int64) + k * 10**7
+        yield at, one - before, after - before, stretch
+
+
+def _mean(model: SegmentModel, signal: FloatArray) -> FloatArray:
+    """A signal in the mean over `STEADY` around each sample, shape (n,): an encoder's steps are not in it."""
+    return np.asarray(uniform_filter1d(signal, _count(model)))
+
+
+def steady(model: SegmentModel, top: float) -> npt.NDArray[np.bool_]:
+    """Samples around which the piston moves at a steady speed, shape (n,); `top`: top speed [m/s]."""
+    here, reach = _mean(model, model.v), _count(model) // 2
+    change = np.abs(np.roll(here, -reach) - np.roll(here, reach))
+    return np.asarray((np.abs(here) > SLOW * top) & (change < STEADY_BY * np.abs(here)))
+
+
+def at_rest(model: SegmentModel, top: float) -> npt.NDArray[np.bool_]:
+    """Samples around which the piston all but stands, shape (n,)."""
+    return np.asarray(maximum_filter1d(np.abs(_mean(model, model.v)), _count(model)) < SLOW * top)
+
+
+def _count(model: SegmentModel) -> int:
+    return max(round(STEADY / model.step), 3)
+
+
+def _points(parts: Iterator[Samples]) -> Iterator[tuple[float, float, float, float, float]]:
+    """At, missing, its standard error, the stretches, and what claims make of it: point by point."""
+    at, missing, made, stretch = (np.concatenate(one) for one in zip(*parts, strict=True))
+    if not len(at):
+        return
+    place = np.floor(BINS * (at - at.min()) / max(float(np.ptp(at)), 1e-300))
+    for one in np.unique(place):
+        here = place == one
+        _, index = np.unique(stretch[here], return_inverse=True)
+        means = np.bincount(index, missing[here]) / np.bincount(index)
+        if len(means) >= LEAST:
+            error = float(np.std(means, ddof=1) / np.sqrt(len(means)))
+            mean, named = float(missing[here].mean()), float(made[here].mean())
+            yield float(at[here].mean()), mean, error, float(len(means)), named

@@ -1,0 +1,579 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the force misses, as curves of its arguments: read off the recordings before anything is named.
+
+In the band of the recorded motion the force that the bench file does not explain is an additive model (Hastie and
+Tibshirani 1990), jointly, so that one curve does not leak into another::
+
+    missing = cell( g(speed, direction) s(position) + m acceleration + h(position) + constant )
+
+`g` is straight between speeds, for each direction, neighbours held together by a penalty (P-splines: Eilers and Marx
+1996); `s` is the direction of motion, behind a play and an elastic rise where there is memory (Dahl 1968); `cell` is
+the identity, or the low-pass of a slow cell. A term or an operator joins if it halves what is left on strokes that were
+not fitted. Errors are those of whole strokes (a sandwich over strokes, and over recordings where there are three).
+Rests, and turns of the piston, are no evidence of friction: neither makes a point of the curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import BSpline
+from scipy.optimize import minimize_scalar
+from scipy.signal import butter, sosfiltfilt, welch
+
+from hydro_core.signals import FloatArray
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.memory import Memory
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
+from hydro_sim.model.tables import KNOTS
+
+BAND = 5.0
+"""Cut-off over the band that holds 99.9 % of the motion: its harmonics, in which friction shows."""
+NOISY = 0.05
+"""Share of the speed that an encoder's noise may make: beyond, the cut-off is lower."""
+RATE = 16.0
+"""Rate of the samples over the cut-off."""
+APART = 2
+"""Samples between judged ones: 8 of them to a period of the cut-off."""
+SLOW = 0.03
+"""Share of the top speed below which the piston stands: a tenth of a decade above what the band resolves of a turn."""
+RATIO = 1.4
+"""Ratio of neighbouring speeds of the curve: ten to a direction from `SLOW` to the top."""
+HALF = 0.5
+"""Ratio of what is left with a further term, to what is left without it, from which the term joins."""
+ALIKE = 0.8
+"""Ratio of what two terms leave above which neither is the better one: then the more usual joins."""
+SMOOTH = 0.03
+"""Weight of the penalty between neighbouring speeds, over that of all samples."""
+ROUGH = 1.0
+"""Weight of the penalty on the bend of the curve over the position, over that of all samples."""
+ROUGH_FROM = 2.5
+"""What the most flexible curve leaves over the force's white noise, from which recordings are rough: 3.1 and more on 24 of
+26 real rigs, at most 1.8 on drawn ones without a law that has no name (docs/reports/real_recordings.md)."""
+FOLDS = 4
+"""Folds of strokes."""
+ROUNDS = 6
+"""Rounds of weighing."""
+PLAYS = (0.05, 0.1, 0.2, 0.3)
+"""Widths of a play that are tried, over the stroke."""
+RISES = (0.003, 0.01, 0.03, 0.1, 0.3)
+"""Distances of an elastic rise, over the stroke, from which the best is sought."""
+LONG = 5.0
+"""Periods of the cut-off, one of the motion, that a stroke lasts at most: beyond, its errors are those of another."""
+CELLS = (0.25, 0.5, 1.0, 2.0)
+"""Bandwidths of a slow cell that are tried, over the cut-off."""
+MIMICRY = 0.2
+"""Share of the variance of a bend over the position that speeds must leave for it to be told from them."""
+RISEN = 0.9
+"""Share of the force of sliding from which a sample says something of it, behind an elastic beginning."""
+ROBUST = 2.0
+"""Standard deviations beyond which a sample weighs less (Huber 1964)."""
+
+
+def band(position: FloatArray, step: float) -> float:
+    """Cut-off [Hz] within which a position, sampled every `step` s, holds its motion and its speed is known."""
+    frequency, power = welch(
+        position - position.mean(), 1.0 / step, nperseg=min(len(position), max(256, len(position) // 2)),
+        detrend="linear",
+    )  # fmt: skip
+    noise = float(np.median(power[frequency > 0.35 / step])) + 1e-30
+    clean = np.cumsum(np.maximum(power - 3.0 * noise, 0.0))
+    motion = float(frequency[min(np.searchsorted(clean, 0.999 * clean[-1]), len(frequency) - 1)])
+    period = max(int(0.1 / max(motion, 1e-9) / step), 1)
+    speed = float(np.std(np.diff(position[::period]))) * motion / 0.1
+    quiet = (3.0 * (NOISY * speed) ** 2 / (4.0 * np.pi**2 * noise)) ** (1.0 / 3.0)  # noise of the speed up to there
+    return float(np.clip(min(BAND * motion, quiet), min(40.0 / (len(position) * step), 0.2 / step), 0.2 / step))
+
+
+class Motion:
+    """A stretch in the band of its motion, `RATE` samples to a period of the cut-off.
+
+    Attributes
+    ----------
+    position, velocity, acceleration
+        SI units, shape (n,).
+    measured, known
+        Force of the cell or of the pressures, and what of it the bench file explains [N].
+    noise
+        Standard deviation [N] of white noise of the force in the band.
+    """
+
+    def __init__(self, models: Sequence[SegmentModel]) -> None:
+        first = models[0]
+        self.models = list(models)
+        bench, step = first.base, first.step * first.spacing
+        channels = {
+            name: np.concatenate([one.channels[name][one.segment.phase :: one.spacing] for one in models])
+            for name in first.channels
+        }
+        raw = channels.get("hydraulic_force")
+        if raw is None:
+            raw = bench.piston_area * (channels["pressure_a"] - bench.area_ratio * channels["pressure_b"])
+        self.recording = first.segment.recording
+        self.mass = bench.moving_mass
+        self.band = band(channels["piston_position"], step)
+        every = max(int(1.0 / (RATE * self.band * step)), 1)
+        self.step = step * every
+        position, force = (self._passed(one, step)[::every] for one in (channels["piston_position"], raw))
+        self.position, self.measured = position, force
+        self.velocity = np.gradient(position, self.step)
+        self.acceleration = np.gradient(self.velocity, self.step)
+        self.known = (
+            bench.moving_mass * self.acceleration
+            + bench.viscous_friction * self.velocity
+            + bench.spring_stiffness * (position - bench.spring_rest_position)
+        )
+        frequency, power = welch(raw, 1.0 / step, nperseg=min(len(raw), 1024))
+        self.noise = float(np.sqrt(np.median(power[frequency > 0.35 / step]) * self.band))
+        self.memory = Memory(self.step)
+
+    def _passed(self, signal: FloatArray, step: float) -> FloatArray:
+        order = butter(4, self.band, fs=1.0 / step, output="sos")
+        return np.asarray(sosfiltfilt(order, signal, axis=0, padlen=min(len(signal) - 1, int(3 / (self.band * step)))))
+
+    def passed(self, signals: FloatArray) -> FloatArray:
+        """What the band passes of signals, shape (n, ...)."""
+        return self._passed(signals, self.step)
+
+    def force_of(self, baseline: Sequence[Claim], claims: Sequence[Claim]) -> FloatArray:
+        """Force [N] that claims add to what the recorded motion needs, shape (n,)."""
+        parts = [
+            (one.required_force((*baseline, *claims)) - one.required_force(baseline))[one.segment.phase :: one.spacing]
+            for one in self.models
+        ]
+        whole = np.concatenate(parts)
+        step = self.models[0].step * self.models[0].spacing
+        return self._passed(whole, step)[:: max(round(self.step / step), 1)]
+
+    def judged(self, top: float) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Samples that are no rest, and those of them that are no turn either, shape (n,); `top`: top speed [m/s]."""
+        period = 1.0 / (self.band * self.step)
+        slow = np.abs(self.velocity) < SLOW * top
+        rest = _within(_share(~slow, 0.25 * period) < 0.5, 0.75 * period)
+        turning = (_share(slow, 0.15 * period) > 0.0) | (
+            np.abs(self.acceleration) > np.pi * self.band * np.abs(self.velocity)
+        )
+        edge, there = int(0.5 * period), np.zeros(len(slow), dtype=bool)
+        there[edge : len(slow) - edge : APART] = True
+        return there & ~rest, there & ~rest & ~turning
+
+    def strokes(self, top: float) -> npt.NDArray[np.int64]:
+        """Number of the stroke that each sample belongs to: from one turn to the next, `LONG` periods at most."""
+        moving = np.flatnonzero(np.abs(self.velocity) > SLOW * top)
+        turns = np.zeros(len(self.velocity), dtype=np.int64)
+        turns[moving[1:][np.diff(np.sign(self.velocity[moving])) != 0.0]] = 1
+        stroke = np.cumsum(turns)
+        first = np.searchsorted(stroke, stroke)
+        since = (np.arange(len(stroke)) - first) * self.step * self.band
+        return stroke * 1000 + np.minimum(since / LONG, 999.0).astype(np.int64)
+
+
+def motions(models: Sequence[SegmentModel]) -> list[Motion]:
+    """One of each recording without a gap: segments that follow on each other are joined."""
+    groups: list[list[SegmentModel]] = []
+    for one in models:
+        last = groups[-1][-1].segment if groups else None
+        follows = (
+            last is not None
+            and last.recording == one.segment.recording
+            and (abs(last.start + last.step * len(last) - one.segment.start) < 0.5 * last.step)
+        )
+        if follows:
+            groups[-1].append(one)
+        else:
+            groups.append([one])
+    return [Motion(group) for group in groups]
+
+
+def _share(there: npt.NDArray[np.bool_], reach: float) -> FloatArray:
+    """Share of the samples within a reach that are there."""
+    width = 2 * int(reach) + 1
+    return np.convolve(there, np.full(width, 1.0 / width), "same")
+
+
+def _within(there: npt.NDArray[np.bool_], reach: float) -> npt.NDArray[np.bool_]:
+    return np.asarray(_share(there, reach) > 1e-9)
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Terms and operators of the additive model beside the speed."""
+
+    mass: bool = False
+    position: str = ""
+    """`straight`, `curved`, or empty: none."""
+    play: float = 0.0
+    """m."""
+    rise: float = 0.0
+    """m in which the force would rise to that of sliding at its first slope; 0: at once."""
+    sharp: bool = False
+    """Whether it rises straight to that of sliding (Prandtl), not ever more slowly (Dahl)."""
+    cell: float = 0.0
+    """Hz; 0: no low-pass."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """Rows of the model's least squares, over all recordings."""
+
+    columns: FloatArray
+    """Speeds of either direction, the position's, the acceleration, 1: shape (n, k)."""
+    missing: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    position: FloatArray
+    sign: FloatArray
+    """The direction behind its memory."""
+    stroke: npt.NDArray[np.int64]
+    recording: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """Missing force at a speed."""
+
+    at: float
+    """m/s."""
+    force: float
+    """N, without what position and acceleration make."""
+    error: float
+    """Standard error [N] between strokes, or between recordings."""
+    strokes: int
+
+
+Seen = tuple[tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]], npt.NDArray[np.int64], FloatArray]
+"""Judged samples with and without turns, strokes, and shares of the knots, of a recording."""
+
+
+class ForceCurve:
+    """The additive model of the missing force, fitted.
+
+    Parameters
+    ----------
+    motions
+        Of the recordings that are fitted.
+    terms
+        Chosen if not given.
+    """
+
+    def __init__(self, motions: Sequence[Motion], terms: Terms | None = None) -> None:
+        self.motions = list(motions)
+        self.top = max(float(np.percentile(np.abs(one.velocity), 95)) for one in motions)
+        """Top speed [m/s]."""
+        self.limits = min(float(m.position.min()) for m in motions), max(float(m.position.max()) for m in motions)
+        self.stroke = float(np.median([np.ptp(one.position) for one in motions]))
+        """Usual distance [m] of a recording."""
+        count = int(np.ceil(np.log(1.0 / SLOW) / np.log(RATIO)))
+        self.knots = np.concatenate([[0.0], self.top * RATIO ** np.arange(1 - count, 2.0)])
+        """Speeds [m/s] between which the curve is straight."""
+        self._kept: dict[int, Seen] = {}
+        self.rivals: list[Terms] = []
+        """Terms that would do as well as those that were chosen."""
+        self.terms = self._chosen() if terms is None else terms
+        design = self.design(self.terms, self.motions, sliding=True)
+        weight = np.ones(len(design.missing))
+        for _ in range(ROUNDS):
+            values = self._solved(design, weight, self.terms)
+            left = design.missing - design.columns @ values
+            size = 1.483 * float(np.median(np.abs(left))) + 1e-30
+            weight = np.minimum(1.0, ROBUST * size / np.maximum(np.abs(left), 1e-30))
+        self.values, self.sliding, self.weight, self.residual = values, design, weight, left
+
+    # -- choice of terms -----------------------------------------------------------------------------------------------
+
+    def _chosen(self) -> Terms:
+        terms = Terms()
+        left = self.left(terms)
+        while True:
+            best: list[tuple[float, Terms]] = []
+            for kind in self._further(terms):
+                played = bool(kind) and kind[0].play > 0.0
+                if kind and not (played and min(one for one, _ in best) > ALIKE * left):
+                    best.append(self._best(kind))
+            least = min((one for one, _ in best), default=np.inf)
+            if not least < HALF * left:
+                return terms
+            alike = [one for one in best if ALIKE * one[0] <= least]
+            self.rivals += [other for _, other in alike[1:]]
+            left, terms = alike[0]
+
+    def _best(self, kind: Sequence[Terms]) -> tuple[float, Terms]:
+        """What the best terms of a kind leave, the rise between those tried, and which they are."""
+        left, terms = min(((self.left(one), one) for one in kind), key=lambda one: one[0])
+        if not terms.rise:
+            return left, terms
+        found = minimize_scalar(
+            lambda log: self.left(replace(terms, rise=float(np.exp(log)))),
+            bounds=(np.log(terms.rise / 3.0), np.log(terms.rise * 3.0)), method="bounded", options={"maxiter": 8},
+        )  # fmt: skip
+        finer = replace(terms, rise=float(np.exp(found.x)))
+        return (float(found.fun), finer) if found.fun < left else (left, terms)
+
+    def _further(self, terms: Terms) -> Iterator[list[Terms]]:
+        """Further terms, kind by kind, the most usual first."""
+        beginning = not (terms.rise or terms.cell)
+        rises = [replace(terms, rise=rise * self.stroke) for rise in RISES if beginning]
+        yield rises
+        yield [replace(one, sharp=True) for one in rises]
+        yield [replace(one, play=play * self.stroke) for one in rises for play in PLAYS]
+        yield [replace(terms, mass=True)] if not terms.mass else []
+        position = {"": "straight", "straight": "curved", "curved": ""}[terms.position]
+        yield [replace(terms, position=position)] if position and not (position == "curved" and self.mimicked) else []
+        yield [replace(terms, cell=share * self.motions[0].band) for share in CELLS if beginning]
+
+    @cached_property
+    def mimicked(self) -> bool:
+        """Whether speeds and a bend over the position are one, as in strokes of one size: nothing tells them apart."""
+        design = self.design(Terms(), self.motions)
+        bend = np.square(self.share(design.position) - 0.5)
+        place = np.sign(design.velocity) * (1 + self.place(np.abs(design.velocity)))
+        _, index = np.unique(place, return_inverse=True)
+        means = np.bincount(index, bend) / np.bincount(index)
+        return bool(np.var(bend - means[index]) < MIMICRY * np.var(bend))
+
+    def left(self, terms: Terms) -> float:
+        """Root mean square [N] of what is left on strokes that were not fitted."""
+        design = self.design(terms, self.motions)
+        if terms.mass and self._solved(design, np.ones(len(design.missing)), terms)[-2] < -self.motions[0].mass:
+            return float(np.inf)  # no body weighs less than nothing
+        return float(np.sqrt(np.mean(np.square(self._held_out(design, terms)))))
+
+    def _held_out(self, design: Design, terms: Terms) -> FloatArray:
+        """What is left [N] of each row by the fit to the other strokes."""
+        names, stroke = np.unique(design.stroke, return_inverse=True)
+        fold = stroke % FOLDS if len(names) >= FOLDS else np.arange(len(stroke)) * FOLDS // len(stroke)
+        off = np.array(design.missing)
+        for one in range(FOLDS):
+            there = fold == one
+            if there.any() and not there.all():
+                values = self._solved(design, (~there).astype(float), terms)
+                off[there] -= design.columns[there] @ values
+        return off
+
+    # -- least squares -------------------------------------------------------------------------------------------------
+
+    def place(self, speed: FloatArray) -> npt.NDArray[np.int64]:
+        """Which of the points each speed [m/s] belongs to, shape (n,): that of the nearest knot, by ratio."""
+        return np.searchsorted(self.knots[1:] / RATIO**0.5, speed)
+
+    def hats(self, speed: FloatArray) -> FloatArray:
+        """Shares of the knots in each speed [m/s], shape (n, knots)."""
+        return np.stack([np.interp(speed, self.knots, one) for one in np.eye(len(self.knots))], axis=-1)
+
+    def _seen(self, motion: Motion) -> Seen:
+        """What no term changes: judged samples, strokes, and shares of the knots."""
+        if id(motion) not in self._kept:
+            hats = self.hats(np.abs(motion.velocity))
+            self._kept[id(motion)] = motion.judged(self.top), motion.strokes(self.top), hats
+        return self._kept[id(motion)]
+
+    def design(self, terms: Terms, motions: Sequence[Motion], *, sliding: bool = False) -> Design:
+        """The rows of some recordings; `sliding`: without turns."""
+        parts: list[tuple[npt.NDArray[Any], ...]] = []
+        for number, one in enumerate(motions):
+            judged, stroke, hats = self._seen(one)
+            there = judged[1 if sliding else 0]
+            sign, cell = self._sign(one, terms), self._cell(one, terms)
+            sides = (np.maximum(sign, 0.0), np.minimum(sign, 0.0))
+            speeds = np.concatenate([side[:, None] * hats for side in sides], axis=1)
+            further = np.column_stack([*self._beside(one.position, terms),
+                                       *([one.acceleration] if terms.mass else []), np.ones(len(sign))])  # fmt: skip
+            columns = np.concatenate([one.passed(cell(speeds)), cell(further)], axis=1)
+            there = there & ((np.abs(sign) > RISEN) | (not sliding))
+            rows = (columns, one.measured - cell(one.known), one.velocity, one.acceleration, one.position, sign,
+                    stroke + number * 10**6, np.full(len(sign), number))  # fmt: skip
+            parts.append(tuple(row[there] for row in rows))
+        columns, missing, velocity, acceleration, position, sign, stroke, recording = (
+            np.concatenate([part[k] for part in parts]) for k in range(8)
+        )
+        return Design(columns=columns, missing=missing, velocity=velocity, acceleration=acceleration,
+                      position=position, sign=sign, stroke=stroke.astype(np.int64),
+                      recording=recording.astype(np.int64))  # fmt: skip
+
+    def _sign(self, motion: Motion, terms: Terms) -> FloatArray:
+        position = motion.memory.play("play", motion.position, terms.play) if terms.play else motion.position
+        if not terms.rise:  # the mean over the sample, in whose middle the piston may turn
+            half = 0.5 * motion.step * np.abs(motion.acceleration) + 1e-300
+            return np.clip(motion.velocity / half, -1.0, 1.0)
+        if terms.sharp:
+            return (position - motion.memory.play("rise", position, 2.0 * terms.rise)) / terms.rise
+        return motion.memory.bristle("rise", position, 1.0 / terms.rise, np.ones(len(position)))
+
+    @staticmethod
+    def _cell(motion: Motion, terms: Terms) -> Callable[[FloatArray], FloatArray]:
+        if not terms.cell:
+            return lambda signals: signals
+        return lambda signals: motion.memory.low_pass("cell", signals, terms.cell, LOAD_CELL_DAMPING)
+
+    def _beside(self, position: FloatArray, terms: Terms) -> list[FloatArray]:
+        if not terms.position:
+            return []
+        share = self.share(position)
+        return [share - 0.5] if terms.position == "straight" else list(splines(share)[:, 1:].T)
+
+    def share(self, position: FloatArray) -> FloatArray:
+        """Position over the recorded range, 0 to 1."""
+        return np.clip((position - self.limits[0]) / max(self.limits[1] - self.limits[0], 1e-12), 0.0, 1.0)
+
+    def _penalty(self, count: int, terms: Terms) -> FloatArray:
+        """Rows that hold neighbours together, of unit weight."""
+        speeds = len(self.knots)
+        found = np.zeros((2 * (speeds - 1) + (KNOTS - 2 if terms.position == "curved" else 0), count))
+        for row, k in enumerate([*range(speeds - 1), *range(speeds, 2 * speeds - 1)]):
+            found[row, k], found[row, k + 1] = -SMOOTH, SMOOTH
+        for k, row in enumerate(range(2 * (speeds - 1), len(found))):  # the first spline has the coefficient 0
+            at = 2 * speeds + np.arange(k - 1, k + 2)
+            found[row, at[at >= 2 * speeds]] = ROUGH * SMOOTH * np.array([1.0, -2.0, 1.0])[at >= 2 * speeds]
+        return found
+
+    def _normal(self, design: Design, weight: FloatArray, terms: Terms) -> FloatArray:
+        """Inverse of the penalised normal matrix."""
+        columns = design.columns
+        bound = self._penalty(columns.shape[1], terms) * np.sqrt(weight.sum())
+        normal = (columns * weight[:, None]).T @ columns + bound.T @ bound
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)) / np.outer(
+            scale, scale
+        )
+
+    def _solved(self, design: Design, weight: FloatArray, terms: Terms) -> FloatArray:
+        return np.asarray(self._normal(design, weight, terms) @ (design.columns.T @ (weight * design.missing)))
+
+    def predicted(
+        self, motion: Motion, shape: Callable[[FloatArray, FloatArray], FloatArray], terms: Terms
+    ) -> FloatArray:
+        """Force [N] that a shape of the speed and these terms make in a recording, as band and cell pass it.
+
+        `shape`: of speed and of the direction behind its memory, shape (n,) each.
+        """
+        force = shape(motion.velocity, self._sign(motion, terms))
+        if terms.mass:
+            force = force + self.mass[0] * motion.acceleration
+        if terms.position:
+            force = force + splines(self.share(motion.position)) @ self.over_position
+        return self._cell(motion, terms)(motion.passed(force))
+
+    def missing(self, motion: Motion) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Force [N] that is missing in a recording, and the samples that are judged, shape (n,).
+
+        No rests, and no turns either unless a memory of the direction is part of the model.
+        """
+        there = motion.judged(self.top)[0 if self.terms.rise else 1]
+        return motion.measured - self._cell(motion, self.terms)(motion.known), there
+
+    @classmethod
+    def over_speed(cls, motions: Sequence[Motion]) -> ForceCurve:
+        """The curve over the speed alone."""
+        return cls(motions, Terms())
+
+    # -- what was found ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def covariances(self) -> list[FloatArray]:
+        """Of the values: the sandwich over strokes, and over recordings where there are three."""
+        inverse = self._normal(self.sliding, self.weight, self.terms)
+        groups = [self.sliding.stroke, *([self.sliding.recording] if len(self.motions) >= 3 else [])]
+        return [self._sandwich(inverse, group) for group in groups]
+
+    def error(self, row: FloatArray) -> float:
+        """Standard error of a sum of values, `row` times them: the larger one."""
+        return float(np.sqrt(max(row @ one @ row for one in self.covariances)))
+
+    def _sandwich(self, inverse: FloatArray, group: npt.NDArray[np.int64]) -> FloatArray:
+        scores = self.sliding.columns * (self.weight * self.residual)[:, None]
+        names, index = np.unique(group, return_inverse=True)
+        summed = np.zeros((len(names), scores.shape[1]))
+        np.add.at(summed, index, scores)
+        moves = summed @ inverse
+        return np.asarray(moves.T @ moves) * len(names) / max(len(names) - 1, 1)
+
+    @cached_property
+    def points(self) -> list[Point]:
+        """The curve over the speed: of speeds that at least two strokes have, from the slowest."""
+        design, count, found = self.sliding, len(self.knots), []
+        place = self.place(np.abs(design.velocity))
+        for side in (1.0, -1.0):
+            for k in range(count):
+                here = (np.sign(design.velocity) == side) & (place == k)
+                strokes = len(np.unique(design.stroke[here]))
+                rising = np.count_nonzero(here & (design.acceleration * side > 0.0))
+                alone = min(rising, np.count_nonzero(here) - rising) < 0.1 * np.count_nonzero(here)
+                if strokes < 2 or (alone and self.terms.rise):
+                    continue  # what is left of a stroke behind an elastic beginning slows down
+                row, at = np.zeros(len(self.values)), float(design.velocity[here].mean())
+                first = 0 if side > 0.0 else count
+                row[first : first + count], row[-1] = side * self.hats(np.array([abs(at)]))[0], 1.0
+                found.append(Point(at=at, force=float(row @ self.values),
+                                   error=self.error(row), strokes=strokes))  # fmt: skip
+        return sorted(found, key=lambda point: point.at)
+
+    def means(self, signals: Sequence[FloatArray]) -> list[float]:
+        """Mean of a signal of each motion over the samples of each point, in the order of `points`."""
+        there = [one.judged(self.top)[1] for one in self.motions]
+        values, speed = (
+            np.concatenate([one[here] for one, here in zip(parts, there, strict=True)])
+            for parts in (signals, [one.velocity for one in self.motions])
+        )
+        place, sign = self.place(np.abs(speed)), np.sign(speed)
+        return [
+            float(np.mean(values[(place == self.place(np.array([abs(one.at)]))[0]) & (sign == np.sign(one.at))]))
+            for one in self.points
+        ]
+
+    @property
+    def mass(self) -> tuple[float, float]:
+        """Missing mass [kg] and its standard error; 0 without that term."""
+        k = len(self.values) - 2
+        return (float(self.values[k]), self.error(np.eye(len(self.values))[k])) if self.terms.mass else (0.0, 0.0)
+
+    @cached_property
+    def over_position(self) -> FloatArray:
+        """Coefficients [N] of the `KNOTS` splines over the position, without the constant; zeros without that term."""
+        first = 2 * len(self.knots)
+        if self.terms.position == "straight":
+            return np.asarray(self.values[first] * ((np.arange(KNOTS) - 1.0) / (KNOTS - 3.0) - 0.5))
+        if self.terms.position == "curved":
+            return np.concatenate([[0.0], self.values[first : first + KNOTS - 1]])
+        return np.zeros(KNOTS)
+
+    @property
+    def opposing(self) -> float:
+        """Share of the sliding samples in which the force over the speed opposes the motion."""
+        design, first = self.sliding, 2 * len(self.knots)
+        sides = [[point.force for point in self.points if point.at * side > 0.0] for side in (1.0, -1.0)]
+        if not all(sides):
+            return 0.0
+        constant = 0.5 * sum(float(np.mean(side)) for side in sides)
+        force = design.missing - design.columns[:, first:-1] @ self.values[first:-1] - constant
+        return float(np.mean(force * design.velocity > 0.0))
+
+    @property
+    def rough(self) -> bool:
+        """Whether even the most flexible curve leaves far more than noise: then no name can explain it all."""
+        return self.roughness > ROUGH_FROM
+
+    @property
+    def roughness(self) -> float:
+        """What that leaves on strokes that were not fitted, over the noise; by the median: not of single strokes."""
+        terms = Terms(mass=True, position="curved")
+        off = np.abs(self._held_out(self.design(terms, self.motions, sliding=True), terms))
+        return 1.483 * float(np.median(off)) / self.noise
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation [N] of the white noise of the force in the band."""
+        return float(np.sqrt(np.mean(np.square([one.noise for one in self.motions]))))
+
+
+def splines(share: FloatArray) -> FloatArray:
+    """`KNOTS` uniform cubic B-splines over 0 to 1, as of `model.tables`, shape (n, KNOTS)."""
+    step = 1.0 / (KNOTS - 3)
+    knots = step * np.arange(-3, KNOTS + 1)
+    inside = np.clip(share, 0.0, 1.0 - 1e-12)
+    return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())

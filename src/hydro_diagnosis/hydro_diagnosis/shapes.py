@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names as shapes of the curve of the missing force, and their sizes.
+
+From the simplest shape on: another name joins if a point is missed, and if with it none is, or the points' evidence
+(BIC, their discrepancy estimated) is for it. A point is missed by more than two standard errors and more than `MATTERS`
+of the largest force, or by more than noise where the recordings are as clean as that.
+
+Sizes are by generalised least squares on the points; their intervals hold the errors between strokes and a discrepancy
+of the shape, estimated from what it misses, whose errors at neighbouring speeds are alike (Kennedy and O'Hagan 2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import stdtrit
+
+from hydro_core.signals import FloatArray
+from hydro_diagnosis.curves import ForceCurve, Point
+
+MATTERS = 0.05
+"""Share of the largest force that matters to a person."""
+SURE = 2.0
+"""Standard errors by which a point is missed, and beyond which it counts less for the sizes (Huber 1964)."""
+ROUNDS = 8
+"""Rounds of weighing and fitting."""
+CONFIDENCE = 0.975
+"""Of each side of an interval; Student's, with as many degrees of freedom as the shape leaves points."""
+STRIBECK = (0.05, 0.1, 0.2, 0.4, 0.6)
+"""Speeds, over the top speed, over which a rise towards standstill may fade."""
+STEEPEST = 2.0
+"""Largest rise towards standstill, over the friction of sliding."""
+OPPOSING = 0.9
+"""Share of the sliding samples in which friction opposes the motion: tanks have 76 %."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A sum of the elementary shapes: `dry`, `viscous` (one number or one a direction), `constant`, `stribeck`."""
+
+    dry: bool = False
+    viscous: int = 0
+    constant: bool = False
+    stribeck: float = 0.0
+    """Speed [m/s] over which it fades; 0: none."""
+
+    def columns(self, speed: FloatArray, direction: FloatArray | None = None) -> FloatArray:
+        """Columns over a speed [m/s], shape (n, k); `direction`: -1 to 1, behind its memory, where it has one."""
+        sign = np.sign(speed) if direction is None else direction
+        found = [
+            *([sign] if self.dry else []),
+            *([speed] if self.viscous == 1 else []),
+            *([np.maximum(speed, 0.0), np.minimum(speed, 0.0)] if self.viscous == 2 else []),
+            *([np.ones_like(speed)] if self.constant else []),
+            *([sign * np.exp(-np.square(speed / self.stribeck))] if self.stribeck else []),
+        ]
+        return np.column_stack(found) if found else np.zeros((len(speed), 0))
+
+    @property
+    def names(self) -> list[str]:
+        """What each column is."""
+        return [
+            *(["dry"] if self.dry else []), *["", "viscous", "viscous viscous"][self.viscous].split(),
+            *(["constant"] if self.constant else []), *(["stribeck"] if self.stribeck else []),
+        ]  # fmt: skip
+
+    def without(self, name: str) -> Shape:
+        """The shape without a name, or with one number of it instead of two."""
+        if name == "viscous":
+            return replace(self, viscous=self.viscous - 1)
+        if name == "constant":
+            return replace(self, constant=False)
+        return replace(self, dry=self.dry and name != "dry", stribeck=0.0)
+
+    def richer(self, top: float) -> Iterator[Shape]:
+        """Shapes with one name more, the most usual first."""
+        if not self.dry:
+            yield Shape(True, self.viscous, self.constant, self.stribeck)
+        if self.viscous < 2:
+            yield Shape(self.dry, self.viscous + 1, self.constant, self.stribeck)
+        if not self.constant:
+            yield Shape(self.dry, self.viscous, True, self.stribeck)
+        if self.dry and not self.stribeck:
+            yield from (Shape(self.dry, self.viscous, self.constant, share * top) for share in STRIBECK)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """A shape at its sizes."""
+
+    shape: Shape
+    values: FloatArray
+    reach: FloatArray
+    """Half of each 95 % interval, discrepancy included, this shape taken for granted."""
+    low: FloatArray
+    high: FloatArray
+    """95 % intervals, over the shapes that may be."""
+    squares: float
+    """Weighted squares that are left at the points."""
+    missed: int
+
+    def force(self, speed: FloatArray, direction: FloatArray | None = None) -> FloatArray:
+        """N at speeds [m/s], and directions behind their memory."""
+        return np.asarray(self.shape.columns(speed, direction) @ self.values)
+
+    def number(self, name: str, factor: float = 1.0) -> list[tuple[float, float, float]]:
+        """Value and interval of what a name stands for, one each; times a factor of -1 or 1."""
+        rows = [k for k, one in enumerate(self.shape.names) if one == name]
+        found = [(self.values[k], self.low[k], self.high[k]) for k in rows]
+        return [(factor * value, *sorted((factor * low, factor * high))) for value, low, high in found]
+
+    def but(self, name: str) -> Fitted:
+        """The same without a name."""
+        kept = np.where([one == name for one in self.shape.names], 0.0, self.values)
+        return replace(self, values=kept)
+
+
+def fitted(points: Sequence[Point], shape: Shape, clean: float, top: float) -> Fitted:
+    """The sizes of a shape at the points.
+
+    `clean`: force [N] that the recordings cannot tell from noise; `top`: top speed [m/s].
+    """
+    speed, force, error = (np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error"))
+    largest = max(float(np.max(np.abs(force))), 1e-30)
+    matters = max(min(MATTERS * largest, clean), 1e-9 * largest)
+    columns, plain = shape.columns(speed), 1.0 / np.hypot(error, 0.5 * matters)
+    weight = plain
+    for _ in range(ROUNDS):
+        scale = np.maximum(np.linalg.norm(columns * weight[:, None], axis=0), 1e-300)
+        inverse = np.linalg.pinv(columns * weight[:, None] / scale, rcond=1e-9) / scale[:, None]
+        values = inverse @ (force * weight)
+        off = force - columns @ values
+        far = np.maximum(np.abs(off) * plain / SURE, 1.0)
+        weight = plain / np.sqrt(far)
+    free = max(len(points) - columns.shape[1], 0)
+    level = (float(np.sum(np.square(off) / far)) + (0.5 * matters) ** 2) / (free + 1.0)
+    alike = np.exp(-np.abs(speed[:, None] - speed) / (0.5 * top)) * (np.sign(speed[:, None]) == np.sign(speed))
+    covariance = np.diag(np.square(error)) + level * alike
+    moves = inverse * weight
+    errors = np.sqrt(np.maximum(np.diag(moves @ covariance @ moves.T), 0.0))
+    reach = errors * float(stdtrit(max(free, 1), CONFIDENCE))
+    return Fitted(
+        shape=shape,
+        values=values,
+        reach=reach,
+        low=values - reach,
+        high=values + reach,
+        squares=float(np.sum(np.where(far > 1.0, SURE**2 * (2.0 * far - 1.0), np.square(off * plain)))),
+        missed=int(np.count_nonzero(np.abs(off) > np.maximum(matters, SURE * error))),
+    )
+
+
+def simplest(
+    points: Sequence[Point], top: float, clean: float, viscous: float = 0.0, allowed: frozenset[str] = frozenset()
+) -> Fitted:
+    """The simplest shape that misses no point, or to which no other name halves what is left.
+
+    `viscous`: friction [N s/m] of the bench file, below which the sum cannot be nothing; `allowed`: names.
+    """
+    current = fitted(points, Shape(), clean, top)
+    while current.missed:
+        tried = [fitted(points, shape, clean, top) for shape in current.shape.richer(top)]
+        room = max(len(points) // 2, 1)
+        possible = [one for one in tried if len(one.values) <= room and _physical(one, viscous)
+                    and set(one.shape.names) <= allowed]  # fmt: skip
+        best = min(possible, key=lambda one: (one.missed > 0, one.squares), default=current)
+        price = (len(best.values) - len(current.values)) * np.log(len(points))
+        if best is current or (best.missed and len(points) * np.log(best.squares / current.squares) > -price):
+            break
+        current = best
+    return current
+
+
+def sure(points: Sequence[Point], found: Fitted, clean: float, top: float) -> Fitted:
+    """The shape without names that may be absent, that of least evidence first; intervals hold with and without it."""
+    while len(found.values):
+        unsure = {name for name, value, reach in zip(found.shape.names, found.values, found.reach, strict=True)
+                  if abs(value) <= reach}  # fmt: skip
+        if not unsure:
+            break
+        fewer = [fitted(points, found.shape.without(name), clean, top) for name in sorted(unsure)]
+        found = _spanning(min(fewer, key=lambda one: one.squares), found)
+    return found
+
+
+def _spanning(one: Fitted, other: Fitted) -> Fitted:
+    """The first, its intervals spanning those of the second, of the same names."""
+    low, high = one.low.copy(), one.high.copy()
+    for k, name in enumerate(one.shape.names):
+        same = [j for j, two in enumerate(other.shape.names) if two == name]
+        for j in same:
+            low[k], high[k] = min(low[k], other.low[j]), max(high[k], other.high[j])
+    return replace(one, low=low, high=high)
+
+
+def _physical(one: Fitted, viscous: float) -> bool:
+    value = dict(zip(one.shape.names, one.values, strict=True))
+    drags = [size for name, size in zip(one.shape.names, one.values, strict=True) if name == "viscous"]
+    least = min(drags, default=0.0)
+    rise = value.get("stribeck", 0.0)
+    return value.get("dry", 0.0) >= 0.0 and least >= -viscous and 0.0 <= rise <= STEEPEST * value.get("dry", 0.0)
+
+
+def named(curve: ForceCurve, clean: float, viscous: float, allowed: frozenset[str]) -> Fitted | None:
+    """The shape of a curve, if it shows the signs of friction: points either way, and a force against the motion."""
+    if missing_sign(curve):
+        return None
+    found = simplest(curve.points, curve.top, clean, viscous, allowed)
+    return sure(curve.points, found, clean, curve.top)
+
+
+def missing_sign(curve: ForceCurve) -> str:
+    """Which sign of friction a curve lacks, in words; empty if it has them all."""
+    speeds = [one.at for one in curve.points]
+    if len(speeds) < 2 or min(speeds) > 0.0 or max(speeds) < 0.0:
+        return "no speed is held in both directions"
+    if curve.opposing < OPPOSING:
+        return (
+            f"the force opposes the motion in {100.0 * curve.opposing:.0f} % of what moves: that of friction does in "
+            f"{100.0 * OPPOSING:.0f} % and more"
+        )
+    return ""
