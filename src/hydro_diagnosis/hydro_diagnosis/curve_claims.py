@@ -15,7 +15,7 @@ from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
-from hydro_diagnosis.shapes import MATTERS, Fitted, fitted, missing_sign, named
+from hydro_diagnosis.shapes import MATTERS, Fitted, fading, fitted, missing_sign, named, one_way
 from hydro_sim.model import grammar
 
 LABELS = {
@@ -66,7 +66,10 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
         for name in dict.fromkeys(shape.shape.names):
             numbers = shape.number(name, -1.0 if name == "constant" else 1.0)
             label = DIRECTIONAL if len(numbers) > 1 else LABELS[name]
-            extra = [(shape.shape.stribeck,) * 3] if name == "stribeck" else []
+            fades = (
+                (shape.shape.stribeck, *fading(curve.points, shape, np.inf, curve.top)) if name == "stribeck" else ()
+            )
+            extra = [fades] if fades else []
             if name != "constant" or not terms.position:  # else it is the law's
                 gain = held.share(shape, terms) - held.share(shape.but(name), terms)
                 found.add(label, [*numbers, *extra], _rise(curve, shape, name), gain)
@@ -86,7 +89,8 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
     if terms.position and accounted["all"] > accounted["named"]:
         closures.append(_law(curve, problem, shape, found, accounted))
     return CurveClaims(
-        shape=shape, claims=tuple(found.claims), bounds=found.bounds, evidence=found.evidence, rivals=_rivals(curve),
+        shape=shape, claims=tuple(found.claims), bounds=found.bounds, evidence=found.evidence,
+        rivals=_rivals(curve) if found.claims else [],
         closures=closures, accounted=accounted if found.claims else NOTHING, why=missing_sign(curve),
     )  # fmt: skip
 
@@ -166,6 +170,9 @@ def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]
 
 def _rivals(curve: ForceCurve) -> list[Rival]:
     found = []
+    if one_way(curve):
+        why = "a constant force explains these recordings as well as dry friction: all motion is one way"
+        found.append(Rival(id="force_offset", delta_bic=0.0, distinguishable=False, why=why))
     for terms in curve.rivals:
         for name, label in (("mass", MASS), ("rise", RISE), ("cell", CELL.partition(":")[0])):
             if getattr(terms, name) and not getattr(curve.terms, name):

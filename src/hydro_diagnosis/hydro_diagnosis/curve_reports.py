@@ -74,7 +74,7 @@ def _over_speed(
 
 
 def _over_position(curve: ForceCurve, by_curve: CurveClaims | None) -> CurveReport:
-    share = np.arange(2.0 * KNOTS) / (2.0 * KNOTS - 1.0)
+    share = np.asarray(np.arange(2 * KNOTS) / (2.0 * KNOTS - 1.0), dtype=np.float64)
     rows = splines(share)
     first, count = 2 * len(curve.knots), len(share)
     errors = np.zeros(count)
@@ -87,7 +87,7 @@ def _over_position(curve: ForceCurve, by_curve: CurveClaims | None) -> CurveRepo
         errors[k] = curve.error(row)
     force = rows @ curve.over_position
     made = force if by_curve is not None and by_curve.closures else np.zeros(count)
-    at: FloatArray = curve.limits[0] + share * (curve.limits[1] - curve.limits[0])
+    at = np.asarray(curve.limits[0] + share * (curve.limits[1] - curve.limits[0]), dtype=np.float64)
     strokes = np.full(count, len(np.unique(curve.sliding.stroke)))
     return _report(MOTION, "position", "m", "N", at, force, errors, strokes, made)
 

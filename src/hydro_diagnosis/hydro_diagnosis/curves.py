@@ -54,8 +54,9 @@ SMOOTH = 0.03
 ROUGH = 1.0
 """Weight of the penalty on the bend of the curve over the position, over that of all samples."""
 ROUGH_FROM = 2.5
-"""What the most flexible curve leaves over the force's white noise, from which recordings are rough: 3.1 and more on 24 of
-26 real rigs, at most 1.8 on drawn ones without a law that has no name (docs/reports/real_recordings.md)."""
+"""What the most flexible curve leaves over the force's white noise, from which recordings are rough: 3.1 and more on 24
+of 26 real rigs, at most 1.8 on drawn ones whose causes are shapes of the motion (docs/reports/real_recordings.md).
+"""
 FOLDS = 4
 """Folds of strokes."""
 ROUNDS = 6
@@ -293,7 +294,7 @@ class ForceCurve:
         while True:
             best: list[tuple[float, Terms]] = []
             for kind in self._further(terms):
-                played = bool(kind) and kind[0].play > 0.0
+                played = bool(kind) and kind[0].play > terms.play
                 if kind and not (played and min(one for one, _ in best) > ALIKE * left):
                     best.append(self._best(kind))
             least = min((one for one, _ in best), default=np.inf)

@@ -191,7 +191,8 @@ def assessed(
         remainder = tuple(locate(holdout, holdout.residual(kept.claims))) or tuple(
             locate_claims(problem, found, nothing.residual)
         )
-        remainder = tuple(replace(one, windows=one.windows[: len(problem.models)]) for one in remainder)
+        nowhere = tuple(() for _ in problem.models)  # of what was fitted
+        remainder = tuple(replace(one, windows=nowhere) for one in remainder)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
     whole = all(one["all"] >= EXPLAINED for one in accounted.values()) and bool(accounted)
     if kept.judged and whole:

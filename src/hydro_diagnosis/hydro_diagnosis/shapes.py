@@ -30,6 +30,8 @@ CONFIDENCE = 0.975
 """Of each side of an interval; Student's, with as many degrees of freedom as the shape leaves points."""
 STRIBECK = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Speeds, over the top speed, over which a rise towards standstill may fade."""
+PROFILE = np.geomspace(0.25, 4.0, 33)
+"""Factors of such a speed among which its interval ends."""
 STEEPEST = 2.0
 """Largest rise towards standstill, over the friction of sliding."""
 OPPOSING = 0.9
@@ -207,15 +209,39 @@ def named(curve: ForceCurve, clean: float, viscous: float, allowed: frozenset[st
     """The shape of a curve, if it shows the signs of friction: points either way, and a force against the motion."""
     if missing_sign(curve):
         return None
+    if one_way(curve):
+        allowed = allowed - {"constant"}  # it is one with dry friction
     found = simplest(curve.points, curve.top, clean, viscous, allowed)
     return sure(curve.points, found, clean, curve.top)
 
 
+def one_way(curve: ForceCurve) -> bool:
+    """Whether all points are of one direction: dry friction cannot be told from a constant force."""
+    speeds = [one.at for one in curve.points]
+    return min(speeds) > 0.0 or max(speeds) < 0.0
+
+
+def _follows(points: Sequence[Point]) -> bool:
+    """Whether the force changes with the speed by more than matters, and against the motion all along."""
+    force = np.array([one.force * np.sign(one.at) for one in points])
+    return bool(force.min() > 0.0 and np.ptp(force) > MATTERS * force.max())
+
+
+def fading(points: Sequence[Point], found: Fitted, clean: float, top: float) -> tuple[float, float]:
+    """95 % interval of the speed [m/s] over which a rise towards standstill fades: the profile of the squares."""
+    tried = found.shape.stribeck * PROFILE
+    squares = [fitted(points, replace(found.shape, stribeck=float(one)), clean, top).squares for one in tried]
+    rise = len(points) * np.log(np.maximum(squares, 1e-12) / max(found.squares, 1e-12))
+    inside = tried[rise < stdtrit(max(len(points) - len(found.values) - 1, 1), CONFIDENCE) ** 2]
+    return float(min([*inside, found.shape.stribeck])), float(max([*inside, found.shape.stribeck]))
+
+
 def missing_sign(curve: ForceCurve) -> str:
     """Which sign of friction a curve lacks, in words; empty if it has them all."""
-    speeds = [one.at for one in curve.points]
-    if len(speeds) < 2 or min(speeds) > 0.0 or max(speeds) < 0.0:
-        return "no speed is held in both directions"
+    if len(curve.points) < 2:
+        return "hardly a speed is held"
+    if one_way(curve):
+        return "" if _follows(curve.points) else "all motion is one way, and the force does not follow the speed"
     if curve.opposing < OPPOSING:
         return (
             f"the force opposes the motion in {100.0 * curve.opposing:.0f} % of what moves: that of friction does in "

@@ -108,7 +108,7 @@ def elastic(level: float, rise: float, *, sharp: bool) -> Law:
 
 
 @pytest.mark.parametrize("sharp", [False, True])
-def test_an_elastic_beginning_is_found_with_its_distance(sharp: bool) -> None:  # noqa: FBT001
+def test_an_elastic_beginning_is_found_with_its_distance(sharp: bool) -> None:
     curve = ForceCurve(recorded(elastic(10.0, 0.003, sharp=sharp)))
     assert curve.terms.sharp == sharp and not curve.terms.cell
     assert curve.terms.rise == pytest.approx(0.003, rel=0.1)
@@ -148,7 +148,20 @@ def test_what_does_not_oppose_the_motion_is_not_named_and_the_missing_sign_is_to
     table = strokes(rubbing())
     table.columns["piston_position"] = 0.02 + 1e-3 * table.time
     one_way = motions(Problem(checked(table, BENCH).segments, BENCH).models)
-    assert "both directions" in missing_sign(ForceCurve.over_speed(one_way))
+    assert "hardly a speed" in missing_sign(ForceCurve.over_speed(one_way))
+
+
+@pytest.mark.parametrize(("viscous", "names"), [(0.0, None), (300.0, ["dry", "viscous"])])
+def test_one_way_only_what_follows_the_speed_is_named(viscous: float, names: list[str] | None) -> None:
+    def one_way(speed: float, seed: int) -> RawTable:
+        time, rng = STEP * np.arange(5000.0), np.random.default_rng(seed)
+        force = 10.0 + viscous * speed + 0.1 * rng.standard_normal(len(time))
+        return RawTable(f"{seed}", time, None, {"piston_position": 0.01 + speed * time, "hydraulic_force": force})
+
+    tables = [one_way(speed, seed) for seed, speed in enumerate((0.004, 0.008, 0.016, 0.03))]
+    segments = [one for table in tables for one in checked(table, BENCH).segments]
+    found = named(ForceCurve.over_speed(motions(Problem(segments, BENCH).models)), np.inf, 0.0, NAMES)
+    assert (found and found.shape.names) == names
 
 
 def test_what_is_pushed_at_rest_is_no_friction() -> None:
@@ -164,7 +177,7 @@ def test_what_is_pushed_at_rest_is_no_friction() -> None:
 
 
 @pytest.mark.parametrize(("drift", "rough"), [(0.0, False), (3.0, True)])
-def test_recordings_are_rough_where_no_curve_explains_them(drift: float, rough: bool) -> None:  # noqa: FBT001
+def test_recordings_are_rough_where_no_curve_explains_them(drift: float, rough: bool) -> None:
     assert ForceCurve.over_speed(recorded(rubbing(10.0, 50.0), drift=drift)).rough == rough
 
 

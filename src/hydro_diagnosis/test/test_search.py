@@ -10,18 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_core.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
-from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.intervals import intervals, is_significant
+from hydro_diagnosis.estimation.intervals import is_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, Budget, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims
-from hydro_diagnosis.recording import MEASURED, Segment
+from hydro_diagnosis.judge import assessed, judged
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.search import Outcome, Search, SearchSettings
-from hydro_diagnosis.selection.verdict import assess, without_varying
+from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reporting import describe
 from hydro_sim.model.bench import Bench
 from tests.segments import claim, problem_in, problem_of, record
@@ -183,24 +181,6 @@ def test_a_number_that_was_given_is_estimated_beside_the_causes() -> None:
     assert found.claims[0].effect.estimated and found.claims[0].values["ratio"] == pytest.approx(1.0, abs=0.02)
 
 
-def with_force(nominal: StateArray, added: FloatArray) -> Problem:
-    """The nominal recording with something added to its hydraulic force."""
-    channels = {name: nominal[name].copy() for name in (*MEASURED, "valve_current")}
-    channels["hydraulic_force"] += added
-    return Problem([Segment("run", 0.0, 1e-3, channels)], NOMINAL)
-
-
-def test_bias_that_follows_a_pressure_is_no_bias_and_one_beside_a_hum_is(nominal: StateArray) -> None:
-    hum = 5.0 * np.sin(2.0 * np.pi * 9.0 * nominal["time"])
-    for added, named in ((3e-6 * nominal["pressure_a"], []), (20.0 + hum, [BIAS])):
-        problem = with_force(nominal, added)
-        found = fit(problem, [claim(BIAS)])
-        judged = np.isin(problem.layout.channel, (2, 4))
-        kept = without_varying(problem, found, judged, frozenset())
-        assert [one.effect.label for one in kept.claims] == named
-        assert without_varying(problem, found, judged, frozenset({"load_cell_bias"})) is found
-
-
 def hoses(compliance: float) -> dict[str, float]:
     """Both dead volumes as wide hoses make them, from the docstring's formula at a mean pressure."""
     more = compliance * (NOMINAL.bulk_modulus + 7e6)
@@ -211,7 +191,8 @@ def test_hoses_that_widen_are_no_wrong_bulk_modulus() -> None:
     problem = problem_of(**hoses(1.1e-14))
     outcome = search(problem, EFFECTS)
     assert [one.effect.label for one in outcome.fit.claims] == [HOSES]
-    found = assess(problem, outcome.fit, outcome.nothing)
+    kept, _ = judged(problem, problem, outcome.fit, outcome.nothing)
+    found = assessed(problem, outcome.fit, kept, outcome.nothing, problem, {})
     assert found.verdict == "unknown"
     assert found.fit.claims == ()
     assert found.dropped[0].values["compliance"] == pytest.approx(1.1e-14, rel=0.02)
@@ -225,8 +206,12 @@ def test_wrong_bulk_modulus_is_no_hoses() -> None:
     rival = fit(problem, [claim(HOSES)])
     assert rival.score > outcome.fit.score + 100.0
     assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals[BULK]]
-    judgement = assess(problem, outcome.fit, outcome.nothing)
-    (effect,) = describe(problem, problem, outcome, judgement, intervals(problem, judgement.fit))
+    kept, bounds = judged(problem, problem, outcome.fit, outcome.nothing)
+    judgement = assessed(problem, outcome.fit, kept, outcome.nothing, problem, {})
+    (effect,) = describe(
+        StageResult(problem=problem, outcome=outcome, assessment=judgement, bounds=bounds, holdout=problem,
+                    simulated={}, proof={}, accounted={})
+    )  # fmt: skip
     assert HOSES not in [one.id for one in effect.rivals]  # the table has no such id
     (alike,) = effect.look_alikes
     assert "hoses that widen" in alike.likeness

@@ -23,7 +23,7 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.search import NAMES, Search
-from hydro_diagnosis.stages.naming import Findings
+from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case, Progress, Question, read
 from hydro_diagnosis.wiring import (
     Advance,
@@ -270,7 +270,7 @@ def read_repaired(question: Question, progress: Progress) -> Case:
     return _choose(case, _searched(case, progress), repairs, other, progress)
 
 
-def reconsider_wiring(case: Case, found: Findings, progress: Progress) -> Case:
+def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Case:
     """The same case, or it repaired: what causes leave, or what several say together, may be a mistake of wiring."""
     claims = found.outcome.fit.claims
     left_over = found.assessment.remainder or found.holdout.noticeable(found.holdout.residual(claims))

@@ -29,11 +29,11 @@ from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.search import Outcome, Search
 from hydro_diagnosis.stages.reading import Case, Progress
-from hydro_diagnosis.validation import HORIZON, Known, equation_errors, held_out
+from hydro_diagnosis.validation import Known, equation_errors, held_out
 
 
 @dataclass(frozen=True, kw_only=True)
-class Findings:
+class StageResult:
     """What stands, and its validation."""
 
     problem: Problem
@@ -62,17 +62,13 @@ class Findings:
         return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}
 
 
-def name_causes(case: Case, search: Search) -> Findings:
+def name_causes(case: Case, search: Search) -> StageResult:
     """The names that stand."""
     problem, progress = search.problem, search.progress
     progress(stage_bar.CURVES)
     curve = force_curve(problem)
-    rough = curve is not None and curve.rough
-    if curve is not None and rough:
-        curve = ForceCurve(curve.motions)
-    if curve is not None and rough and PRESSURE not in problem.blocks:
-        outcome = search.nothing()
-        return _by_curve(problem, outcome, case.held, curve, search, ())
+    if curve is not None and PRESSURE not in problem.blocks and curve.rough:
+        return _by_curve(problem, search.nothing(), case.held, ForceCurve(curve.motions), search, ())
     progress(stage_bar.SEARCHING)
     outcome = search.run()
     problem = outcome.problem
@@ -85,7 +81,7 @@ def name_causes(case: Case, search: Search) -> Findings:
     proof = held_out(problem, holdout, kept.claims, simulated)
     accounted = shares(proof["equations"], proof["equations"])
     assessment = assessed(problem, outcome.fit, kept, outcome.nothing, holdout, accounted)
-    found = Findings(
+    found = StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated=simulated,
         proof=proof, accounted=accounted, curve=curve,
     )  # fmt: skip
@@ -105,7 +101,7 @@ def moving_in(problem: Problem) -> list[Motion]:
     return [one for one in motions(problem.models) if float(np.ptp(one.position)) > 0.0]
 
 
-def model_remainder(found: Findings, case: Case, search: Search) -> Findings:
+def model_remainder(found: StageResult, case: Case, search: Search) -> StageResult:
     """Names and laws together; the names alone where nothing remains, or no law is admitted.
 
     Nor is any sought where what remains may be a ringing that the rows are too slow to show. Where none is admitted in
@@ -123,14 +119,14 @@ def model_remainder(found: Findings, case: Case, search: Search) -> Findings:
     if curve is None or not in_motion or not (curve.rough or problem.unseen_ringing):
         return found
     others = tuple(one for one in found.assessment.fit.claims if MOTION not in one.effect.blocks)
-    read = _by_curve(problem, found.outcome, case.held, curve, search, others)
+    read = _by_curve(problem, found.outcome, case.held, ForceCurve(curve.motions), search, others)
     return read if read.by_curve is not None and read.names - found.names else found
 
 
 def _by_curve(
     problem: Problem, outcome: Outcome, held: Sequence[Segment], curve: ForceCurve, search: Search,
     others: Sequence[Claim],
-) -> Findings:  # fmt: skip
+) -> StageResult:  # fmt: skip
     """Names read off the curve of the force, beside claims of other equations."""
     search.progress(stage_bar.JUDGING)
     holdout = problem.on(held)
@@ -138,27 +134,23 @@ def _by_curve(
     beside = fit(problem, others)
     kept = fit(problem, (*beside.claims, *read.claims), iterations=0)
     holdout = holdout.weighed(kept.claims)
-    proof: dict[str, Any] = {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": read.why or ROUGH,
-             "equations": equation_errors(holdout, kept.claims)}  # fmt: skip
+    proof = held_out(problem, holdout, kept.claims)
     accounted = shares(proof["equations"], proof["equations"]) | {MOTION: dict(read.accounted)}
     bounds = [*intervals(problem, beside), *read.bounds]
     assessment = assessed(problem, kept, kept, outcome.nothing, holdout, accounted)
-    return Findings(
+    return StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated={},
         proof=proof, accounted=accounted, curve=curve, by_curve=read, closures=list(read.closures),
     )  # fmt: skip
 
 
-ROUGH = "the recorded force holds more than any curve of its motion: a simulation would tell no more than the curve"
-
-
-def _next_recording(found: Findings) -> dict[str, Any] | None:
+def _next_recording(found: StageResult) -> dict[str, Any] | None:
     """The next recording; None where the bench file is not known enough to rehearse one."""
     problem = found.problem
     return next_recording(problem, found.outcome, found.assessment) if can_simulate(problem.bench) else None
 
 
-def _with_laws(names: Findings, library: Sequence[Effect], progress: Progress) -> Findings | None:
+def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult | None:
     """Names and the first model without a name that is admitted; None where none is."""
     problem, holdout = names.problem, names.holdout
     candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment.fit, library))

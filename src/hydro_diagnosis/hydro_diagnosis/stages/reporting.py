@@ -22,7 +22,7 @@ from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
 from hydro_diagnosis.selection.localisation import Place
 from hydro_diagnosis.selection.search import CLOSE, Outcome, Search
-from hydro_diagnosis.stages.naming import Findings
+from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case
 from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
 
@@ -106,7 +106,7 @@ def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str |
     return None
 
 
-def describe(findings: Findings) -> list[EffectReport]:
+def describe(findings: StageResult) -> list[EffectReport]:
     """One entry per name that stands, the strongest evidence first."""
     reports = [
         _report(findings, claim, own)
@@ -116,7 +116,7 @@ def describe(findings: Findings) -> list[EffectReport]:
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
-def _report(findings: Findings, claim: Claim, bounds: Sequence[Interval]) -> EffectReport:
+def _report(findings: StageResult, claim: Claim, bounds: Sequence[Interval]) -> EffectReport:
     problem, found, read = findings.problem, findings.assessment.fit, findings.by_curve
     parameters = {
         parameter.name: bound.estimate(parameter.unit)
@@ -125,7 +125,8 @@ def _report(findings: Findings, claim: Claim, bounds: Sequence[Interval]) -> Eff
     }
     if read is not None and claim.effect.label in read.evidence:
         evidence, look_alikes = dict(read.evidence[claim.effect.label]), list[LookAlike]()
-        rivals = list(read.rivals) if claim.effect.id in OPERATORS else []
+        rivals = [one for one in read.rivals if (claim.effect.id in OPERATORS) != (one.id == "force_offset")]
+        rivals = rivals if claim.effect.id in (*OPERATORS, "friction_coulomb") else []
     else:
         without = fit(problem, found.but(claim))
         rivals, look_alikes = _rivals(findings.outcome, found, claim)
@@ -181,7 +182,7 @@ def location_of(place: Place, problem: Problem) -> Location:
     return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)
 
 
-def build_report(case: Case, search: Search, found: Findings, begun: float) -> Diagnosis:
+def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
     """The report and the data behind it; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
     problem.columns.clear()
@@ -222,7 +223,9 @@ def interrupted_report(case: Case, search: Search, begun: float) -> Report:
     )
 
 
-def _notes(found: Findings, effects: Sequence[EffectReport], hidden: str, library: Sequence[Effect]) -> tuple[str, ...]:
+def _notes(
+    found: StageResult, effects: Sequence[EffectReport], hidden: str, library: Sequence[Effect]
+) -> tuple[str, ...]:
     """Return notes on limits of the verdict."""
     assessment, cut_short, budget = found.assessment, "", found.problem.budget
     if budget.exhausted:
@@ -243,7 +246,7 @@ def _steps(search: Search) -> list[dict[str, Any]]:
     return [{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps]
 
 
-def _remainder(found: Findings) -> dict[str, Any] | None:
+def _remainder(found: StageResult) -> dict[str, Any] | None:
     problem, holdout, assessment = found.problem, found.holdout, found.assessment
     if not assessment.remainder:
         return None
