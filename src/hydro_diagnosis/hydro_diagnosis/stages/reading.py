@@ -167,7 +167,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     return Case(
         question=question,
         problem=problem,
-        candidates=_told_from_ringing(_acting(unruled, believed, machine), problem),
+        candidates=_anchored(_told_from_ringing(_acting(unruled, believed, machine), problem), problem),
         held=held,
         facts=facts,
         numbers=numbers,
@@ -184,6 +184,14 @@ def _told_from_ringing(effects: list[Effect], problem: Problem) -> list[Effect]:
     if not problem.unseen_ringing:
         return effects
     return [effect for effect in effects if effect.id not in RINGING or effect.lagged == "load_force"]
+
+
+UNANCHORED = frozenset({"load_cell_gain:hydraulic_force", "load_cell_bias:hydraulic_force"})
+"""Errors of the force cell that nothing tells from forces where no pressures are recorded beside it."""
+
+
+def _anchored(effects: list[Effect], problem: Problem) -> list[Effect]:
+    return [one for one in effects if HYDRAULIC in problem.blocks or one.label not in UNANCHORED]
 
 
 def _ringing(problem: Problem) -> list[str]:

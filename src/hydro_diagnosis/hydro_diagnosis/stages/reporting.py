@@ -13,7 +13,7 @@ import scipy.signal
 
 from hydro_diagnosis.curve_claims import OPERATORS
 from hydro_diagnosis.curve_reports import curve_reports
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import HYDRAULIC, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
@@ -130,6 +130,9 @@ def _report(findings: StageResult, claim: Claim, bounds: Sequence[Interval]) -> 
     else:
         without = fit(problem, found.but(claim))
         rivals, look_alikes = _rivals(findings.outcome, found, claim)
+        if claim.effect.id == "force_offset" and HYDRAULIC not in problem.blocks:
+            why = "a bias of the force cell explains these recordings as well: record the pressures beside it"
+            rivals = [Rival(id="load_cell_bias", delta_bic=0.0, distinguishable=False, why=why), *rivals]
         evidence = {
             "delta_bic": without.score - found.score,
             "holdout_gain": holdout_gain(findings.holdout, without, found),
