@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -55,10 +56,14 @@ def interrupted(command: list[str], line: str) -> list[str]:
     """Run until it prints a line, then press Ctrl-C; all that it printed."""
     said = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as running:
-        for each in running.stdout:
-            said.append(each.strip())
-            if each.startswith(line):
-                running.send_signal(signal.SIGINT)
+        try:
+            for each in running.stdout:
+                said.append(each.strip())
+                if each.startswith(line):
+                    running.send_signal(signal.SIGINT)
+        except BaseException:  # the test's time is over: nothing that was started may outlive it
+            os.killpg(running.pid, signal.SIGKILL)
+            raise
     assert running.returncode == 130, said
     return said
 
