@@ -31,7 +31,7 @@ def effect(name: str, **values: float) -> EffectReport:
 
 def found(verdict: str, *effects: EffectReport) -> Diagnosis:
     fit = {"holdout": {}, "equations": {"motion": {"rmse_before": 50.0, "rmse_after": 5.0}}}
-    report = SimpleNamespace(verdict=verdict, effects=list(effects), closures=[], fit=fit)
+    report = SimpleNamespace(verdict=verdict, effects=list(effects), closures=[], fit=fit, accounted={})
     return cast(Diagnosis, SimpleNamespace(report=report))
 
 
@@ -45,7 +45,8 @@ def test_a_rig_says_where_it_is_from_and_what_is_right(name: str) -> None:
     assert all(len(digest) == 64 for digest in (*rig["fitted"].values(), *rig["held_out"].values()))
     answer, numbers = rig["answer"], rig["answer"].get("numbers", {})
     known = {(one.id, parameter.name) for one in LIBRARY for parameter in one.parameters}
-    assert {*answer["named"], *answer["possible"], *numbers} <= {id for id, _ in known}
+    either = [one for some in answer.get("any_of", ()) for one in some]
+    assert {*answer["named"], *answer["possible"], *numbers, *either} <= {id for id, _ in known}
     assert {(id, key) for id, one in numbers.items() for key in one} <= known
     assert np.isfinite([value for one in numbers.values() for pair in one.values() for value in pair]).all()
     assert np.isfinite(np.ravel(answer.get("curve", [0.0]))).all() and set(answer["verdict"]) <= VERDICTS
