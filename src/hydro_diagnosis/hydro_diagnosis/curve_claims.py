@@ -30,9 +30,10 @@ OPERATORS = frozenset({MASS, RISE, "sensor_lag"})
 """Ids of what stands beside the shapes of the speed."""
 FLAT = 1.05
 """Ratio to the least of what an operator's number may leave: its interval holds all that do."""
-NOTHING = {"named": 0.0, "all": 0.0}
 REACH = np.geomspace(0.25, 4.0, 17)
 """Factors within which they are sought."""
+NOTHING = {"named": 0.0, "all": 0.0}
+"""Shares where nothing is claimed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +58,8 @@ class CurveClaims:
 def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, library: Sequence[Effect]) -> CurveClaims:
     """The claims of a curve; `unseen`: motions of what was held out; `library`: causes that may be named."""
     effects = {effect.label: effect for effect in library if effect.named}
-    allowed = frozenset(name for name, label in LABELS.items() if label in effects)
-    shape = named(curve, np.inf, problem.bench.viscous_friction, allowed)
+    allowed = frozenset(name for name, label in {**LABELS, "directional": DIRECTIONAL}.items() if label in effects)
+    shape = named(curve, problem.bench.viscous_friction, allowed)
     held = _HeldOut(curve, unseen)
     found = _Claims(effects)
     terms = curve.terms
@@ -66,13 +67,11 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
         for name in dict.fromkeys(shape.shape.names):
             numbers = shape.number(name, -1.0 if name == "constant" else 1.0)
             label = DIRECTIONAL if len(numbers) > 1 else LABELS[name]
-            fades = (
-                (shape.shape.stribeck, *fading(curve.points, shape, np.inf, curve.top)) if name == "stribeck" else ()
-            )
-            extra = [fades] if fades else []
+            if name == "stribeck":
+                numbers.append((shape.shape.stribeck, *fading(curve.points, shape, curve.top)))
             if name != "constant" or not terms.position:  # else it is the law's
                 gain = held.share(shape, terms) - held.share(shape.but(name), terms)
-                found.add(label, [*numbers, *extra], _rise(curve, shape, name), gain)
+                found.add(label, numbers, _rise(curve, shape, name), gain)
     dry = shape.number("dry") if shape is not None else []
     operators = {"mass": (MASS, replace(terms, mass=False)), "rise": (RISE, replace(terms, rise=0.0)),
                  "cell": (CELL, replace(terms, cell=0.0))}  # fmt: skip
@@ -151,7 +150,7 @@ def _rise(curve: ForceCurve, shape: Fitted, name: str) -> float:
     without = shape.shape.without(name)
     while name in without.names:
         without = without.without(name)
-    fewer, count = fitted(curve.points, without, np.inf, curve.top), len(curve.points)
+    fewer, count = fitted(curve.points, without, curve.top), len(curve.points)
     numbers = len(shape.values) - len(fewer.values)
     return float(count * np.log(max(fewer.squares, 1e-9) / max(shape.squares, 1e-9)) - numbers * np.log(count))
 

@@ -105,7 +105,7 @@ class Motion:
         Standard deviation [N] of white noise of the force in the band.
     """
 
-    def __init__(self, models: Sequence[SegmentModel]) -> None:
+    def __init__(self, models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> None:
         first = models[0]
         self.models = list(models)
         bench, step = first.base, first.step * first.spacing
@@ -130,6 +130,8 @@ class Motion:
             + bench.viscous_friction * self.velocity
             + bench.spring_stiffness * (position - bench.spring_rest_position)
         )
+        if baseline:  # what the bench file holds of an earlier diagnosis
+            self.known = self.known + self.force_of((), baseline)
         frequency, power = welch(raw, 1.0 / step, nperseg=min(len(raw), 1024))
         self.noise = float(np.sqrt(np.median(power[frequency > 0.35 / step]) * self.band))
         self.memory = Memory(self.step)
@@ -175,8 +177,11 @@ class Motion:
         return stroke * 1000 + np.minimum(since / LONG, 999.0).astype(np.int64)
 
 
-def motions(models: Sequence[SegmentModel]) -> list[Motion]:
-    """One of each recording without a gap: segments that follow on each other are joined."""
+def motions(models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> list[Motion]:
+    """One of each recording without a gap: segments that follow on each other are joined.
+
+    `baseline`: effects that the bench file holds beside its numbers.
+    """
     groups: list[list[SegmentModel]] = []
     for one in models:
         last = groups[-1][-1].segment if groups else None
@@ -189,7 +194,7 @@ def motions(models: Sequence[SegmentModel]) -> list[Motion]:
             groups[-1].append(one)
         else:
             groups.append([one])
-    return [Motion(group) for group in groups]
+    return [Motion(group, baseline) for group in groups]
 
 
 def _share(there: npt.NDArray[np.bool_], reach: float) -> FloatArray:
@@ -388,7 +393,7 @@ class ForceCurve:
             columns = np.concatenate([one.passed(cell(speeds)), cell(further)], axis=1)
             there = there & ((np.abs(sign) > RISEN) | (not sliding))
             rows = (columns, one.measured - cell(one.known), one.velocity, one.acceleration, one.position, sign,
-                    stroke + number * 10**6, np.full(len(sign), number))  # fmt: skip
+                    stroke + number * 10**9, np.full(len(sign), number))  # fmt: skip
             parts.append(tuple(row[there] for row in rows))
         columns, missing, velocity, acceleration, position, sign, stroke, recording = (
             np.concatenate([part[k] for part in parts]) for k in range(8)

@@ -173,10 +173,8 @@ def assessed(
     names = any(one.effect.named for one in kept.judged)
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
-    lost = bool(dropped) and problem.noticeable(kept.residual)
     left = (
-        lost
-        or problem.noticeable(kept.residual)
+        problem.noticeable(kept.residual)
         or any(not one.effect.named for one in dropped)
         or any(name in accounted and accounted[name]["all"] < EXPLAINED for name in _left(holdout, kept))
         or (not kept.judged and bool(_left(holdout, kept)))

@@ -3,7 +3,7 @@
 
 From the simplest shape on: another name joins if a point is missed, and if with it none is, or the points' evidence
 (BIC, their discrepancy estimated) is for it. A point is missed by more than two standard errors and more than `MATTERS`
-of the largest force, or by more than noise where the recordings are as clean as that.
+of the largest force.
 
 Sizes are by generalised least squares on the points; their intervals hold the errors between strokes and a discrepancy
 of the shape, estimated from what it misses, whose errors at neighbouring speeds are alike (Kennedy and O'Hagan 2001).
@@ -119,14 +119,11 @@ class Fitted:
         return replace(self, values=kept)
 
 
-def fitted(points: Sequence[Point], shape: Shape, clean: float, top: float) -> Fitted:
-    """The sizes of a shape at the points.
-
-    `clean`: force [N] that the recordings cannot tell from noise; `top`: top speed [m/s].
-    """
+def fitted(points: Sequence[Point], shape: Shape, top: float) -> Fitted:
+    """The sizes of a shape at the points; `top`: top speed [m/s]."""
     speed, force, error = (np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error"))
     largest = max(float(np.max(np.abs(force))), 1e-30)
-    matters = max(min(MATTERS * largest, clean), 1e-9 * largest)
+    matters = MATTERS * largest
     columns, plain = shape.columns(speed), 1.0 / np.hypot(error, 0.5 * matters)
     weight = plain
     for _ in range(ROUNDS):
@@ -155,18 +152,20 @@ def fitted(points: Sequence[Point], shape: Shape, clean: float, top: float) -> F
 
 
 def simplest(
-    points: Sequence[Point], top: float, clean: float, viscous: float = 0.0, allowed: frozenset[str] = frozenset()
+    points: Sequence[Point], top: float, viscous: float = 0.0, allowed: frozenset[str] = frozenset()
 ) -> Fitted:
-    """The simplest shape that misses no point, or to which no other name halves what is left.
+    """The simplest shape that misses no point, or to which the points have no evidence of another name.
 
-    `viscous`: friction [N s/m] of the bench file, below which the sum cannot be nothing; `allowed`: names.
+    `viscous`: friction [N s/m] of the bench file, below which the sum cannot be nothing; `allowed`: names, and
+    `directional` for viscous friction of two numbers.
     """
-    current = fitted(points, Shape(), clean, top)
+    current = fitted(points, Shape(), top)
     while current.missed:
-        tried = [fitted(points, shape, clean, top) for shape in current.shape.richer(top)]
+        tried = [fitted(points, shape, top) for shape in current.shape.richer(top)]
         room = max(len(points) // 2, 1)
         possible = [one for one in tried if len(one.values) <= room and _physical(one, viscous)
-                    and set(one.shape.names) <= allowed]  # fmt: skip
+                    and set(one.shape.names) <= allowed
+                    and (one.shape.viscous < 2 or "directional" in allowed)]  # fmt: skip
         best = min(possible, key=lambda one: (one.missed > 0, one.squares), default=current)
         price = (len(best.values) - len(current.values)) * np.log(len(points))
         if best is current or (best.missed and len(points) * np.log(best.squares / current.squares) > -price):
@@ -175,14 +174,14 @@ def simplest(
     return current
 
 
-def sure(points: Sequence[Point], found: Fitted, clean: float, top: float) -> Fitted:
+def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
     """The shape without names that may be absent, that of least evidence first; intervals hold with and without it."""
     while len(found.values):
         unsure = {name for name, value, reach in zip(found.shape.names, found.values, found.reach, strict=True)
                   if abs(value) <= reach}  # fmt: skip
         if not unsure:
             break
-        fewer = [fitted(points, found.shape.without(name), clean, top) for name in sorted(unsure)]
+        fewer = [fitted(points, found.shape.without(name), top) for name in sorted(unsure)]
         found = _spanning(min(fewer, key=lambda one: one.squares), found)
     return found
 
@@ -205,14 +204,14 @@ def _physical(one: Fitted, viscous: float) -> bool:
     return value.get("dry", 0.0) >= 0.0 and least >= -viscous and 0.0 <= rise <= STEEPEST * value.get("dry", 0.0)
 
 
-def named(curve: ForceCurve, clean: float, viscous: float, allowed: frozenset[str]) -> Fitted | None:
+def named(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> Fitted | None:
     """The shape of a curve, if it shows the signs of friction: points either way, and a force against the motion."""
     if missing_sign(curve):
         return None
     if one_way(curve):
         allowed = allowed - {"constant"}  # it is one with dry friction
-    found = simplest(curve.points, curve.top, clean, viscous, allowed)
-    return sure(curve.points, found, clean, curve.top)
+    found = simplest(curve.points, curve.top, viscous, allowed)
+    return sure(curve.points, found, curve.top)
 
 
 def one_way(curve: ForceCurve) -> bool:
@@ -227,10 +226,10 @@ def _follows(points: Sequence[Point]) -> bool:
     return bool(force.min() > 0.0 and np.ptp(force) > MATTERS * force.max())
 
 
-def fading(points: Sequence[Point], found: Fitted, clean: float, top: float) -> tuple[float, float]:
+def fading(points: Sequence[Point], found: Fitted, top: float) -> tuple[float, float]:
     """95 % interval of the speed [m/s] over which a rise towards standstill fades: the profile of the squares."""
     tried = found.shape.stribeck * PROFILE
-    squares = [fitted(points, replace(found.shape, stribeck=float(one)), clean, top).squares for one in tried]
+    squares = [fitted(points, replace(found.shape, stribeck=float(one)), top).squares for one in tried]
     rise = len(points) * np.log(np.maximum(squares, 1e-12) / max(found.squares, 1e-12))
     inside = tried[rise < stdtrit(max(len(points) - len(found.values) - 1, 1), CONFIDENCE) ** 2]
     return float(min([*inside, found.shape.stribeck])), float(max([*inside, found.shape.stribeck]))

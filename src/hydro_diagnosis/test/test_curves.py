@@ -56,7 +56,7 @@ def rubbing(dry: float = 10.0, viscous: float = 0.0, constant: float = 0.0, rise
 
 
 def shape_of(curve: ForceCurve) -> Fitted:
-    found = named(curve, np.inf, 0.0, NAMES)
+    found = named(curve, 0.0, NAMES)
     assert found is not None, missing_sign(curve)
     return found
 
@@ -144,7 +144,7 @@ def test_curves_over_the_position_are_those_that_the_simulation_takes() -> None:
 
 def test_what_does_not_oppose_the_motion_is_not_named_and_the_missing_sign_is_told() -> None:
     tank = ForceCurve.over_speed(recorded(lambda x, _v, _a: 300.0 * (x - 0.05), drift=2.0))
-    assert "opposes the motion in" in missing_sign(tank) and named(tank, np.inf, 0.0, NAMES) is None
+    assert "opposes the motion in" in missing_sign(tank) and named(tank, 0.0, NAMES) is None
     table = strokes(rubbing())
     table.columns["piston_position"] = 0.02 + 1e-3 * table.time
     one_way = motions(Problem(checked(table, BENCH).segments, BENCH).models)
@@ -160,7 +160,7 @@ def test_one_way_only_what_follows_the_speed_is_named(viscous: float, names: lis
 
     tables = [one_way(speed, seed) for seed, speed in enumerate((0.004, 0.008, 0.016, 0.03))]
     segments = [one for table in tables for one in checked(table, BENCH).segments]
-    found = named(ForceCurve.over_speed(motions(Problem(segments, BENCH).models)), np.inf, 0.0, NAMES)
+    found = named(ForceCurve.over_speed(motions(Problem(segments, BENCH).models)), 0.0, NAMES)
     assert (found and found.shape.names) == names
 
 
@@ -194,11 +194,8 @@ def test_a_rough_recording_gets_its_names_its_share_and_its_curve(tmp_path: Path
         pd.DataFrame({"time": table.time, **table.columns}).to_csv(tmp_path / f"{seed}.csv", index=False)
     bench = tmp_path / "bench.yaml"
     bench.write_text("moving_mass: 1.0\n", encoding="utf-8")
-    words = [str(tmp_path / f"{seed}.csv") for seed in (0, 1)]
-    assert (
-        run([*words, "--holdout", str(tmp_path / "2.csv"), "--bench", str(bench), "--out", str(tmp_path), "--quiet"])
-        == 0
-    )
+    words = [str(tmp_path / f"{seed}.csv") for seed in (0, 1)] + ["--holdout", str(tmp_path / "2.csv"), "--quiet"]
+    assert run([*words, "--bench", str(bench), "--out", str(tmp_path)]) == 0
     report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     assert report["verdict"] == "partly_explained"
     sizes = {one["id"]: one["parameters"] for one in report["effects"]}
@@ -211,3 +208,6 @@ def test_a_rough_recording_gets_its_names_its_share_and_its_curve(tmp_path: Path
     assert np.abs(np.subtract(curve["named"], curve["y"])).max() < 1500.0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "% of the force on the moving mass that your simulation misses" in page
+    assert run([*words, "--bench", str(tmp_path / "corrected.yaml"), "--out", str(tmp_path / "again")]) == 0
+    again = json.loads((tmp_path / "again" / "report.json").read_text(encoding="utf-8"))
+    assert again["effects"] == [], "what the corrected bench file holds was claimed once more"

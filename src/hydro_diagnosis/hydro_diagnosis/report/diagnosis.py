@@ -43,7 +43,7 @@ def accounted_sentence(report: Report) -> str:
         named, everything = (100.0 * max(shares[key], 0.0) for key in ("named", "all"))
         further = f" ({everything:.0f} % with terms that have no name)" if everything - named > 1.0 else ""
         said.append(f"{named:.0f} % of the {_WHAT[equation]} that your simulation misses{further}")
-    return f"What is named accounts for {', and '.join(said)}, on what was held out; the rest is not." if said else ""
+    return f"On what was held out, the names account for {', and '.join(said)}." if said else ""
 
 
 def _seconds(models: Sequence[SegmentModel]) -> dict[str, float]:

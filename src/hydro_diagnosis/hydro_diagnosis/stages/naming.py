@@ -98,7 +98,7 @@ def force_curve(problem: Problem) -> ForceCurve | None:
 
 def moving_in(problem: Problem) -> list[Motion]:
     """The motions of its recordings in which the piston moves at all."""
-    return [one for one in motions(problem.models) if float(np.ptp(one.position)) > 0.0]
+    return [one for one in motions(problem.models, problem.baseline) if float(np.ptp(one.position)) > 0.0]
 
 
 def model_remainder(found: StageResult, case: Case, search: Search) -> StageResult:
