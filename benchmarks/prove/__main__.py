@@ -169,6 +169,7 @@ def _row(result: Result) -> dict[str, Any]:
         "truth": {**case.effects, **case.outside}, "verdict": result.verdict, "claimed": result.claimed,
         "passed": result.passed, "located": result.located, "places": result.places,
         "held_out": result.held_out,
+        "forecast": (result.answer["report"] or {}).get("forecast"),
         "estimates": [{**vars(one), "error": one.error} for one in result.estimates],
         "wall": result.answer["wall"], "cpu": result.answer["cpu"],
     }  # fmt: skip

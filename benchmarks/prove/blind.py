@@ -4,8 +4,9 @@
 Each CASE is a folder of recordings beside bench.yaml, and gets answer.json and corrected.yaml. Finished cases are left
 alone; several can run side by side.
 
-An audit hook (PEP 578) refuses the other files of the proof, listings of folders, other processes, and the code of the
-truth plant. It guards against a mistake, not against native code written to get around it.
+An audit hook (PEP 578) refuses the other files of the proof, listings of folders, other processes but the compiler of
+a bench's model, and the code of the truth plant. It guards against a mistake, not against native code written to get
+around it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from hydro_core.cli.console import command
 from hydro_core.files.atomic import write_whole
 from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
+from hydro_sim.model.machine_code import FLAGS
 
 
 def _engine() -> str:
@@ -71,10 +73,16 @@ def guard(hidden: Path, seen: Path) -> None:
                     raise SealedError(f"{os.fsdecode(path)} is sealed")
         elif event == "import" and str(arguments[0]).startswith(TRUTH):
             raise SealedError(f"{arguments[0]} holds the truth")
-        elif event in _STARTS:
+        elif event in _STARTS and not _compiles(event, arguments):
             raise SealedError("the diagnosis starts no other process")
 
     sys.addaudithook(look)
+
+
+def _compiles(event: str, arguments: tuple[Any, ...]) -> bool:
+    """Whether a process compiles the source that `machine_code` has written, for the forecast."""
+    words = list(arguments[1]) if event == "subprocess.Popen" else []
+    return words[1 : 1 + len(FLAGS)] == list(FLAGS)
 
 
 ANSWER = "answer.json"

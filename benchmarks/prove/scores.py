@@ -175,6 +175,18 @@ class Result:
         return found
 
     @property
+    def forecast_errors(self) -> tuple[float, float] | None:
+        """Error of the forecast RMSE in closed loop, over the recorded one: corrected, and bench file."""
+        (one,) = (None if self.refused else self.answer["report"]["forecast"]) or (None,)
+        if one is None:
+            return None
+        corrected, believed = (
+            float("inf") if rmse is None else abs(rmse / one["rmse_recorded"] - 1.0)
+            for rmse in (one["rmse_corrected"], one["rmse_bench_file"])
+        )
+        return corrected, believed
+
+    @property
     def held_out(self) -> float | None:
         """Held-out error over the noise floor, root mean square over channels; infinite where it diverges."""
         channels = {} if self.refused else self.answer["report"]["fit"]["holdout"]
@@ -225,6 +237,7 @@ def standards(results: Sequence[Result]) -> Table:
     _share(table, "right equation", 0.99, placed, lambda r: r.located)
     _numbers(table, results)
     _fits(table, [result for result in placed if result.case.kind != "outside"])
+    _forecasts(table, results)
     _times(table, results)
     _share(table, "faint (a fifth to all of the smallest single): named", None, kinds["faint"], lambda r: r.exact)
     _share(table, "faint: wrong name", None, kinds["faint"], lambda r: bool(r.spurious))
@@ -277,6 +290,17 @@ def _fits(table: Table, results: Sequence[Result]) -> None:
     middle, tail = np.percentile(over, [50, 95], method="higher")  # some may diverge
     _figure(table, "held-out error over noise floor, median", "<= 1.03", f"{middle:.3f}", len(over), middle <= 1.03)
     _figure(table, "held-out error over noise floor, 95th percentile", "<= 1.3", f"{tail:.3f}", len(over), tail <= 1.3)
+
+
+def _forecasts(table: Table, results: Sequence[Result]) -> None:
+    """Errors of the RMSE that the corrected bench forecasts for control, beside those of the bench file."""
+    errors = [result.forecast_errors for result in results if result.forecast_errors is not None]
+    if not errors:
+        return
+    for share, name, goal in ((50, "median", 0.10), (95, "95th percentile", 0.25)):
+        after, before = np.percentile(errors, share, axis=0, method="higher")
+        _figure(table, f"forecast of the RMSE in closed loop, error, {name}", f"<= {goal:.0%}",
+                f"{after:.1%} (bench file: {before:.1%})", len(errors), bool(after <= goal))  # fmt: skip
 
 
 def _times(table: Table, results: Sequence[Result]) -> None:

@@ -63,6 +63,15 @@ def parser() -> argparse.ArgumentParser:
         "--as-wired", action="store_true", help="take the recordings as they are: try no repairs of wiring or units"
     )
     options.add_argument(
+        "--simulated",
+        nargs="+",
+        default=[],
+        metavar="SIM",
+        help="recordings of your own simulator (Simulink, Gazebo, Modelica, ...) driven with the bench's commands: the "
+        "report says what the bench has that the simulator has not, and by which numbers they differ",
+    )
+    options.add_argument("--simulated-columns", metavar="MAP", help="--columns of these (default: the same)")
+    options.add_argument(
         "--seconds",
         type=float,
         metavar="S",
@@ -97,6 +106,8 @@ def run(arguments: Sequence[str]) -> int:
         options.error("give recordings, --page or --grow")
     if bool(chosen.reports) != bool(chosen.id) or (not chosen.reports and (chosen.law or chosen.json)):
         options.error("--grow needs --id; --id, --law and --json go with --grow")
+    if chosen.simulated_columns and not chosen.simulated:
+        options.error("--simulated-columns goes with --simulated")
     if chosen.page:
         from hydro_diagnosis import import_page
 
@@ -126,6 +137,8 @@ def run(arguments: Sequence[str]) -> int:
                 without=chosen.without,
                 estimate=chosen.estimate,
                 as_wired=chosen.as_wired,
+                simulated=chosen.simulated,
+                simulated_columns=chosen.simulated_columns,
                 seconds=chosen.seconds,
                 progress=told,
             )

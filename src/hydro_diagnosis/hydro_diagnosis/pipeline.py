@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ from hydro_core.process import endings
 from hydro_diagnosis.estimation.problem import Budget
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report_json import DiagnosisInterrupted
+from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
 from hydro_diagnosis.selection.search import NAMES, Search, SearchSettings
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
 from hydro_diagnosis.stages.reading import Progress, Question
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
+from hydro_diagnosis.twin import compared
 from hydro_sim.model.bench import Bench
 
 
@@ -33,6 +35,8 @@ def diagnose(
     without: Sequence[str] = (),
     estimate: Sequence[str] = (),
     as_wired: bool = False,
+    simulated: Sequence[str | Path] = (),
+    simulated_columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
     settings: SearchSettings | None = None,
     seconds: float | None = None,
     progress: Progress = lambda text: None,
@@ -58,6 +62,11 @@ def diagnose(
         Numbers of the bench file that are not known, or only roughly: they are estimated, and are no causes.
     as_wired
         Take the recordings as they are: repairs of wiring are not tried (`stages.hypotheses`).
+    simulated
+        Recordings of a simulator that was driven with the bench's commands: they are diagnosed alike, against the same
+        bench file, and compared (`twin`).
+    simulated_columns
+        Column map of these; absent: `columns`.
     settings
         Of the search.
     seconds
@@ -73,21 +82,36 @@ def diagnose(
     DiagnosisInterrupted
         On Ctrl-C once the recordings are read; its `report` holds what was finished.
     """
-    begun = time.monotonic()
     question = Question(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
         estimate=estimate, as_wired=as_wired, budget=Budget(seconds),
     )  # fmt: skip
+    found = _answered(question, settings or NAMES, progress)
+    if not simulated:
+        return found
+    question = replace(
+        question, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)
+    )
+    try:
+        other = _answered(question, settings or NAMES, lambda text: progress(f"simulator: {text}"))
+    except DiagnosisInterrupted as interrupted:
+        unfinished = replace(found.report, verdict=INTERRUPTED)
+        raise DiagnosisInterrupted(unfinished, interrupted.status) from None
+    return replace(found, report=compared(found.report, other.report))
+
+
+def _answered(question: Question, settings: SearchSettings, progress: Progress) -> Diagnosis:
+    begun = time.monotonic()
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
         case = read_repaired(question, progress)
     given = None not in case.numbers.values()
-    search = Search(case.problem, case.candidates, settings or NAMES, progress, given=given)
+    search = Search(case.problem, case.candidates, settings, progress, given=given)
     try:
         with threadpool_limits(1, "blas"):
             found = name_causes(case, search)
             before, case = case, reconsider_wiring(case, found, progress)
             if case.problem is not before.problem:
-                search = Search(case.problem, case.candidates, settings or NAMES, progress, given=given)
+                search = Search(case.problem, case.candidates, settings, progress, given=given)
                 found = name_causes(case, search)
             return build_report(case, search, model_remainder(found, case, search), begun)
     except KeyboardInterrupt as interruption:

@@ -140,6 +140,56 @@ class CurveReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ForecastReport:
+    """RMSE [N] of the reference less the load cell's reading in the closed loop of a held-out recording."""
+
+    recording: str
+    law: str
+    """paper or compensated."""
+    unit: str = "N"
+    rmse_recorded: float
+    rmse_bench_file: float
+    """Simulated with the bench file; infinite where the box trips in it."""
+    rmse_corrected: float
+    """Simulated with all that was found."""
+    without: dict[str, float]
+    """By cause: simulated with all but it."""
+    misses: bool
+    """Whether `rmse_corrected` is off what was recorded by more than `forecast.MISSED` of it."""
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class NumberDifference:
+    """A number of a cause on the bench and in a simulator of it; None where there is none."""
+
+    real: float | None
+    simulated: float | None
+    difference: float | None
+    """`real` less `simulated`; None where one is missing."""
+    ci95: list[float] | None
+    """Of the difference; of the number that there is where one is missing; None: not identified."""
+    unit: str
+
+    @property
+    def tells(self) -> bool:
+        """Whether the two are apart: one is missing, or their difference's interval leaves 0 out."""
+        return self.difference is None or (self.ci95 is not None and not self.ci95[0] <= 0.0 <= self.ci95[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """A cause by which a bench and a simulator of it differ."""
+
+    id: str
+    equation: str
+    options: dict[str, str]
+    parameters: dict[str, NumberDifference]
+    only_in: str | None
+    """real or simulated; None where both have it."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Result of a diagnosis."""
 
@@ -158,11 +208,16 @@ class Report:
     accounted: dict[str, dict[str, float]] = field(default_factory=dict)
     """By equation: 1 - (rms left) / (rms missing) on what was held out, the noise taken off both; with the `named`
     effects, and with `all` terms."""
+    forecast: list[ForecastReport] | None = None
+    """What the missing physics does to control, by held-out recording; None: `not_checked` says why."""
+    simulated: list[Difference] | None = None
+    """By what the recordings of a simulator differ from the bench's; None where none were given."""
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]
     """Equations, as in `Location.equation`; sensor: the hydraulic force against the pressures."""
     not_checked: list[str]
+    """Equations; and `forecast: ` and a reason where there is no forecast of control."""
     recordings: list[dict[str, Any]]
     """Recordings, as `location` names them: `name`, and `begin`, the stamp [s] of the first sample of a bag."""
     data_quality: list[str]

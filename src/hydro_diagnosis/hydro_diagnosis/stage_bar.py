@@ -15,8 +15,9 @@ SEARCHING = "searching"
 JUDGING = "judging"
 CHECKING = "checking on held-out recordings"
 MODELLING = "modelling what has no name"
-STAGES = (READING, CURVES, SEARCHING, JUDGING, CHECKING, MODELLING)
-"""In order; the last is passed over where names explain everything."""
+FORECASTING = "forecasting control"
+STAGES = (READING, CURVES, SEARCHING, JUDGING, CHECKING, MODELLING, FORECASTING)
+"""In order; the last but one is passed over where names explain everything."""
 LINES = 10.0
 """s between the lines that stand for the bar where there is no terminal."""
 SHOWN = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"

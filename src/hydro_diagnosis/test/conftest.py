@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import fastjsonschema
 import pytest
 
+import hydro_diagnosis
 from hydro_core.signals import StateArray, Waveform
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
@@ -48,3 +53,13 @@ def written(worn: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("written")
     assert run([str(worn[0]), str(worn[1]), "--holdout", str(worn[2]), "--out", str(folder), "--quiet"]) == 0
     return folder
+
+
+SCHEMA = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
+
+
+@pytest.fixture(scope="session")
+def valid() -> Callable[[Any], Any]:
+    """Raises JsonSchemaValueException on what the contract does not allow."""
+    compiled: Callable[[Any], Any] = fastjsonschema.compile(json.loads(SCHEMA.read_text()))
+    return compiled

@@ -17,6 +17,7 @@ from hydro_diagnosis.preprocessing.loading import LAST_THIRD
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import Report, row_of
 from hydro_diagnosis.selection.search import Outcome
+from hydro_diagnosis.twin import sentences
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
@@ -71,12 +72,16 @@ class Diagnosis:
         report, lines = self.report, [f"verdict: {self.report.verdict}", f"  {self.used}"]
         if accounted := accounted_sentence(report):
             lines.append(f"  {accounted}")
+        lines += [f"forecast: {one.sentence}" for one in report.forecast or ()]
         for effect in report.effects:
             lines.append(f"  {effect.id}: {effect.sentence}")
             for name, estimate in effect.parameters.items():
                 unit, factor = display_unit(estimate.unit)
                 value = f"{estimate.value * factor:.5g} {unit}".strip()
                 lines.append(f"    {name} = {value} ({interval(estimate.ci95, factor)})")
+        if report.simulated is not None:
+            lines.append("bench and simulator: " + ("by these they differ" if report.simulated else "no difference"))
+            lines += [f"  {sentence}" for sentence in sentences(report.simulated)]
         lines += [f"  {number.sentence}" for number in report.estimated]
         for closure in report.closures:
             lines.append(f"  without a name, in {closure.equation}: {closure.expression}")

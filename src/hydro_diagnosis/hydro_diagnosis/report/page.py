@@ -22,6 +22,7 @@ from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
 from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.report_json import EffectReport, Report
+from hydro_diagnosis.twin import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
 
@@ -179,7 +180,8 @@ def rendered(found: Diagnosis) -> str:
         used=found.used,
         verdict=_VERDICTS[report.verdict],
         checked=[f"{name}: {_CHECKED[name]}" for name in report.checked],
-        not_checked=[f"{name}: {_CHECKED[name]}" for name in report.not_checked],
+        not_checked=[f"{name}: {_CHECKED[name]}" if name in _CHECKED else name for name in report.not_checked],
+        differences=sentences(report.simulated or ()),
         effects=[(effect, _picture(found, effect)) for effect in report.effects],
         comparison=comparison,
         held_out=_held_out(report),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import scipy.signal
 
+from hydro_diagnosis import stage_bar
 from hydro_diagnosis.curve_claims import OPERATORS
 from hydro_diagnosis.curve_reports import curve_reports
 from hydro_diagnosis.effects.base import HYDRAULIC, Claim, Effect, FloatArray
@@ -18,6 +19,7 @@ from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
+from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
 from hydro_diagnosis.selection.localisation import Place
@@ -193,6 +195,10 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
     hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
     effects = describe(found)
     notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden or "", search.library))
+    search.progress(stage_bar.FORECASTING)
+    given = (*case.question.recordings, *case.question.holdout)
+    forecast, reason = forecasts(problem, assessment.fit.claims, case.held, given)
+    lacking = [] if forecast else [f"forecast: {reason}"]
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
@@ -202,11 +208,14 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
         curves=curve_reports(problem, assessment.fit.claims, found.curve, found.by_curve),
         accounted=found.accounted,
         estimated=number_estimates(problem, assessment.fit, found.bounds, search.library, case.numbers),
+        forecast=forecast,
         fit=found.proof,
         next_recording=found.next_recording,
         seconds=time.monotonic() - begun,
         steps=_steps(search),
-        **{**case.facts, "data_quality": [*case.facts["data_quality"], *notes]},
+        **case.facts
+        | {"data_quality": [*case.facts["data_quality"], *notes]}
+        | {"not_checked": [*case.facts["not_checked"], *lacking]},
     )
     return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.holdout.models)
 

@@ -25,6 +25,7 @@ from hydro_core.signals import (
     Law,
     ReferenceSignal,
     StateArray,
+    Waveform,
 )
 from hydro_sim.box import firmware
 from hydro_sim.box.box import Box, BoxConfig, fill_command
@@ -38,7 +39,8 @@ from hydro_sim.model.plant import AnalyticPlant, Plant
 class Schedule:
     """Commands over a run."""
 
-    reference: ReferenceSignal
+    reference: ReferenceSignal | FloatArray
+    """What the box generates, or f_r [N] and f_r' [N/s] of each sample as they were recorded, shape (samples, 2)."""
     gains: FloatArray | tuple[float, float]
     """K_p [1/s] and K_i [1/s^2] in force: one pair, or shape (policy steps, 2) at 100 Hz, the last pair held on."""
     seconds: float
@@ -76,19 +78,26 @@ def simulate(
     -------
     Records of `STATE_DTYPE`, shape (schedule.samples,), time from 0.
 
-    Raises ValueError: the schedule's shapes are wrong.
+    Raises ValueError: the schedule's shapes are wrong, or it has a recorded reference and the plant is not analytic.
     """
     box = Box(bench, config)
     gains, correction = _changes(schedule, box.config)
     box.receive(Command(), 0.0)
     measurement = plant.reset(seed)
     law = box.config.compensated if schedule.law is Law.COMPENSATED else PAPER_LAW
+    reference, played = ReferenceSignal(), _played(np.zeros((0, 2)), 0)
+    if isinstance(schedule.reference, ReferenceSignal):
+        reference = schedule.reference
+    else:
+        played = _played(schedule.reference, schedule.samples)
     begin = Command(
-        arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0, law=schedule.law,
+        arm=True, reference=reference, filter_fresh=len(correction) > 0, law=schedule.law,
         velocity_compensation=law.velocity_compensation, valve_gain_scale=law.valve_gain_scale,
     )  # fmt: skip
     output = np.zeros(schedule.samples, STATE_DTYPE)
     if not isinstance(plant, AnalyticPlant):
+        if len(played):
+            raise ValueError("a recorded reference is played on an analytic plant alone")
         for k in range(len(output)):
             delta_kp, delta_ki = map(float, gains[min(k // SAMPLES_PER_STEP, len(gains) - 1)])
             delta_u = float(correction[k]) if len(correction) else 0.0
@@ -101,13 +110,22 @@ def simulate(
     fill_command(command, begin)
     noise = plant.noise.rows(schedule.samples)
     records = (plant.constants, plant.sensors, plant.state, box.settings, box.state, command)
-    _loop(firmware.calls(), *records, gains, correction, noise, output)
+    playing = box.state["reference"]
+    signals = (played, command["reference"], playing["coming"], playing["fade_start"])
+    _loop(firmware.calls(), *records, *signals, gains, correction, noise, output)
     return output
 
 
 @njit
-def _loop(code, constants, sensors, plant_state, settings, box, command, gains, correction, noise, output):
+def _loop(
+    code, constants, sensors, plant_state, settings, box, command, played, wanted, coming, fade_start, gains,
+    correction, noise, output,
+):  # fmt: skip
     for k in range(len(output)):
+        if len(played) > 0:
+            wanted[0] = played[k]
+            coming[0] = played[k]
+            fade_start[0] = -1.0
         row = min(k // SAMPLES_PER_STEP, len(gains) - 1)
         command[0].delta_kp, command[0].delta_ki = gains[row, 0], gains[row, 1]
         if len(correction) > 0:
@@ -115,6 +133,27 @@ def _loop(code, constants, sensors, plant_state, settings, box, command, gains, 
         firmware.receive(code.receive, box, settings, command, k * SAMPLE_PERIOD)
         firmware.tick(code.tick, box, settings, plant_state[0].x, k * SAMPLE_PERIOD, output[k : k + 1])
         plants.advance(constants, sensors, plant_state, noise[k], output[k].valve_current)
+
+
+PLAYED = 10.0
+"""Hz of the sines that play a recorded reference: their amplitude at 1e5 N/s is within a load cell's range."""
+
+
+def _played(reference: FloatArray, samples: int) -> npt.NDArray[np.void]:
+    """A signal per sample: a sine where it crosses its offset, so that its value and rate are those recorded there.
+
+    None is faded in: a recording holds its own fade. Higher derivatives, which only a_1 and a_2 of a compensated
+    reference would feel, are not the recorded ones.
+    """
+    if reference.shape != (samples, 2):
+        raise ValueError(f"a recorded reference of shape {reference.shape} for {samples} samples")
+    value, rate = reference.T
+    signals = np.zeros(samples, firmware.DOUBLE.signal)
+    signals["waveform"], signals["frequency"] = Waveform.SINE, PLAYED
+    signals["amplitude"], signals["offset"] = np.abs(rate) / (2.0 * np.pi * PLAYED), value
+    signals["phase"] = np.where(rate < 0.0, np.pi, 0.0)
+    signals["start"] = SAMPLE_PERIOD * np.arange(samples)
+    return signals
 
 
 def _changes(schedule: Schedule, config: BoxConfig) -> tuple[FloatArray, FloatArray]:

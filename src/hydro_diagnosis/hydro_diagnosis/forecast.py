@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forecast: what the missing physics does to control. The recorded loop is closed on the bench file and on what it is.
+
+::
+
+    f_r, gains, corrections as recorded ──> box, with the law and the bench that it believed ──> valve current
+                                               ^                                                     │
+                                               └── sensors with the recording's noise <── plant <────┘
+                                                   bench file | corrected | corrected without one cause
+
+The law is taken for known where it gives the nominal current that was recorded from what the box had measured. Every
+RMSE, the recorded one too, is that of f_r less the load cell's reading, over the same seconds: the noise of the cell,
+as the diagnosis measures it, is in all of them. A compensated law is run with the f_c, C_1 and C_2 that were recorded,
+which its host had fitted to the bench.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hydro_bridge.bags.location import is_bag
+from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, objects, read_bag
+from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law
+from hydro_diagnosis.bench_numbers import can_simulate
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.report.corrected_bench import corrected_bench
+from hydro_diagnosis.report_json import ForecastReport
+from hydro_sim.box.box import BoxConfig, Integral
+from hydro_sim.files.recordings import BOX_TOPIC
+from hydro_sim.model import equations as eq
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import TEXTBOOK
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import Sensors
+from hydro_sim.simulation.offline import Schedule, simulate
+
+SETTLE = 2.0
+"""s after which a loop that began at rest is where the recorded one is: a run that is entered late differs by 0.1 %."""
+SECONDS = 18.0
+"""s of each recording that are compared at most: 50 ms of computing for a simulation."""
+LEAST = 1.0
+"""s that are compared at least."""
+MISSED = 0.2
+"""Share of the recorded RMSE by which a forecast that is said to miss is off."""
+LAW_OFF = MISSED / 4.0
+"""Share of the nominal current's RMS by which the law may miss it: what is then wrong is not the law's doing."""
+LAW_STATE_TOPIC = "/hydro/law_state"
+
+
+class NoForecastError(Exception):
+    """A recording's loop cannot be closed again; the message is a sentence without its end."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The closed loop of a recording, from where the box was armed on."""
+
+    recording: str
+    belief: Bench
+    """What the box's force law believes."""
+    config: BoxConfig
+    schedule: Schedule
+    reference: FloatArray
+    """f_r [N], shape (schedule.samples,)."""
+    force: FloatArray
+    """Reading of the load cell [N], shape (schedule.samples,)."""
+    start: FloatArray
+    """Measurement x of the first sample, shape (8,)."""
+    judged: slice
+    """Samples that are compared: recorded ones, once the loop has settled."""
+
+    def rmse(self, force: FloatArray) -> float:
+        """RMSE [N] of a load force against the reference."""
+        return float(np.sqrt(np.mean(np.square((self.reference - force)[self.judged]))))
+
+    def simulated(self, bench: Bench, sensors: Sensors) -> float:
+        """RMSE [N] on a simulated bench; infinite where its box trips."""
+        states = simulate(_Begun(bench, sensors, self.start), self.belief, self.schedule, config=self.config)
+        return float("inf") if np.any(states["flags"] & Flag.TRIPPED) else self.rmse(states["load_force"])
+
+
+class _Begun(AnalyticPlant):
+    """A bench in the state of a measurement x, shape (8,), what has no sensor at rest."""
+
+    def __init__(self, bench: Bench, sensors: Sensors, start: FloatArray) -> None:
+        self._start = start
+        super().__init__(bench, settings=sensors)
+
+    def reset(self, seed: int) -> FloatArray:
+        super().reset(seed)
+        force_h, _, force_l, force_rate, pressure_a, pressure_b, position, velocity = self._start
+        self.state["y"][0, :TEXTBOOK] = pressure_a, pressure_b, position, velocity, force_l, force_rate
+        self.state["x"][0], self.state["last"][0] = self._start, (force_h, force_l, position)
+        return self.measurement()
+
+
+def forecasts(
+    problem: Problem, claims: Sequence[Claim], held: Sequence[Segment], paths: Iterable[str | Path]
+) -> tuple[list[ForecastReport] | None, str]:
+    """One forecast a recording of `held`, or None with the reason; `paths`: of the recordings that were diagnosed."""
+    if not can_simulate(problem.bench):
+        return None, "the bench file does not hold all numbers that a simulation needs"
+    where = {name: Path(path) for path in paths for name in (Path(path).name, Path(path).stem)}
+    found, reasons = [], []
+    for name in dict.fromkeys(segment.recording for segment in held):
+        longest = max((one for one in held if one.recording == name), key=len)
+        try:
+            loop = recorded_loop(longest, problem.bench, where.get(name))
+            found.append(_forecast(loop, problem, claims))
+        except NoForecastError as error:
+            reasons.append(f"{name}: {error}")
+        except ValueError as error:  # no C compiler, or numbers that cannot be simulated
+            reasons.append(f"{name} cannot be simulated: {error}")
+    return found or None, "; ".join(reasons)
+
+
+def _forecast(loop: Loop, problem: Problem, claims: Sequence[Claim]) -> ForecastReport:
+    noise, law = problem.sensor_noise, loop.schedule.law.name.lower()
+    sensors = Sensors(
+        force_noise=noise["load_force"],
+        pressure_noise=float(np.hypot(noise["pressure_a"], noise["pressure_b"]) / np.sqrt(2.0)),
+        position_step=float(np.sqrt(12.0) * noise["piston_position"]),
+    )
+    known = tuple(one for one in claims if one.effect.estimated)
+    causes = [one for one in claims if not one.effect.estimated]
+    recorded, before = loop.rmse(loop.force), loop.simulated(corrected_bench(problem.bench, known), sensors)
+    after = loop.simulated(corrected_bench(problem.bench, claims), sensors) if causes else before
+    without = {
+        cause.effect.label: before if len(causes) == 1 else
+        loop.simulated(corrected_bench(problem.bench, [one for one in claims if one is not cause]), sensors)
+        for cause in causes
+    }  # fmt: skip
+    misses = not abs(after - recorded) <= MISSED * recorded
+    said = f"On {loop.recording}, under the {law} law, your simulation promised {_newtons(before)}, the bench gave "
+    said += f"{_newtons(recorded)}, the corrected simulation says {_newtons(after)}"
+    parts = [f"{_newtons(one)} without {label.replace(':', ' ')}" for label, one in without.items()]
+    said += f" ({', '.join(parts)})." if len(parts) > 1 else "."
+    if misses:
+        said += f" The forecast MISSES what was recorded by more than {100.0 * MISSED:.0f} %: tune no controller on it."
+    return ForecastReport(
+        recording=loop.recording, law=law, rmse_recorded=recorded, rmse_bench_file=before, rmse_corrected=after,
+        without=without, misses=misses, sentence=said,
+    )  # fmt: skip
+
+
+def _newtons(rmse: float) -> str:
+    return f"{rmse:.3g} N" if np.isfinite(rmse) else "a trip of the box"
+
+
+def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> Loop:
+    """The loop of a segment, whose box believed `bench`, or what the recording at `path` says that it did.
+
+    Raises NoForecastError: no reference or law is recorded, or the law does not give the recorded current.
+    """
+    if missing := [name for name in STATE_FIELDS if name not in segment.channels]:
+        raise NoForecastError(f"no force law or reference is recorded ({', '.join(missing)})")
+    if abs(segment.step - SAMPLE_PERIOD) > 1e-3 * SAMPLE_PERIOD:
+        raise NoForecastError(f"its box does not run at {1.0 / SAMPLE_PERIOD:g} Hz")
+    law, followed, scales = _law_state(segment, path)
+    armed = segment.channels["nominal_valve_current"] != 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], armed, [False])).astype(np.int8)))
+    begins, ends = edges[::2], edges[1::2]
+    longest = int(np.argmax(ends - begins)) if len(begins) else 0
+    begin = int(begins[longest]) if len(begins) else 0
+    begin += (segment.phase - begin) % segment.spacing
+    end = min(int(ends[longest]), begin + round((SETTLE + SECONDS) / SAMPLE_PERIOD)) if len(ends) else 0
+    if end - begin < round((SETTLE + LEAST) / SAMPLE_PERIOD):
+        raise NoForecastError(f"its box is armed for less than {SETTLE + LEAST:g} s without a gap")
+    channels = {name: segment.channels[name][begin:end] for name in STATE_FIELDS}
+    followed = followed[begin:end]
+    belief, config = _box(channels, law, followed, scales, _beliefs(bench, path), segment.spacing)
+    return Loop(
+        recording=segment.recording,
+        belief=belief,
+        config=config,
+        schedule=Schedule(
+            reference=followed,
+            gains=np.stack([channels["proportional_gain"], channels["integral_gain"]], axis=1)[::SAMPLES_PER_STEP],
+            seconds=SAMPLE_PERIOD * (end - begin),
+            correction=_correction(channels, belief.valve_current_max, segment.spacing),
+            law=law,
+        ),
+        reference=channels["reference_force"],
+        force=channels["load_force"],
+        start=np.array([segment.channels[name][begin] for name in PLANT_FIELDS]),
+        judged=slice(-(-round(SETTLE / SAMPLE_PERIOD) // segment.spacing) * segment.spacing, None, segment.spacing),
+    )
+
+
+def _beliefs(bench: Bench, path: Path | None) -> list[Bench]:
+    """Benches that the box may believe: the bench file's, the nominal one, and those that the recording tells."""
+    found = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()]
+    if path is None or not is_bag(path):
+        return found
+    texts: list[Any] = []
+    with suppress(RecordingError):  # it tells none
+        texts += [message.bench for _, message in objects(path, BOX_TOPIC)]
+    texts += [read_bag(path, topics=()).attachments.get("bench.yaml", b"")]
+    for text in filter(None, dict.fromkeys(texts)):
+        try:
+            found.append(Bench.from_mapping(yaml.safe_load(text)))
+        except (ValueError, TypeError, yaml.YAMLError):  # another program's
+            continue
+    return found
+
+
+def _law_state(segment: Segment, path: Path | None) -> tuple[Law, FloatArray, tuple[float, float]]:
+    """Law, f_c [N] and f_c' [N/s] that it followed, shape (n, 2), and C_1, C_2; the paper's where none is told."""
+    channels = segment.channels
+    paper = np.stack([channels["reference_force"], channels["reference_force_rate"]], axis=1)
+    if path is None or not is_bag(path):
+        return Law.PAPER, paper, (1.0, 1.0)
+    try:
+        bag = read_bag(path, topics=(STATE_TOPIC, LAW_STATE_TOPIC))
+    except RecordingError:  # no box told its law: the paper's runs
+        return Law.PAPER, paper, (1.0, 1.0)
+    states, told = bag.state, bag[LAW_STATE_TOPIC]
+    rows = np.flatnonzero(states["load_force"] == channels["load_force"][segment.phase])
+    same = [row for row in rows if states["pressure_a"][row] == channels["pressure_a"][segment.phase]]
+    if not same:
+        raise NoForecastError("its samples were changed, so that the law's coefficients belong to none")
+    first = int(states["sequence"][same[0]]) - segment.phase
+    told = told[(told["sequence"] >= first) & (told["sequence"] < first + len(segment))]
+    told = told[told["law"] == Law.COMPENSATED]
+    if not len(told):
+        return Law.PAPER, paper, (1.0, 1.0)
+    at, numbers = np.arange(first, first + len(segment)), told["sequence"].astype(np.float64)
+    names = ("compensated_reference", "compensated_reference_rate")
+    followed = np.stack([np.interp(at, numbers, told[name]) for name in names], axis=1)
+    scales = float(np.median(told["velocity_compensation"])), float(np.median(told["valve_gain_scale"]))
+    return Law.COMPENSATED, followed, scales
+
+
+def _correction(channels: dict[str, FloatArray], limit: float, spacing: int) -> FloatArray | None:
+    """Recorded corrections [A] of the filter, none where the current is at its limit; None where it did nothing."""
+    current, nominal = channels["valve_current"][::spacing], channels["nominal_valve_current"][::spacing]
+    added = np.where(np.abs(current) < 0.999 * limit, current - nominal, 0.0)
+    if np.max(np.abs(added)) < 1e-6 * limit:
+        return None
+    return np.asarray(np.repeat(added, spacing)[: len(channels["valve_current"])])
+
+
+def _box(
+    channels: dict[str, FloatArray], law: Law, followed: FloatArray, scales: tuple[float, float],
+    beliefs: Sequence[Bench], spacing: int,
+) -> tuple[Bench, BoxConfig]:  # fmt: skip
+    """The belief and settings of the box with which its law gives the recorded current best."""
+    tried: list[tuple[float, int, Bench, BoxConfig]] = []
+    for belief in beliefs:
+        forms: tuple[Integral, ...] = ("bumpless", "paper")
+        for form in forms:
+            config = replace(
+                BoxConfig().of_bench(belief), integral=form,
+                delta_kp_min=-500.0, delta_kp_max=500.0, delta_ki_min=-500.0, delta_ki_max=500.0,
+            )  # fmt: skip
+            own = replace(
+                config.compensated, velocity_compensation=scales[0], velocity_compensation_min=scales[0],
+                velocity_compensation_max=scales[0], valve_gain_scale=scales[1], valve_gain_scale_min=scales[1],
+                valve_gain_scale_max=scales[1], delta_kp_min=-1e3, delta_kp_max=1e3, delta_ki_min=-1e3,
+                delta_ki_max=1e3,
+            )  # fmt: skip
+            config = replace(config, compensated=own)
+            tried.append((_law_off(channels, followed, scales, belief, config, spacing), len(tried), belief, config))
+    off, _, belief, config = min(tried)
+    if not off <= LAW_OFF:
+        raise NoForecastError(
+            f"the {law.name.lower()} law with its recorded gains misses the recorded nominal current by "
+            f"{100.0 * off:.0f} %: what closed this loop is not known"
+        )
+    return belief, config
+
+
+def _law_off(
+    channels: dict[str, FloatArray], followed: FloatArray, scales: tuple[float, float], belief: Bench,
+    config: BoxConfig, spacing: int,
+) -> float:  # fmt: skip
+    """RMS by which the law misses the nominal current, over that current's; the integral's beginning is fitted."""
+    numbers, nominal = belief.constants().view(np.recarray)[0], channels["nominal_valve_current"]
+    stiff = eq.stiffnesses(
+        numbers, (numbers.bulk_modulus,) * 2, eq.clip(channels["piston_position"], 0.0, numbers.stroke)
+    )
+    edges = eq.edge_drops(
+        numbers.supply_pressure, numbers.tank_pressure, channels["pressure_a"], channels["pressure_b"]
+    )
+    into_a, into_b = (
+        numbers.valve_gain * eq.signed_root(np.where(nominal >= 0.0, out, back))
+        for out, back in zip(*edges, strict=True)
+    )
+    gain = scales[1] * eq.force_rate(numbers, stiff, (into_a, -into_b), 0.0)
+    gain = np.maximum(gain, config.constants(belief)["gain_floor"][0])
+    moving = scales[0] * eq.force_rate(numbers, stiff, (0.0, 0.0), channels["piston_velocity"])
+    error = followed[:, 0] - channels["load_force"]
+    action = nominal * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
+    growth = channels["integral_gain"] if config.integral == "bumpless" else np.ones_like(error)
+    current, limit = channels["valve_current"], belief.valve_current_max
+    stopped = (np.abs(current) >= 0.999 * limit) & (current * error > 0.0)
+    grown = np.concatenate(([0.0], np.cumsum(np.where(stopped, 0.0, growth * error))[:-1])) * SAMPLE_PERIOD
+    begun = np.ones_like(error) if config.integral == "bumpless" else channels["integral_gain"]
+    action, begun, gain, nominal = (
+        one[::spacing]
+        for one in (action - grown * (1.0 if config.integral == "bumpless" else begun), begun, gain, nominal)
+    )
+    left = action - begun * (begun @ action) / (begun @ begun)
+    return float(np.sqrt(np.mean(np.square(left / gain)) / np.mean(np.square(nominal))))

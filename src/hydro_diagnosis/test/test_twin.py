@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of a simulator beside those of the bench: what differs, and by which numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hydro_diagnosis.cli import run
+from hydro_diagnosis.report_json import EffectReport, ParameterEstimate
+from hydro_diagnosis.twin import differences, sentences
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation import Segment
+from hydro_sim.model.bench import Bench
+from tests.segments import frame
+
+REAL = {"friction_coulomb": {"force": 12.0}, "valve_lag": {"bandwidth": 100.0, "damping": 0.8},
+        "leakage_internal": {"coefficient": 2e-13}}  # fmt: skip
+SIMULATOR = {"friction_coulomb": {"force": 6.0}, "valve_lag": {"bandwidth": 160.0, "damping": 0.8}}
+
+
+def recorded(folder: Path, effects: dict[str, Any], noise: float, names: list[str], **renamed: str) -> list[str]:
+    """CSV files of a concealed plant; its sensors are ideal where the noise is 0."""
+    truth = {"profile": "nominal", "bench": Bench.nominal().to_mapping(), "sensors": {"noise_scale": noise}}
+    paths = []
+    for seed, (name, waveform) in enumerate(zip(names, ("multisine", "sine"), strict=False)):
+        segment = Segment(seconds=10.0, waveform=waveform, amplitude=200.0, frequency=0.7, kp=60.0, ki=10.0)
+        states = record_offline(truth_from_mapping({**truth, "effects": effects}), [segment], seed=seed).states
+        paths.append(folder / f"{name}.csv")
+        frame(states).rename(columns=renamed).to_csv(paths[-1], index=False)
+    return [str(path) for path in paths]
+
+
+def test_concealed_simulator_is_told_from_the_bench(tmp_path: Path, valid: Callable[[Any], Any]) -> None:
+    """Friction and lag of both, each with its own numbers, and a leak that the simulator has not."""
+    bench = recorded(tmp_path, REAL, 1.0, ["run1", "run2"])
+    simulator = recorded(tmp_path, SIMULATOR, 0.0, ["sim1", "sim2"], piston_position="x")
+    renamed = "piston_position=x"
+    out = tmp_path / "out"
+    words = [*bench, "--simulated", *simulator, "--simulated-columns", renamed, "--out", str(out), "--quiet"]
+    assert run(words) == 0
+    report = json.loads((out / "report.json").read_text())
+    valid(report)
+    found = {one["id"]: one for one in report["simulated"]}
+    assert set(found) == {"friction_coulomb", "valve_lag", "leakage_internal"}
+    assert found["leakage_internal"]["only_in"] == "real"
+    for name, key in (("friction_coulomb", "force"), ("valve_lag", "bandwidth")):
+        number = found[name]["parameters"][key]
+        assert found[name]["only_in"] is None
+        assert number["real"] == pytest.approx(REAL[name][key], rel=0.05)
+        assert number["simulated"] == pytest.approx(SIMULATOR[name][key], rel=0.05)
+        assert number["ci95"][0] <= REAL[name][key] - SIMULATOR[name][key] <= number["ci95"][1]
+    page = (out / "report.html").read_text()
+    assert "Bench and simulator" in page and "the bench has, the simulator has not: leakage_internal" in page
+
+
+def effect(name: str, value: float, half: float, **options: str) -> EffectReport:
+    estimate = ParameterEstimate(value=value, ci95=[value - half, value + half], unit="N")
+    return EffectReport(id=name, equation="motion", options=options, sentence="x", parameters={"force": estimate},
+                        evidence={}, rivals=[], look_alikes=[])  # fmt: skip
+
+
+def test_numbers_within_each_other_s_doubt_are_no_difference() -> None:
+    real = [effect("friction_coulomb", 10.0, 0.3), effect("load_cell_bias", 5.0, 0.1, cell="load_force")]
+    same = [effect("friction_coulomb", 10.35, 0.3, form="other"), effect("load_cell_bias", 5.0, 0.1, cell="load_force")]
+    assert differences(real, same) == []
+    apart = [effect("friction_coulomb", 10.5, 0.3), replace(same[1], options={"cell": "hydraulic_force"})]
+    found = differences(real, apart)
+    assert [(one.id, one.only_in) for one in found] == [
+        ("load_cell_bias", "real"), ("load_cell_bias", "simulated"), ("friction_coulomb", None)
+    ]  # fmt: skip
+    number = found[-1].parameters["force"]
+    assert number.difference == pytest.approx(-0.5) and number.ci95 == pytest.approx([-0.924, -0.076], abs=1e-3)
+    assert "force is 10 N on the bench and 10.5 N in the simulator, -0.5 N" in sentences(found)[-1]
