@@ -21,7 +21,7 @@ from hydro_sim.model.bench import Bench
 from tests.segments import frame
 
 REAL = {"friction_coulomb": {"force": 12.0}, "valve_lag": {"bandwidth": 100.0, "damping": 0.8},
-        "leakage_internal": {"coefficient": 2e-13}}  # fmt: skip
+        "valve_offset": {"current": 3e-4}}  # fmt: skip
 SIMULATOR = {"friction_coulomb": {"force": 6.0}, "valve_lag": {"bandwidth": 160.0, "damping": 0.8}}
 
 
@@ -38,7 +38,7 @@ def recorded(folder: Path, effects: dict[str, Any], noise: float, names: list[st
 
 
 def test_concealed_simulator_is_told_from_the_bench(tmp_path: Path, valid: Callable[[Any], Any]) -> None:
-    """Friction and lag of both, each with its own numbers, and a leak that the simulator has not."""
+    """Friction and lag of both, each with its own numbers, and a null shift that the simulator has not."""
     bench = recorded(tmp_path, REAL, 1.0, ["run1", "run2"])
     simulator = recorded(tmp_path, SIMULATOR, 0.0, ["sim1", "sim2"], piston_position="x")
     renamed = "piston_position=x"
@@ -48,8 +48,8 @@ def test_concealed_simulator_is_told_from_the_bench(tmp_path: Path, valid: Calla
     report = json.loads((out / "report.json").read_text())
     valid(report)
     found = {one["id"]: one for one in report["simulated"]}
-    assert set(found) == {"friction_coulomb", "valve_lag", "leakage_internal"}
-    assert found["leakage_internal"]["only_in"] == "real"
+    assert set(found) == {"friction_coulomb", "valve_lag", "valve_offset"}
+    assert found["valve_offset"]["only_in"] == "real"
     for name, key in (("friction_coulomb", "force"), ("valve_lag", "bandwidth")):
         number = found[name]["parameters"][key]
         assert found[name]["only_in"] is None
@@ -57,7 +57,7 @@ def test_concealed_simulator_is_told_from_the_bench(tmp_path: Path, valid: Calla
         assert number["simulated"] == pytest.approx(SIMULATOR[name][key], rel=0.05)
         assert number["ci95"][0] <= REAL[name][key] - SIMULATOR[name][key] <= number["ci95"][1]
     page = (out / "report.html").read_text()
-    assert "Bench and simulator" in page and "the bench has, the simulator has not: leakage_internal" in page
+    assert "Bench and simulator" in page and "the bench has, the simulator has not: valve_offset" in page
 
 
 def effect(name: str, value: float, half: float, **options: str) -> EffectReport:
