@@ -177,7 +177,7 @@ class Result:
     @property
     def forecast_errors(self) -> tuple[float, float] | None:
         """Error of the forecast RMSE in closed loop, over the recorded one: corrected, and bench file."""
-        (one,) = (None if self.refused else self.answer["report"]["forecast"]) or (None,)
+        (one,) = (None if self.refused else self.answer["report"].get("forecast")) or (None,)
         if one is None:
             return None
         corrected, believed = (

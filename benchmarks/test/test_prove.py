@@ -74,6 +74,7 @@ PEEKS = {
     "importlib.import_module('hydro_sim.emulator.truth.config')": False,
     "subprocess.run(['cat', hidden / 'sealed' / 'answers.json'])": False,
     "os.system('true')": False,
+    "subprocess.run(['cc', *blind.FLAGS, '--version'], capture_output=True)": True,
     "open(hidden / 'blind' / 'bench.yaml').read()": True,
     "os.listdir(hidden / 'blind')": True,
     "importlib.import_module('hydro_sim.model.hydraulics')": True,
@@ -176,6 +177,16 @@ def test_held_out_error_that_diverges_is_not_forgotten() -> None:
     rows = {row["standard"]: row for row in standards([result(case, said)] * 3).rows}
     assert rows["held-out error over noise floor, 95th percentile"]["reached"] == "inf"
     assert rows["held-out error over noise floor, 95th percentile"]["met"] == "no"
+
+
+def test_forecast_is_scored_against_what_was_recorded() -> None:
+    said = answer("explained", "valve_gain", places={"actuation": 1.0})
+    forecast = {"rmse_recorded": 8.0, "rmse_corrected": 7.6, "rmse_bench_file": None}
+    said["report"]["forecast"] = [forecast]
+    one = result(single(valve_gain={"ratio": 1.1}), said)
+    assert one.forecast_errors == pytest.approx((0.05, float("inf")))
+    rows = {row["standard"]: row for row in standards([one]).rows}
+    assert rows["forecast of the RMSE in closed loop, error, median"]["reached"] == "5.0% (bench file: inf%)"
 
 
 @pytest.mark.study

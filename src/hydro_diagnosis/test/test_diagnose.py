@@ -109,6 +109,8 @@ def test_recording_without_pressures_is_diagnosed_for_what_it_shows(tmp_path: Pa
     assert [effect.id for effect in report.effects] == ["friction_viscous"]
     assert report.checked == ["motion"]
     assert any("pressure_a" in name for name in report.not_checked)
+    assert report.forecast is None
+    assert any(name.startswith("forecast: bare: no force law or reference") for name in report.not_checked)
 
 
 def test_recordings_with_which_no_equation_can_be_checked_are_a_sentence(tmp_path: Path) -> None:
@@ -177,6 +179,9 @@ def test_no_mismatch(valid: Callable[[Any], Any], csv: Path) -> None:
     valid(report)
     assert report["verdict"] == "no_mismatch"
     assert report["recordings"] == [{"name": csv.stem, "begin": None}]
+    (forecast,) = report["forecast"]
+    assert forecast["rmse_corrected"] == forecast["rmse_bench_file"] and not forecast["misses"]
+    assert report["simulated"] is None
 
 
 def test_something_left_that_nobody_knows(
