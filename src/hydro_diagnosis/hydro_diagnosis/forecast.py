@@ -125,6 +125,8 @@ def forecasts(
 
 def _forecast(loop: Loop, problem: Problem, claims: Sequence[Claim]) -> ForecastReport:
     noise, law = problem.sensor_noise, loop.schedule.law.name.lower()
+    if missing := {"load_force", "pressure_a", "pressure_b", "piston_position"} - noise.keys():
+        raise NoForecastError(f"the noise of {', '.join(sorted(missing))} is not known from what was fitted")
     sensors = Sensors(
         force_noise=noise["load_force"],
         pressure_noise=float(np.hypot(noise["pressure_a"], noise["pressure_b"]) / np.sqrt(2.0)),
@@ -141,7 +143,7 @@ def _forecast(loop: Loop, problem: Problem, claims: Sequence[Claim]) -> Forecast
     }  # fmt: skip
     misses = not abs(after - recorded) <= MISSED * recorded
     said = f"On {loop.recording}, under the {law} law, your simulation promised {_newtons(before)}, the bench gave "
-    said += f"{_newtons(recorded)}, the corrected simulation says {_newtons(after)}"
+    said += _newtons(recorded) + (f", the corrected simulation says {_newtons(after)}" if causes else "")
     parts = [f"{_newtons(one)} without {label.replace(':', ' ')}" for label, one in without.items()]
     said += f" ({', '.join(parts)})." if len(parts) > 1 else "."
     if misses:
