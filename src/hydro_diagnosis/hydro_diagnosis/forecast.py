@@ -16,7 +16,7 @@ which its host had fitted to the bench.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +34,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import ForecastReport
-from hydro_sim.box.box import BoxConfig, Integral
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.recordings import BOX_TOPIC
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
@@ -53,6 +53,8 @@ MISSED = 0.2
 """Share of the recorded RMSE by which a forecast that is said to miss is off."""
 LAW_OFF = MISSED / 4.0
 """Share of the nominal current's RMS by which the law may miss it: what is then wrong is not the law's doing."""
+AT_LIMIT = 0.999
+"""Share of the largest current from which on the valve is taken to stand at its limit."""
 LAW_STATE_TOPIC = "/hydro/law_state"
 
 
@@ -168,110 +170,87 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     if abs(segment.step - SAMPLE_PERIOD) > 1e-3 * SAMPLE_PERIOD:
         raise NoForecastError(f"its box does not run at {1.0 / SAMPLE_PERIOD:g} Hz")
     law, followed, scales = _law_state(segment, path)
-    armed = segment.channels["nominal_valve_current"] != 0.0
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], armed, [False])).astype(np.int8)))
-    begins, ends = edges[::2], edges[1::2]
-    longest = int(np.argmax(ends - begins)) if len(begins) else 0
-    begin = int(begins[longest]) if len(begins) else 0
-    begin += (segment.phase - begin) % segment.spacing
-    end = min(int(ends[longest]), begin + round((SETTLE + SECONDS) / SAMPLE_PERIOD)) if len(ends) else 0
+    armed = np.concatenate(([False], segment.channels["nominal_valve_current"] != 0.0, [False]))
+    runs = np.flatnonzero(np.diff(armed.astype(np.int8))).reshape(-1, 2)
+    begin, end = max(runs.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
+    spacing = segment.spacing
+    begin += (segment.phase - begin) % spacing
+    end = min(end, begin + round((SETTLE + SECONDS) / SAMPLE_PERIOD))
     if end - begin < round((SETTLE + LEAST) / SAMPLE_PERIOD):
         raise NoForecastError(f"its box is armed for less than {SETTLE + LEAST:g} s without a gap")
-    channels = {name: segment.channels[name][begin:end] for name in STATE_FIELDS}
-    followed = followed[begin:end]
-    belief, config = _box(channels, law, followed, scales, _beliefs(bench, path), segment.spacing)
-    return Loop(
-        recording=segment.recording,
-        belief=belief,
-        config=config,
-        schedule=Schedule(
-            reference=followed,
-            gains=np.stack([channels["proportional_gain"], channels["integral_gain"]], axis=1)[::SAMPLES_PER_STEP],
-            seconds=SAMPLE_PERIOD * (end - begin),
-            correction=_correction(channels, belief.valve_current_max, segment.spacing),
-            law=law,
-        ),
-        reference=channels["reference_force"],
-        force=channels["load_force"],
-        start=np.array([segment.channels[name][begin] for name in PLANT_FIELDS]),
-        judged=slice(-(-round(SETTLE / SAMPLE_PERIOD) // segment.spacing) * segment.spacing, None, segment.spacing),
+    part = segment.cut(begin, end).channels
+    belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, path), spacing)
+    schedule = Schedule(
+        reference=followed[begin:end],
+        gains=np.stack([part["proportional_gain"], part["integral_gain"]], axis=1)[::SAMPLES_PER_STEP],
+        seconds=SAMPLE_PERIOD * (end - begin),
+        correction=_correction(part, belief.valve_current_max, spacing),
+        law=law,
     )
+    return Loop(
+        recording=segment.recording, belief=belief, config=config, schedule=schedule,
+        start=np.array([part[name][0] for name in PLANT_FIELDS]),
+        reference=part["reference_force"], force=part["load_force"],
+        judged=slice(-(-round(SETTLE / SAMPLE_PERIOD) // spacing) * spacing, None, spacing),
+    )  # fmt: skip
 
 
 def _beliefs(bench: Bench, path: Path | None) -> list[Bench]:
     """Benches that the box may believe: the bench file's, the nominal one, and those that the recording tells."""
-    found = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()]
-    if path is None or not is_bag(path):
-        return found
-    texts: list[Any] = []
-    with suppress(RecordingError):  # it tells none
-        texts += [message.bench for _, message in objects(path, BOX_TOPIC)]
-    texts += [read_bag(path, topics=()).attachments.get("bench.yaml", b"")]
+    found, texts = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()], list[Any]()
+    if path is not None and is_bag(path):
+        with suppress(RecordingError):  # it tells none
+            texts += [message.bench for _, message in objects(path, BOX_TOPIC)]
+        texts.append(read_bag(path, topics=()).attachments.get("bench.yaml"))
     for text in filter(None, dict.fromkeys(texts)):
-        try:
+        with suppress(ValueError, TypeError, yaml.YAMLError):  # another program's
             found.append(Bench.from_mapping(yaml.safe_load(text)))
-        except (ValueError, TypeError, yaml.YAMLError):  # another program's
-            continue
     return found
 
 
 def _law_state(segment: Segment, path: Path | None) -> tuple[Law, FloatArray, tuple[float, float]]:
     """Law, f_c [N] and f_c' [N/s] that it followed, shape (n, 2), and C_1, C_2; the paper's where none is told."""
-    channels = segment.channels
-    paper = np.stack([channels["reference_force"], channels["reference_force_rate"]], axis=1)
-    if path is None or not is_bag(path):
-        return Law.PAPER, paper, (1.0, 1.0)
-    try:
-        bag = read_bag(path, topics=(STATE_TOPIC, LAW_STATE_TOPIC))
-    except RecordingError:  # no box told its law: the paper's runs
-        return Law.PAPER, paper, (1.0, 1.0)
-    states, told = bag.state, bag[LAW_STATE_TOPIC]
-    rows = np.flatnonzero(states["load_force"] == channels["load_force"][segment.phase])
-    same = [row for row in rows if states["pressure_a"][row] == channels["pressure_a"][segment.phase]]
-    if not same:
+    channels, at = segment.channels, segment.phase
+    paper = Law.PAPER, np.stack([channels["reference_force"], channels["reference_force_rate"]], axis=1), (1.0, 1.0)
+    if path is None or not is_bag(path) or LAW_STATE_TOPIC not in read_bag(path, topics=()).topics:
+        return paper
+    bag = read_bag(path, topics=(STATE_TOPIC, LAW_STATE_TOPIC))
+    same = np.all([bag.state[name] == channels[name][at] for name in ("load_force", "pressure_a")], axis=0)
+    if not same.any():
         raise NoForecastError("its samples were changed, so that the law's coefficients belong to none")
-    first = int(states["sequence"][same[0]]) - segment.phase
-    told = told[(told["sequence"] >= first) & (told["sequence"] < first + len(segment))]
-    told = told[told["law"] == Law.COMPENSATED]
+    numbers = int(bag.state["sequence"][np.argmax(same)]) - at + np.arange(len(segment))
+    told = bag[LAW_STATE_TOPIC]
+    told = told[(told["law"] == Law.COMPENSATED) & np.isin(told["sequence"], numbers)]
     if not len(told):
-        return Law.PAPER, paper, (1.0, 1.0)
-    at, numbers = np.arange(first, first + len(segment)), told["sequence"].astype(np.float64)
+        return paper
     names = ("compensated_reference", "compensated_reference_rate")
-    followed = np.stack([np.interp(at, numbers, told[name]) for name in names], axis=1)
+    followed = np.stack([np.interp(numbers, told["sequence"], told[name]) for name in names], axis=1)
     scales = float(np.median(told["velocity_compensation"])), float(np.median(told["valve_gain_scale"]))
     return Law.COMPENSATED, followed, scales
 
 
-def _correction(channels: dict[str, FloatArray], limit: float, spacing: int) -> FloatArray | None:
+def _correction(channels: Mapping[str, FloatArray], limit: float, spacing: int) -> FloatArray | None:
     """Recorded corrections [A] of the filter, none where the current is at its limit; None where it did nothing."""
     current, nominal = channels["valve_current"][::spacing], channels["nominal_valve_current"][::spacing]
-    added = np.where(np.abs(current) < 0.999 * limit, current - nominal, 0.0)
+    added = np.where(np.abs(current) < AT_LIMIT * limit, current - nominal, 0.0)
     if np.max(np.abs(added)) < 1e-6 * limit:
         return None
     return np.asarray(np.repeat(added, spacing)[: len(channels["valve_current"])])
 
 
 def _box(
-    channels: dict[str, FloatArray], law: Law, followed: FloatArray, scales: tuple[float, float],
+    channels: Mapping[str, FloatArray], law: Law, followed: FloatArray, scales: tuple[float, float],
     beliefs: Sequence[Bench], spacing: int,
 ) -> tuple[Bench, BoxConfig]:  # fmt: skip
     """The belief and settings of the box with which its law gives the recorded current best."""
+    names = zip(("velocity_compensation", "valve_gain_scale"), scales, strict=True)
+    fixed = {f"{name}{end}": scale for name, scale in names for end in ("", "_min", "_max")}
+    wide = {f"delta_{gain}_{end}": sign * 500.0 for gain in ("kp", "ki") for end, sign in (("min", -1), ("max", 1))}
     tried: list[tuple[float, int, Bench, BoxConfig]] = []
     for belief in beliefs:
-        forms: tuple[Integral, ...] = ("bumpless", "paper")
-        for form in forms:
-            config = replace(
-                BoxConfig().of_bench(belief), integral=form,
-                delta_kp_min=-500.0, delta_kp_max=500.0, delta_ki_min=-500.0, delta_ki_max=500.0,
-            )  # fmt: skip
-            own = replace(
-                config.compensated, velocity_compensation=scales[0], velocity_compensation_min=scales[0],
-                velocity_compensation_max=scales[0], valve_gain_scale=scales[1], valve_gain_scale_min=scales[1],
-                valve_gain_scale_max=scales[1], delta_kp_min=-1e3, delta_kp_max=1e3, delta_ki_min=-1e3,
-                delta_ki_max=1e3,
-            )  # fmt: skip
-            config = replace(config, compensated=own)
-            tried.append((_law_off(channels, followed, scales, belief, config, spacing), len(tried), belief, config))
+        config = BoxConfig().of_bench(belief)
+        config = replace(config, compensated=replace(config.compensated, **fixed, **wide), **wide)  # type: ignore[arg-type]
+        tried.append((_law_off(channels, followed, scales, belief, config, spacing), len(tried), belief, config))
     off, _, belief, config = min(tried)
     if not off <= LAW_OFF:
         raise NoForecastError(
@@ -282,34 +261,23 @@ def _box(
 
 
 def _law_off(
-    channels: dict[str, FloatArray], followed: FloatArray, scales: tuple[float, float], belief: Bench,
+    channels: Mapping[str, FloatArray], followed: FloatArray, scales: tuple[float, float], belief: Bench,
     config: BoxConfig, spacing: int,
 ) -> float:  # fmt: skip
     """RMS by which the law misses the nominal current, over that current's; the integral's beginning is fitted."""
-    numbers, nominal = belief.constants().view(np.recarray)[0], channels["nominal_valve_current"]
-    stiff = eq.stiffnesses(
-        numbers, (numbers.bulk_modulus,) * 2, eq.clip(channels["piston_position"], 0.0, numbers.stroke)
-    )
-    edges = eq.edge_drops(
-        numbers.supply_pressure, numbers.tank_pressure, channels["pressure_a"], channels["pressure_b"]
-    )
-    into_a, into_b = (
-        numbers.valve_gain * eq.signed_root(np.where(nominal >= 0.0, out, back))
-        for out, back in zip(*edges, strict=True)
-    )
-    gain = scales[1] * eq.force_rate(numbers, stiff, (into_a, -into_b), 0.0)
+    n, nominal, error = belief.constants().view(np.recarray)[0], channels["nominal_valve_current"], followed[:, 0]
+    error = error - channels["load_force"]
+    stiff = eq.stiffnesses(n, (n.bulk_modulus,) * 2, eq.clip(channels["piston_position"], 0.0, n.stroke))
+    edges = eq.edge_drops(n.supply_pressure, n.tank_pressure, channels["pressure_a"], channels["pressure_b"])
+    drops = (np.where(nominal >= 0.0, out, back) for out, back in zip(*edges, strict=True))
+    into_a, into_b = (n.valve_gain * eq.signed_root(drop) for drop in drops)
+    gain = scales[1] * eq.force_rate(n, stiff, (into_a, -into_b), 0.0)
     gain = np.maximum(gain, config.constants(belief)["gain_floor"][0])
-    moving = scales[0] * eq.force_rate(numbers, stiff, (0.0, 0.0), channels["piston_velocity"])
-    error = followed[:, 0] - channels["load_force"]
+    moving = scales[0] * eq.force_rate(n, stiff, (0.0, 0.0), channels["piston_velocity"])
     action = nominal * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
-    growth = channels["integral_gain"] if config.integral == "bumpless" else np.ones_like(error)
-    current, limit = channels["valve_current"], belief.valve_current_max
-    stopped = (np.abs(current) >= 0.999 * limit) & (current * error > 0.0)
-    grown = np.concatenate(([0.0], np.cumsum(np.where(stopped, 0.0, growth * error))[:-1])) * SAMPLE_PERIOD
-    begun = np.ones_like(error) if config.integral == "bumpless" else channels["integral_gain"]
-    action, begun, gain, nominal = (
-        one[::spacing]
-        for one in (action - grown * (1.0 if config.integral == "bumpless" else begun), begun, gain, nominal)
-    )
-    left = action - begun * (begun @ action) / (begun @ begun)
-    return float(np.sqrt(np.mean(np.square(left / gain)) / np.mean(np.square(nominal))))
+    current = channels["valve_current"]
+    stopped = (np.abs(current) >= AT_LIMIT * belief.valve_current_max) & (current * error > 0.0)
+    grown = np.cumsum(np.where(stopped, 0.0, channels["integral_gain"] * error)) * SAMPLE_PERIOD
+    left = (action[1:] - grown[:-1])[spacing - 1 :: spacing]
+    off = (left - left.mean()) / gain[spacing::spacing]
+    return float(np.sqrt(np.mean(np.square(off)) / np.mean(np.square(nominal[spacing::spacing]))))
