@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ import numpy as np
 import yaml
 
 from hydro_bridge.bags.location import is_bag
-from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, objects, read_bag
+from hydro_bridge.bags.recording import Recording, RecordingError, objects, read_bag, stream_bag
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law
 from hydro_diagnosis.bench_numbers import can_simulate
 from hydro_diagnosis.effects.base import Claim
@@ -58,7 +59,7 @@ AT_LIMIT = 0.999
 LAW_STATE_TOPIC = "/hydro/law_state"
 
 
-class NoForecastError(Exception):
+class NoForecastError(ValueError):
     """A recording's loop cannot be closed again; the message is a sentence without its end."""
 
 
@@ -118,10 +119,8 @@ def forecasts(
         try:
             loop = recorded_loop(longest, problem.bench, where.get(name))
             found.append(_forecast(loop, problem, claims))
-        except NoForecastError as error:
+        except (ValueError, RecordingError) as error:  # also: no C compiler, or numbers that cannot be simulated
             reasons.append(f"{name}: {error}")
-        except ValueError as error:  # no C compiler, or numbers that cannot be simulated
-            reasons.append(f"{name} cannot be simulated: {error}")
     return found or None, "; ".join(reasons)
 
 
@@ -169,7 +168,8 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
         raise NoForecastError(f"no force law or reference is recorded ({', '.join(missing)})")
     if abs(segment.step - SAMPLE_PERIOD) > 1e-3 * SAMPLE_PERIOD:
         raise NoForecastError(f"its box does not run at {1.0 / SAMPLE_PERIOD:g} Hz")
-    law, followed, scales = _law_state(segment, path)
+    bag = read_bag(path, topics=()) if path is not None and is_bag(path) else None
+    law, followed, scales = _law_state(segment, bag)
     armed = np.concatenate(([False], segment.channels["nominal_valve_current"] != 0.0, [False]))
     runs = np.flatnonzero(np.diff(armed.astype(np.int8))).reshape(-1, 2)
     begin, end = max(runs.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
@@ -179,7 +179,7 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     if end - begin < round((SETTLE + LEAST) / SAMPLE_PERIOD):
         raise NoForecastError(f"its box is armed for less than {SETTLE + LEAST:g} s without a gap")
     part = segment.cut(begin, end).channels
-    belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, path), spacing)
+    belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, bag), spacing)
     schedule = Schedule(
         reference=followed[begin:end],
         gains=np.stack([part["proportional_gain"], part["integral_gain"]], axis=1)[::SAMPLES_PER_STEP],
@@ -195,32 +195,34 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     )  # fmt: skip
 
 
-def _beliefs(bench: Bench, path: Path | None) -> list[Bench]:
+def _beliefs(bench: Bench, bag: Recording | None) -> list[Bench]:
     """Benches that the box may believe: the bench file's, the nominal one, and those that the recording tells."""
     found, texts = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()], list[Any]()
-    if path is not None and is_bag(path):
-        with suppress(RecordingError):  # it tells none
-            texts += [message.bench for _, message in objects(path, BOX_TOPIC)]
-        texts.append(read_bag(path, topics=()).attachments.get("bench.yaml"))
-    for text in filter(None, dict.fromkeys(texts)):
+    if bag is not None:
+        boxes = objects(bag.path, BOX_TOPIC) if BOX_TOPIC in bag.topics else iter(())
+        texts += [bag.attachments.get("bench.yaml"), *(message.bench for _, message in islice(boxes, 1))]
+    for text in filter(None, texts):
         with suppress(ValueError, TypeError, yaml.YAMLError):  # another program's
             found.append(Bench.from_mapping(yaml.safe_load(text)))
     return found
 
 
-def _law_state(segment: Segment, path: Path | None) -> tuple[Law, FloatArray, tuple[float, float]]:
+def _law_state(segment: Segment, bag: Recording | None) -> tuple[Law, FloatArray, tuple[float, float]]:
     """Law, f_c [N] and f_c' [N/s] that it followed, shape (n, 2), and C_1, C_2; the paper's where none is told."""
     channels, at = segment.channels, segment.phase
     paper = Law.PAPER, np.stack([channels["reference_force"], channels["reference_force_rate"]], axis=1), (1.0, 1.0)
-    if path is None or not is_bag(path) or LAW_STATE_TOPIC not in read_bag(path, topics=()).topics:
+    if bag is None or LAW_STATE_TOPIC not in bag.topics:
         return paper
-    bag = read_bag(path, topics=(STATE_TOPIC, LAW_STATE_TOPIC))
-    same = np.all([bag.state[name] == channels[name][at] for name in ("load_force", "pressure_a")], axis=0)
-    if not same.any():
+    for states in stream_bag(bag.path):
+        same = np.all([states[name] == channels[name][at] for name in ("load_force", "pressure_a")], axis=0)
+        if same.any():
+            break
+    else:
         raise NoForecastError("its samples were changed, so that the law's coefficients belong to none")
-    numbers = int(bag.state["sequence"][np.argmax(same)]) - at + np.arange(len(segment))
-    told = bag[LAW_STATE_TOPIC]
-    told = told[(told["law"] == Law.COMPENSATED) & np.isin(told["sequence"], numbers)]
+    numbers = int(states["sequence"][np.argmax(same)]) - at + np.arange(len(segment))
+    blocks = (block[np.isin(block["sequence"], numbers)] for block in stream_bag(bag.path, LAW_STATE_TOPIC))
+    told = np.concatenate(list(blocks))
+    told = told[told["law"] == Law.COMPENSATED]
     if not len(told):
         return paper
     names = ("compensated_reference", "compensated_reference_rate")

@@ -209,7 +209,7 @@ class Report:
     """By equation: 1 - (rms left) / (rms missing) on what was held out, the noise taken off both; with the `named`
     effects, and with `all` terms."""
     forecast: list[ForecastReport] | None = None
-    """What the missing physics does to control, by held-out recording; None: `not_checked` says why."""
+    """What the missing physics does to control, by held-out recording; `not_checked` says why there is none of one."""
     simulated: list[Difference] | None = None
     """By what the recordings of a simulator differ from the bench's; None where none were given."""
     fit: dict[str, Any]

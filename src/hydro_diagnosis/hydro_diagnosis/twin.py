@@ -37,21 +37,14 @@ def differences(real: Sequence[EffectReport], simulated: Sequence[EffectReport])
     """Causes that one of the two lacks, then those whose numbers differ; none that cannot be told apart."""
     own, other = ({_place(effect): effect for effect in effects} for effects in (real, simulated))
     found = []
-    for place in {**own, **other}:
-        one, two = own.get(place), other.get(place)
-        effect = one or two
-        assert effect is not None
-        own_numbers, other_numbers = (each.parameters if each else {} for each in (one, two))
-        names = dict.fromkeys((*own_numbers, *other_numbers))
-        numbers = {name: _number(own_numbers.get(name), other_numbers.get(name)) for name in names}
-        only_in = "simulated" if one is None else "real" if two is None else None
-        if only_in or any(number.tells for number in numbers.values()):
-            found.append(
-                Difference(
-                    id=effect.id, equation=effect.equation, options=effect.options, parameters=numbers, only_in=only_in
-                )
-            )
-    return sorted(found, key=lambda difference: difference.only_in is None)
+    for place, effect in (other | own).items():
+        one, two = (side[place].parameters if place in side else {} for side in (own, other))
+        numbers = {name: _number(one.get(name), two.get(name)) for name in one | two}
+        only_in = "real" if not two else "simulated" if not one else None
+        if any(number.tells for number in numbers.values()):
+            place_of = {"id": effect.id, "equation": effect.equation, "options": effect.options}
+            found.append(Difference(**place_of, parameters=numbers, only_in=only_in))  # type: ignore[arg-type]
+    return sorted(found, key=lambda difference: difference.only_in or "s")  # real, both, simulated
 
 
 def _place(effect: EffectReport) -> tuple[str, ...]:
@@ -60,18 +53,12 @@ def _place(effect: EffectReport) -> tuple[str, ...]:
 
 
 def _number(one: ParameterEstimate | None, two: ParameterEstimate | None) -> NumberDifference:
-    there = one or two
-    assert there is not None
     if one is None or two is None:
-        return NumberDifference(
-            real=one.value if one else None,
-            simulated=two.value if two else None,
-            difference=None,
-            ci95=there.ci95,
-            unit=there.unit,
-        )
-    apart = one.value - two.value
-    bounds = None
+        there = one or two
+        assert there is not None
+        values = {"real": one and there.value, "simulated": two and there.value}
+        return NumberDifference(**values, difference=None, ci95=there.ci95, unit=there.unit)  # type: ignore[arg-type]
+    apart, bounds = one.value - two.value, None
     if one.ci95 is not None and two.ci95 is not None:
         below = np.hypot(one.value - one.ci95[0], two.ci95[1] - two.value)
         above = np.hypot(one.ci95[1] - one.value, two.value - two.ci95[0])
@@ -79,28 +66,27 @@ def _number(one: ParameterEstimate | None, two: ParameterEstimate | None) -> Num
     return NumberDifference(real=one.value, simulated=two.value, difference=apart, ci95=bounds, unit=one.unit)
 
 
+_WHO = {"real": "the bench has, the simulator has not: ", "simulated": "the simulator has, the bench has not: "}
+
+
 def sentences(found: Sequence[Difference]) -> list[str]:
     """What differs, a sentence a cause."""
     said = []
     for one in found:
-        words = " ".join([one.id, *one.options.values()])
-        numbers = []
+        words = []
         for name, number in one.parameters.items():
             unit, factor = display_unit(number.unit)
-            real, simulated = (
-                "none" if value is None else f"{value * factor:.5g} {unit}".strip()
-                for value in (number.real, number.simulated)
-            )
-            if one.only_in:
-                numbers.append(f"{name} = {real if one.only_in == 'real' else simulated}")
-            elif number.tells:
-                low, high = np.array(number.ci95) * factor if number.ci95 else (np.nan, np.nan)
-                apart = "" if number.difference is None else f", {number.difference * factor:+.5g} {unit}".rstrip()
-                within = f" (95 % {low:+.5g} to {high:+.5g})" if number.difference is not None else ""
-                numbers.append(f"{name} is {real} on the bench and {simulated} in the simulator{apart}{within}")
-        where = {
-            "real": "the bench has, the simulator has not: ",
-            "simulated": "the simulator has, the bench has not: ",
-        }
-        said.append(f"{where.get(one.only_in or '', 'both have ')}{words}: {', '.join(numbers)}")
+            if number.difference is None:
+                value = number.real if number.simulated is None else number.simulated
+                where = "" if one.only_in else f" {'on the bench' if number.simulated is None else 'in the simulator'}"
+                words.append(f"{name} = {(value or 0.0) * factor:.5g} {unit}".rstrip() + where)
+            elif number.tells and number.ci95 is not None:
+                numbers = (number.real, number.simulated, number.difference, *number.ci95)
+                real, simulated, apart, low, high = (factor * (each or 0.0) for each in numbers)
+                words.append(
+                    f"{name} is {real:.5g} {unit} on the bench and {simulated:.5g} {unit} in the simulator, "
+                    f"{apart:+.5g} {unit} (95 % {low:+.5g} to {high:+.5g})"
+                )
+        label = " ".join([one.id, *one.options.values()])
+        said.append(f"{_WHO.get(one.only_in or '', 'both have ')}{label}: {', '.join(words)}")
     return said

@@ -198,7 +198,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
     search.progress(stage_bar.FORECASTING)
     given = (*case.question.recordings, *case.question.holdout)
     forecast, reason = forecasts(problem, assessment.fit.claims, case.held, given)
-    lacking = [] if forecast else [f"forecast: {reason}"]
+    lacking = [f"forecast: {reason}"] if reason else []
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
