@@ -236,3 +236,16 @@ def test_the_compiled_loop_gives_the_nodes_numbers_to_the_bit(bench: Bench) -> N
         kp, ki = gains[min(k // SAMPLES_PER_STEP, 149)] - (15.0, 5.0)
         asked = Command(arm=True, delta_kp=kp, delta_ki=ki, delta_u=correction[k], reference=signal, filter_fresh=True)
         assert rig.go(1, asked)[0].item() == record.item(), k
+
+
+@pytest.mark.parametrize(("law", "gains"), [(Law.PAPER, (60.0, 10.0)), (Law.COMPENSATED, (300.0, 10.0))])
+def test_recorded_reference_is_played_as_it_was(law: Law, gains: tuple[float, float]) -> None:
+    bench, signal = Bench.nominal(), ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=250.0, frequency=0.7)
+    schedule = Schedule(reference=signal, gains=gains, seconds=2.0, law=law)
+    run = simulate(AnalyticPlant(bench), bench, schedule, seed=3)
+    recorded = np.stack([run["reference_force"], run["reference_force_rate"]], axis=1)
+    again = simulate(AnalyticPlant(bench), bench, replace(schedule, reference=recorded), seed=3)
+    for name in ("reference_force", "load_force", "valve_current"):
+        np.testing.assert_allclose(again[name], run[name], atol=1e-9)
+    with pytest.raises(ValueError, match="for 2000 samples"):
+        simulate(AnalyticPlant(bench), bench, replace(schedule, reference=recorded[1:]))
