@@ -30,7 +30,7 @@ def recorded(folder: Path, effects: dict[str, Any], noise: float, names: list[st
     truth = {"profile": "nominal", "bench": Bench.nominal().to_mapping(), "sensors": {"noise_scale": noise}}
     paths = []
     for seed, (name, waveform) in enumerate(zip(names, ("multisine", "sine"), strict=False)):
-        segment = Segment(seconds=10.0, waveform=waveform, amplitude=200.0, frequency=0.7, kp=60.0, ki=10.0)
+        segment = Segment(seconds=7.0, waveform=waveform, amplitude=200.0, frequency=0.7, kp=60.0, ki=10.0)
         states = record_offline(truth_from_mapping({**truth, "effects": effects}), [segment], seed=seed).states
         paths.append(folder / f"{name}.csv")
         frame(states).rename(columns=renamed).to_csv(paths[-1], index=False)
