@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Schedules: segments of references and gains, and their one YAML form, checked whole as it is read.
 
-What `ros2 run hydro_sim collect` plays into the graph and what the emulator records offline (schedule.md). A fade
+What `ros2 run hydro_policy collect` plays into the graph and what the emulator records offline (schedule.md). A fade
 of 0.3 s joins the segments (protocol.md).
 """
 

@@ -208,10 +208,7 @@ _OWN = {
     "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS, ANSWERED), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY)),
     "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
     "evaluate": _CONTROLLER,
-    "collect": Rights(
-        publishes=(GAINS, REFERENCE, ANSWERED), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
-        calls=(CLAIM_SERVICE,),
-    ),
+    "collect": _CONTROLLER,
     "recorder": Rights(publishes=(DIAGNOSTICS, ANSWERED)),
     "dashboard": Rights(
         publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
