@@ -24,7 +24,8 @@ from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_core.signals import Flag
-from hydro_sim.excitation import Playback, Segment
+from hydro_policy.nodes.collect import SchedulePlan
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from tests.checks import ran
 from tests.graph_probe import Probe
@@ -37,23 +38,15 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> None:
-    playback = Playback([Segment(seconds=0.002), Segment(seconds=0.002), Segment(seconds=0.001)])
-    for flags in (Flag.ARMED, Flag.TRIPPED, 0):  # met like that: not our doing
-        playback.on_sample(flags)
-    assert playback.next() is not None and playback.next() is None
-    assert (playback.elapsed, playback.trips) == (0.0, 0)
-    for flags in (Flag.ARMED, Flag.TRIPPED, Flag.TRIPPED, 0, Flag.ARMED):
-        playback.on_sample(flags)
-    assert playback.next() is not None
-    assert playback.trips_in_a_row == 1  # the first segment was not played without one
-    playback.on_sample(Flag.ARMED)
-    playback.on_sample(Flag.ARMED)
-    assert playback.next() is not None
-    assert (playback.trips, playback.trips_in_a_row) == (1, 0)
-    playback.on_sample(Flag.ARMED)
-    assert playback.next() is None
-    assert playback.finished
+def test_a_schedule_goes_on_behind_a_trip_and_ends_after_three_in_a_row() -> None:
+    plan = SchedulePlan([Segment(seconds=1.0, kp=60.0) for _ in range(6)], (15.0, 5.0))
+    assert plan.trial is not None and plan.trial.controller.gains(np.zeros(14)) == (45.0, 10.0)
+    done, tripped = plan.trial.stopped(""), plan.trial.stopped("tripped")
+    for each in (tripped, tripped, done, tripped, tripped):
+        plan.add(each)
+    assert plan.trial is not None and (plan.played, plan.trips, plan.in_a_row, plan.ended) == (5.0, 4, 2, "")
+    plan.add(tripped)
+    assert plan.trial is None and "3 times in a row" in plan.ended
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from math import inf
 from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory
@@ -23,20 +24,61 @@ from tqdm import tqdm
 from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.readiness import NotReadyError
+from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_core.cli.console import UserError, command, number, progress, writable, writable_folder
 from hydro_core.process.endings import undisturbed
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Trial
 from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.sessions.playing import TRIPS_IN_A_ROW, PlayingSession
+from hydro_policy.task.cases import Case, Score
 from hydro_sim.box.box import EMULATED_BOX
 from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
+REST = 1.0
+"""s recorded before arming: the still bench."""
+TRIPS_IN_A_ROW = 3
 AUTHORITY_WITHIN = 5.0
 """s for the plant to give the authority: longer than it keeps that of one who was killed."""
 TRIPPED = 3
 """Exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there."""
+
+
+class SchedulePlan:
+    """A schedule's segments, each a trial that is not judged, until too many in a row have tripped the plant.
+
+    `schedule`: segments with total gains. `base`: base gains of the box, K_p [1/s] and K_i [1/s^2].
+    """
+
+    def __init__(self, schedule: Sequence[Segment], base: tuple[float, float]) -> None:
+        self._left = [
+            Trial(controller=FixedGains(one.kp, one.ki, base), case=Case(one.waveform, one.signal), settle=0.0,
+                  measure=one.seconds, judged=False)
+            for one in schedule
+        ]  # fmt: skip
+        self.seconds = sum(one.seconds for one in schedule)
+        self.played = 0.0
+        """s of the trials that are over."""
+        self.trips = self.in_a_row = 0
+
+    @property
+    def trial(self) -> Trial | None:
+        """See `hydro_policy.evaluation.trial.Plan`."""
+        return self._left[0] if self._left and not self.ended else None
+
+    @property
+    def ended(self) -> str:
+        """Reason for ending before the schedule does; empty if there is none."""
+        many = self.in_a_row >= TRIPS_IN_A_ROW
+        return f"the plant tripped {self.in_a_row} times in a row: it is left disarmed" if many else ""
+
+    def add(self, score: Score) -> None:
+        """See `hydro_policy.evaluation.trial.Plan`."""
+        self.trips += bool(score.stopped)
+        self.in_a_row = self.in_a_row + 1 if score.stopped else 0
+        self.played += self._left.pop(0).measure
 
 
 def parser() -> argparse.ArgumentParser:
@@ -84,14 +126,13 @@ def main() -> int:
     if options.out.exists():
         raise UserError(f"{options.out} exists already; a recording is never overwritten")
     with running_ros(ros):
-        session = collect(options, schedule, bench)
-    playback = session.playback
-    if session.ended:
-        print(f"error: {session.ended}; {options.out} holds what was played so far", file=sys.stderr)
+        plan = collect(options, schedule, bench)
+    if plan.ended:
+        print(f"error: {plan.ended}; {options.out} holds what was played so far", file=sys.stderr)
         return TRIPPED
-    if playback.trips:
-        print(f"the plant tripped {playback.trips} times; the schedule went on after it was armed again")
-    print(f"{options.out}: {playback.elapsed:.1f} s armed")
+    if plan.trips:
+        print(f"the plant tripped {plan.trips} times; the schedule went on with the next segment")
+    print(f"{options.out}: {plan.played:g} s played")
     return 0
 
 
@@ -111,8 +152,8 @@ def playable(options: argparse.Namespace, force: float) -> Sequence[Segment]:
     return schedule
 
 
-def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> PlayingSession:
-    """Record while the schedule plays; returns the session as it ended.
+def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
+    """Record while the schedule plays; returns it as it ended.
 
     Raises UserError: it was interrupted, or the recorder ended; PairingError, before anything is recorded: the box
     believes another bench; NotReadyError: another node commands the plant; CompanionError: the box is another one now.
@@ -124,7 +165,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         if not node.wait_for_plant() or node.box is None:
             raise UserError("interrupted before anything was recorded")
         box, believed = node.box, believed_bench(node.box, bench)
-        plant = "sim" if box.plant == "sim" else box.info.name
+        plan, plant = SchedulePlan(schedule, box.base_gains), "sim" if box.plant == "sim" else box.info.name
         rearm = options.rearm == "auto" if options.rearm else plant in ("sim", EMULATED_BOX)
         node.box_fault = lambda other: (
             "" if other.base_gains == box.base_gains else "another box with other base gains has been connected"
@@ -132,18 +173,13 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
         recorder = start_recorder(stack, options, schedule, believed, plant)
         node.watch_companions([recorder], options.out)
-        (recording,) = node.requirements
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())  # a second Ctrl-C waits
-        session = PlayingSession(
-            schedule, box.base_gains, lambda rest: node.supervisor(rest, rearm=rearm, filtered=False), recording.ready
-        )
-        bar: tqdm[None] = stack.enter_context(
-            progress(total=round(session.playback.seconds), label="collecting", unit="s")
-        )
+        runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
+        bar: tqdm[None] = stack.enter_context(progress(total=round(plan.seconds), label="collecting", unit="s"))
 
         def tick() -> None:
-            bar.update(int(session.playback.elapsed) - bar.n)
+            bar.update(int(plan.played) - bar.n)
             if not recorder.running:  # nothing moves unrecorded
                 why = why_ended(recorder, options.out)
                 node.fail(UserError(f"the recorder has ended, so the plant was disarmed: {why}"))
@@ -151,14 +187,31 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         if not rearm:
             node.listen_for_enter()
         try:
-            finished = node.run_session(session, tick)
+            finished = node.run_session(runner, tick)
         except (NotReadyError, CompanionError, UserError):
-            if not session.playback.elapsed and recorder.running:  # what is refused leaves no folder
+            if not node.timing.response.count and recorder.running:  # what is refused leaves no folder
                 quiet.callback(rmtree, options.out)  # once the recorder has ended
             raise
         if not finished:
             raise UserError(f"interrupted: {options.out} holds what was played so far")
-    return session
+    return plan
+
+
+def still_bench(node: GraphNode) -> Requirement:
+    """Require that a second of the still bench is recorded before anything is armed; call behind `watch_companions`."""
+    (recording,) = node.requirements
+    since = inf  # when the recorded bench came to rest, s; -inf: recorded
+
+    def recorded() -> bool:
+        nonlocal since
+        if since > -inf:
+            since = min(since, node.now()) if recording.ready() and not node.armed else inf
+            since = -inf if node.now() - since >= REST else since
+        return since == -inf
+
+    name = "a second of the still bench"
+    missing = f"{name} was not recorded: somebody arms it again and again"
+    return Requirement(name=name, ready=recorded, hint="it is recorded first", within=600.0, missing=missing)
 
 
 def believed_bench(box: KnownBox, asked: Bench | None) -> Bench:

@@ -305,7 +305,7 @@ class PlantSupervisor:
 
 
 class Session(Protocol):
-    """Controls a plant: a `TrainingSession` or an `EvaluationSession`."""
+    """Controls a plant: a `TrialRunner` or a `TrainingSession`."""
 
     watch: PlantSupervisor
     override: GainOverride

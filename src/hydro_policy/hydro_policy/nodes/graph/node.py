@@ -277,6 +277,11 @@ class GraphNode(Node):
         """Whether the plant goes by its own clock."""
         return self._heard is not None and bool(self._heard.flags & Flag.PACED)
 
+    @property
+    def armed(self) -> bool:
+        """Whether the last sample was armed."""
+        return self._heard is not None and bool(self._heard.flags & Flag.ARMED)
+
     def now(self) -> float:
         """Time [s] of this session: the monotonic clock's, or the plant's own."""
         if not self.paced:
