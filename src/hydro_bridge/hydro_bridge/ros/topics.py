@@ -208,7 +208,12 @@ _OWN = {
     "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS, ANSWERED), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY)),
     "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
     "evaluate": _CONTROLLER,
-    "collect": _CONTROLLER,
+    "collect": Rights(
+        publishes=(GAINS, REFERENCE, ANSWERED),
+        subscribes=(STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
+        answers=(OVERRIDE_SERVICE, END_SERVICE),
+        calls=(CLAIM_SERVICE,),
+    ),
     "recorder": Rights(publishes=(DIAGNOSTICS, ANSWERED)),
     "dashboard": Rights(
         publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
@@ -241,6 +246,7 @@ for _name, _topics in {
     "dashboard": (STATE, LAW_STATE, CORRECTION),
     "trainer": (CORRECTION,),
     "evaluate": (CORRECTION,),
+    "collect": (),
 }.items():
     RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
 """Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""
