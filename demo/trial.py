@@ -16,7 +16,8 @@ from hydro_core.signals import STATE_DTYPE, Flag, StateArray
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Controller
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.pretraining.configurations import WIDE
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings
@@ -125,8 +126,8 @@ def _trial(controller: Controller, made: Callable[[], Plant], believed: Bench, s
     for frequency in SETTINGS.frequencies:
         graph = _Watched(made(), believed, seed)
         settings = replace(SETTINGS, frequencies=(frequency,))
-        session = EvaluationSession(settings, [controller], PlantSupervisor(graph, rearm=True))
-        graph.run(session, 4.0 * session.seconds)
+        session = TrialRunner(Comparison(settings, [controller]), PlantSupervisor(graph, rearm=True))
+        graph.run(session, 4.0 * session.plan.seconds)
         errors |= {score.case: score.rmse for score in session.scores}
         if graph.seen:
             trace = np.array(graph.seen, dtype=STATE_DTYPE)

@@ -100,7 +100,7 @@ def test_collecting_from_a_simulation_off_real_time(start: Callable[..., Compani
     (tmp_path / "schedule.yaml").write_text(yaml.safe_dump({"segments": [hold]}))
     start("hydro_filter filter")
     start("hydro_sim sim", "--pace", "2")
-    start("hydro_sim collect", "--out", tmp_path / "run", "--schedule", tmp_path / "schedule.yaml")
+    start("hydro_policy collect", "--out", tmp_path / "run", "--schedule", tmp_path / "schedule.yaml")
     check("sim", "filter", "collect", "recorder")
 
 

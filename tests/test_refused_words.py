@@ -106,7 +106,7 @@ REFUSED = {
     ),
     "hydro_bridge recorder": (("--out @bag", "exists already; a recording is never overwritten"),),
     "hydro_bridge view": (("@bag --no-open --from 3 --to 2", "the end must come behind the begin"),),
-    "hydro_sim collect": (
+    "hydro_policy collect": (
         ("--out @new --schedule @seconds", "segments[1].seconds must be a number in s, not 'abc'"),
         ("--out @new --schedule @pulse", "segments[1].delta_u is 0.01 A: only the emulator"),
     ),

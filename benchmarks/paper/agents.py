@@ -28,7 +28,8 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_core.signals import SAMPLE_PERIOD, Flag
 from hydro_filter.validation.runs import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
@@ -159,10 +160,9 @@ def _rmse(controller: Controller, seed: int) -> Result:
     plant, found = bench(), []
     for frequency in PRINTED["rmse"]["frequencies"]:
         graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed)
-        session = EvaluationSession(
-            replace(EVALUATION, frequencies=(float(frequency),)), [controller], PlantSupervisor(graph, True)
-        )
-        graph.run(session, 10.0 * session.seconds)
+        plan = Comparison(replace(EVALUATION, frequencies=(float(frequency),)), [controller])
+        session = TrialRunner(plan, PlantSupervisor(graph, True))
+        graph.run(session, 10.0 * plan.seconds)
         found += [score.rmse for score in session.scores]
     return {"rmse": found}
 

@@ -36,6 +36,7 @@ setup(
     entry_points={
         "console_scripts": [
             "pretrain = hydro_core.process.start:main_of.hydro_policy.pretraining.pretrain",
+            "collect = hydro_core.process.start:main_of.hydro_policy.nodes.collect",
             "commission = hydro_core.process.start:main_of.hydro_policy.nodes.commission",
             "trainer = hydro_core.process.start:main_of.hydro_policy.nodes.trainer",
             "evaluate = hydro_core.process.start:main_of.hydro_policy.nodes.evaluate",

@@ -28,7 +28,6 @@ setup(
             "sim = hydro_core.process.start:main_of.hydro_sim.nodes.sim",
             "export_c = hydro_core.process.start:main_of.hydro_sim.box.header",
             "emulator = hydro_core.process.start:main_of.hydro_sim.emulator.command",
-            "collect = hydro_core.process.start:main_of.hydro_sim.nodes.collect",
             "learn = hydro_core.process.start:main_of.hydro_sim.identification.learn",
             "validate = hydro_core.process.start:main_of.hydro_sim.identification.validate",
         ],

@@ -119,6 +119,7 @@ def test_edges_that_pass_less_are_a_weaker_valve() -> None:
     assert renamed(closed, [name for name in NAMES.values() if name.id != "valve_gain"]) is closed
 
 
+@pytest.mark.study
 def test_friction_and_a_stiffness_that_creeps_are_drag_that_fades() -> None:
     """c (v - w), w' = (v - w) / T is c v - c / T (x - w), w' = (x - w) / T; another cause stays."""
     problem = problem_of(effects=(HARDER,), closures=(entry("motion", "fading drag", coefficient=300.0, time=0.03),))

@@ -25,6 +25,7 @@ def test_free_form_of_viscous_friction_has_its_place_and_slope() -> None:
     assert abs(slope) == pytest.approx(90.0 - Bench.nominal().viscous_friction, rel=0.05)
 
 
+@pytest.mark.study
 def test_ripple_that_no_cause_makes_is_called_unknown(tmp_path: Path) -> None:
     paths = []
     for seed in (5, 6):

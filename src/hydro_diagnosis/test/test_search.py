@@ -163,6 +163,7 @@ def test_a_dead_time_and_a_simple_lag_become_a_lag_of_second_order() -> None:
     assert list(found.fit.claims[0].values.values()) == pytest.approx([90.0, 0.9], rel=0.05)
 
 
+@pytest.mark.study
 def test_what_only_mends_a_form_hides_no_cause_elsewhere() -> None:
     """The lag is a small part of a wide overlap's effect, and pays in full only beside the leak."""
     causes = {"valve_deadband": (3e-3,), "supply_pressure": (0.75,), "valve_lag": (90.0, 0.9),
@@ -187,6 +188,7 @@ def hoses(compliance: float) -> dict[str, float]:
     return {"dead_volume_a": NOMINAL.dead_volume_a + more, "dead_volume_b": NOMINAL.dead_volume_b + more}
 
 
+@pytest.mark.study
 def test_hoses_that_widen_are_no_wrong_bulk_modulus() -> None:
     problem = problem_of(**hoses(1.1e-14))
     outcome = search(problem, EFFECTS)

@@ -12,20 +12,14 @@ As T -> 0 this is eq. cont_require_6 without a projection, for an M that does no
 current beyond its allowance (`excess_integral`). The quadratic's interval of admissible du is exact; the QP gets its
 nearer end as half-line a du <= b, whose smallest solution is that of the interval.
 
-The QP asks for the smallest correction: min |du| such that a du <= b, low <= du <= high. `closed_form` is the algebraic
-solution: the reference for every solution of OSQP, and the fallback if OSQP has none. `QpFilter` calls OSQP. Neither
-ever divides by `a`: scaled to the bounds, a vanishing slope with b < 0 is an ordinary infeasible problem.
+The QP asks for the smallest correction: min |du| such that a du <= b, low <= du <= high. `closed_form` is its algebraic
+solution, which never divides by a slope `a` that vanishes. `validate` holds it against OSQP (`validation.osqp`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
-
-import numpy as np
-import osqp
-from scipy.sparse import csc_matrix
 
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_filter.model.coordinates import LOOP
@@ -116,9 +110,6 @@ INFEASIBLE, NAN = int(CorrectionStatus.INFEASIBLE), int(CorrectionStatus.NAN)
 LEAST_IMPROVEMENT = 0.01
 """Share of the violation that a correction at the valve's limit must remove; otherwise no correction is made."""
 
-AGREEMENT = 1e-6
-"""Distance of OSQP's solution from the closed form, relative to the bounds, beyond which the closed form is used."""
-
 
 class Correction(NamedTuple):
     """Solution of the QP."""
@@ -163,83 +154,3 @@ def closed_form_kernel(a, b, low, high):
     if reach > LEAST_IMPROVEMENT * b:
         return 0.0, INFEASIBLE
     return bound, RELAXED
-
-
-@dataclass
-class QpCounts:
-    """Statistics of OSQP."""
-
-    solved: int = 0
-    infeasible: int = 0
-    """OSQP and the closed form agree that the certificate cannot be restored."""
-    fallbacks: int = 0
-    """OSQP failed or disagreed; the closed form was used."""
-
-
-class QpFilter:
-    """Solver of the QP by OSQP, warm-started from the last solution, cold-started after any status but solved.
-
-    The problem is scaled: du by the larger bound, the half-line by its slope, so that the tolerances mean the same for
-    every state of the bench.
-    """
-
-    def __init__(self) -> None:
-        self.counts = QpCounts()
-        self._rows = np.array([1.0, 1.0])  # the half-line's slope, the bounds'
-        self._lower = np.array([-np.inf, -1.0])
-        self._upper = np.array([0.0, 1.0])
-        self._solver = osqp.OSQP()
-        self._solver.setup(
-            csc_matrix([[1.0]]),
-            np.zeros(1),
-            csc_matrix(self._rows[:, np.newaxis]),
-            self._lower,
-            self._upper,
-            verbose=False,
-            eps_abs=1e-9,
-            eps_rel=1e-9,
-            max_iter=500,
-            check_termination=5,
-            adaptive_rho=False,
-            rho=1.0,
-            scaling=0,
-            polishing=False,
-        )
-
-    def solve(self, a: float, b: float, low: float, high: float) -> Correction:
-        """Solve the QP as `closed_form` does, by OSQP. Never raises; `counts` records failures of OSQP."""
-        oracle = closed_form(a, b, low, high)
-        if oracle.status in (CorrectionStatus.PASS, CorrectionStatus.NAN):
-            return oracle  # du = 0 is optimal, or there is no problem to solve
-        span = max(-low, high)
-        solution = self._ask(a, b, low, high, span) if span > 0.0 else math.nan
-        restored = oracle.status is CorrectionStatus.MODIFIED
-        if math.isnan(solution) and not restored:
-            self.counts.infeasible += 1
-        elif abs(solution - oracle.delta_u) <= AGREEMENT * span:
-            self.counts.solved += 1
-            return Correction(min(max(solution, low), high), oracle.status) if restored else oracle
-        else:
-            self.counts.fallbacks += 1
-        return oracle
-
-    def _ask(self, a: float, b: float, low: float, high: float, span: float) -> float:
-        """Return OSQP's du [A], NaN if it finds none."""
-        slope = abs(a) * span
-        self._rows[0] = math.copysign(1.0, a) if slope > 0.0 else 0.0
-        # du is within +-1 here: a level beyond that is out of reach however far, and -2 says so without large numbers
-        self._upper[0] = b / slope if slope > -0.5 * b else -2.0
-        self._lower[1], self._upper[1] = low / span, high / span
-        try:
-            self._solver.update(Ax=self._rows, l=self._lower, u=self._upper)
-            result = self._solver.solve(raise_error=False)
-        except (RuntimeError, ValueError):
-            self._restart()
-            return math.nan
-        if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
-            self._restart()
-            return math.nan
-        return float(result.x[0]) * span
-
-    def _restart(self) -> None:
-        self._solver.warm_start(x=np.zeros(1), y=np.zeros(2))

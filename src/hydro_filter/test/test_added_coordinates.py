@@ -79,7 +79,9 @@ def whole_loop(bench: Bench, gain: float) -> FloatArray:
     return closed
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(one, marks=[pytest.mark.study] if k else []) for k, one in enumerate(CASES)]
+)
 def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: str) -> None:
     """But for the sum of the pressures, which no force moves, and what the coordinates leave out of it."""
     gain = 60.0

@@ -10,9 +10,10 @@ import pytest
 
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_filter import certificate
-from hydro_filter.certificate import LEAST_IMPROVEMENT, QpFilter, closed_form
+from hydro_filter.certificate import LEAST_IMPROVEMENT, closed_form
 from hydro_filter.model.coordinates import LOOP
 from hydro_filter.model.loop import loop_of, step_of
+from hydro_filter.validation.osqp_solver import Osqp
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 
@@ -47,17 +48,24 @@ def spoiled(problems: np.ndarray, seed: int) -> np.ndarray:
 
 def test_osqp_agrees_with_the_closed_form() -> None:
     """One solver, all problems in turn: what a bad one leaves behind would show in the next."""
-    qp, seen = QpFilter(), set()
+    osqp, seen = Osqp(), set()
     for a, b, low, high in spoiled(cases(10_000, seed=1), seed=1):
-        exact, solved = closed_form(a, b, low, high), qp.solve(a, b, low, high)
-        assert solved.status is exact.status, (a, b, low, high)
-        assert abs(solved.delta_u - exact.delta_u) <= LIMIT, (a, b, low, high)
+        osqp.compare(a, b, low, high)
+        assert not osqp.differed, (a, b, low, high)
+        delta_u, status = closed_form(a, b, low, high)
         unusable = not np.isfinite([a, b, low, high]).all() or not low <= 0.0 <= high
-        assert (solved.status is CorrectionStatus.NAN) == unusable, (a, b, low, high)
-        assert solved.delta_u == 0.0 if unusable else low <= solved.delta_u <= high
-        seen.add(solved.status)
+        assert (status is CorrectionStatus.NAN) == unusable, (a, b, low, high)
+        assert delta_u == 0.0 if unusable else low <= delta_u <= high
+        seen.add(status)
     assert not seen & {CorrectionStatus.STALE, CorrectionStatus.BYPASSED, CorrectionStatus.MISMATCH} and len(seen) == 5
-    assert min(qp.counts.solved, qp.counts.infeasible) > 2000 and qp.counts.fallbacks == 0
+    assert osqp.agreed > 4000
+
+
+def test_a_wrong_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    osqp = Osqp()
+    monkeypatch.setattr(osqp, "_ask", lambda *problem: nan)
+    osqp.compare(2.0, -0.05, -0.05, 0.05)
+    assert (osqp.agreed, osqp.differed) == (0, 1)
 
 
 def test_closed_form_is_feasible_and_smallest() -> None:
@@ -79,14 +87,7 @@ def test_closed_form_is_feasible_and_smallest() -> None:
 
 @pytest.mark.parametrize("a", [0.0, 1e-300, -1e-300, 5e-324])
 def test_a_vanishing_slope_is_infeasible_not_a_full_stroke(a: float) -> None:
-    assert QpFilter().solve(a, -1.0, -0.05, 0.05) == (0.0, CorrectionStatus.INFEASIBLE)
-
-
-def test_the_closed_form_stands_in_when_osqp_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    qp = QpFilter()
-    monkeypatch.setattr(qp, "_ask", lambda *problem: nan)
-    assert qp.solve(2.0, -0.05, -0.05, 0.05) == closed_form(2.0, -0.05, -0.05, 0.05)
-    assert qp.counts.fallbacks == 1
+    assert closed_form(a, -1.0, -0.05, 0.05) == (0.0, CorrectionStatus.INFEASIBLE)
 
 
 def test_the_quadratic_is_two_samples_moved_on() -> None:

@@ -67,6 +67,7 @@ def test_the_overlap_is_the_bench_files(bench: Bench, overlapped: Bench) -> None
     assert without_overlap(overlapped) == replace(bench, effects=FOUND)
 
 
+@pytest.mark.study
 def test_the_correction_is_the_smallest_that_restores_the_certificate_across_the_overlap(
     bench: Bench, overlapped: Bench, made: LoopFilter
 ) -> None:

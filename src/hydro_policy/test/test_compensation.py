@@ -13,7 +13,8 @@ from hydro_filter.controller.loop_filter import Result
 from hydro_policy.compensation.estimator import STEP, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated, FixedGains
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import MISMATCH, PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings
@@ -151,11 +152,11 @@ class Heard(OfflineGraph):
 
 def started(
     graph: Heard, live: LiveCompensation, *frequencies: float, override: GainOverride | None = None
-) -> EvaluationSession:
+) -> TrialRunner[Comparison]:
     """The compensated law beside (90, 15), a second each."""
     settings = EvaluationSettings(frequencies=frequencies, measure=1.0)
     controllers, plant = [Compensated(live), FixedGains(90.0, 15.0)], PlantSupervisor(graph, True, override=override)
-    return EvaluationSession(settings, controllers, plant, compensation=live)
+    return TrialRunner(Comparison(settings, controllers), plant, compensation=live)
 
 
 def test_the_compensated_law_tracks_far_better_and_the_law_changes_once_while_the_plant_is_disarmed() -> None:
@@ -240,7 +241,7 @@ def test_gains_held_by_a_person_are_those_of_the_law_that_acts() -> None:
 def test_under_mismatch_the_law_s_base_gains_hold_and_its_run_begins_again() -> None:
     live, graph = LiveCompensation(LAW), Heard()
     settings = EvaluationSettings(frequencies=(1.0,), measure=1.0)
-    session = EvaluationSession(settings, [Compensated(live)], PlantSupervisor(graph, True), compensation=live)
+    session = TrialRunner(Comparison(settings, [Compensated(live)]), PlantSupervisor(graph, True), compensation=live)
     graph.run(session, 2.5, compensation=live)
     assert graph.armed[-1] == (True, Law.COMPENSATED)
     fits, graph.answer = graph.answer, Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)

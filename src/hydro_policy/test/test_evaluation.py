@@ -18,15 +18,17 @@ from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.gain_search import GridPlan, GridSearch, GridSettings
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.algorithm import Losses, Sac
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.sessions.run_state import EXAMINED, Progress, RunState, significantly_better
+from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings, Score, Trace, score
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -35,9 +37,8 @@ from tests.offline_graph import OfflineGraph
 
 def test_the_best_is_told_with_its_distance() -> None:
     graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
-    session = EvaluationSession(
-        EvaluationSettings(frequencies=(1.0, 2.0)), [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True)
-    )
+    plan = Comparison(EvaluationSettings(frequencies=(1.0, 2.0)), [FixedGains(90.0, 15.0)])
+    session = TrialRunner(plan, PlantSupervisor(graph, True))
     for name, errors in {"good": (1.0, 2.0), "next": (4.0, 4.0), "stopped": (0.1, math.nan)}.items():
         for case, rmse in zip(("1 Hz", "2 Hz"), errors, strict=True):
             session.scores.append(Score(controller=name, case=case, frequency=1.0, repeat=0, rmse=rmse))
@@ -55,12 +56,9 @@ def test_the_best_is_told_with_its_distance() -> None:
 
 def test_a_figure_of_a_run_that_was_held_up_is_marked_and_makes_nobody_the_best(tmp_path: Path) -> None:
     graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
-    session = EvaluationSession(
-        EvaluationSettings(frequencies=(1.0,)),
-        [FixedGains(90.0, 15.0), FixedGains(60.0, 15.0)],
-        PlantSupervisor(graph, True),
-    )
-    whole, held = (controller.name for _, _, controller in session.plan)
+    plan = Comparison(EvaluationSettings(frequencies=(1.0,)), [FixedGains(90.0, 15.0), FixedGains(60.0, 15.0)])
+    session = TrialRunner(plan, PlantSupervisor(graph, True))
+    whole, held = (controller.name for controller in plan.controllers)
     run = Score(controller=whole, case="1 Hz", frequency=1.0, repeat=0, rmse=2.0, samples=990, lost=9)
     session.scores = [run, replace(run, controller=held, rmse=1.0, lost=9, held=2)]
     shown = report.table(session)
@@ -185,12 +183,13 @@ def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_tr
     graph = OfflineGraph(AnalyticPlant(bench), bench, guard=GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0))
     evaluation = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=1.0)
     settings = GridSettings(kp_min=60.0, ki_values=(15.0,), refinements=1)
-    session = GridSession(settings, evaluation, PlantSupervisor(graph, True))
+    plan = GridPlan(settings, evaluation, BASE)
+    session = TrialRunner(plan, PlantSupervisor(graph, True), monitor=SafetyMonitor())
     graph.run(session, 120.0)
     assert session.finished
-    tried = session.search.tried
+    tried = plan.search.tried
     assert 90.0 < max(kp for kp, _ in tried) < 200.0, "it rose to the edge and not far beyond"
-    best = tried[session.search.best]
+    best = tried[plan.search.best]
     assert np.mean(best / tried[(60.0, 15.0)]) < 1.0
     assert not any("force_limit" in sentence for sentence in graph.sentences)
     assert not int(graph.box.state["arming"]["faults"][0]) & Flag.FORCE_LIMIT

@@ -17,7 +17,8 @@ from hydro_policy.compensation.residual import INPUTS, PAUSE, RESIDUAL_MAX, Netw
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
@@ -96,9 +97,8 @@ def test_session_runs_the_law_with_and_without_it_as_two_controllers() -> None:
     graph = OfflineGraph(AnalyticPlant(BENCHES[2]), BENCH)
     live = LiveCompensation(BoxLaw(), network=Network.load())
     controllers = [Compensated(live), Compensated(live, learned=True)]
-    session = EvaluationSession(
-        EvaluationSettings(frequencies=(0.7,), settle=4.0), controllers, PlantSupervisor(graph, True), compensation=live
-    )
+    plan = Comparison(EvaluationSettings(frequencies=(0.7,), settle=4.0), controllers)
+    session = TrialRunner(plan, PlantSupervisor(graph, True), compensation=live)
     graph.run(session, 60.0, compensation=live)
     assert session.finished and not session.warnings
     alone, both = (score.rmse for score in session.scores)

@@ -78,7 +78,7 @@ def descend(optimizer: torch.optim.Adam, parameters: Sequence[Tensor], loss: Ten
     optimizer.step()
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("dtype", [pytest.param(torch.float64, marks=pytest.mark.study), torch.float32])
 @pytest.mark.parametrize("rows", [256, 100, 3])
 def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dtype) -> None:
     """Five updates on the same draws: equal to rounding; a buffer's tail, and a sigma at its bound, do not count."""

@@ -15,7 +15,8 @@ from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
@@ -238,9 +239,8 @@ def test_monitor_takes_no_current_across_a_gap_for_chatter() -> None:
 def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it() -> None:
     """The force was far away when a person took the gains, under way in a step."""
     monitor, unheard = SafetyMonitor(MonitorSettings()), OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    session = EvaluationSession(
-        EvaluationSettings(), [FixedGains(90.0, 15.0)], PlantSupervisor(unheard, True), monitor=monitor
-    )
+    plan = Comparison(EvaluationSettings(), [FixedGains(90.0, 15.0)])
+    session = TrialRunner(plan, PlantSupervisor(unheard, True), monitor=monitor)
     sample, armed = np.zeros(14), int(Flag.ARMED)
     session.on_sample(0, sample, 0, 0.0)
     session.on_tick(0.0)

@@ -13,7 +13,8 @@ import pytest
 from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
-from hydro_policy.evaluation.session import REPEATS, SILENCE, EvaluationSession
+from hydro_policy.evaluation.runner import REPEATS, SILENCE, TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
@@ -44,11 +45,11 @@ def start(settings: TrainingSettings, *, config: BoxConfig | None = None, record
     return graph, learner, TrainingSession(settings, learner, supervisor, record=record)
 
 
-def evaluation(*gains: tuple[float, float], **settings: float) -> tuple[OfflineGraph, EvaluationSession]:
+def evaluation(*gains: tuple[float, float], **settings: float) -> tuple[OfflineGraph, TrialRunner[Comparison]]:
     """Of fixed gains, half a second at 2 Hz unless said."""
     asked = EvaluationSettings(**{"frequencies": (2.0,), "settle": 0.5, "measure": 0.5, **settings})  # type: ignore[arg-type]
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
-    return graph, EvaluationSession(asked, [FixedGains(*pair) for pair in gains], PlantSupervisor(graph, True))
+    return graph, TrialRunner(Comparison(asked, [FixedGains(*pair) for pair in gains]), PlantSupervisor(graph, True))
 
 
 def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> None:
@@ -129,7 +130,7 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
 
 def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller() -> None:
     graph, session = evaluation((300.0, 15.0), (40.0, 10.0))
-    graph.run(session, session.seconds + 5.0)
+    graph.run(session, session.plan.seconds + 5.0)
     narrowed, own = session.scores
     assert narrowed.stopped.startswith("K_p = 90 and K_i = 15 acted") and np.isnan(narrowed.rmse)
     assert not own.stopped
@@ -178,7 +179,7 @@ def test_base_gains_without_a_filter_replace_none_but_themselves() -> None:
 def test_a_bench_that_base_gains_do_not_hold_is_not_armed_for_ever() -> None:
     settings = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=BoxConfig(load_force_limit=0.1))
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
+    session = TrialRunner(Comparison(settings, [FixedGains(90.0, 15.0)]), PlantSupervisor(graph, True))
     trips, take, before = 0, session.on_sample, False
 
     def arrive(sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -194,7 +195,7 @@ def test_a_bench_that_base_gains_do_not_hold_is_not_armed_for_ever() -> None:
 def test_a_controller_that_trips_is_not_held_against_base_gains() -> None:
     settings = EvaluationSettings(frequencies=(1.0, 1.5, 2.0, 2.5), settle=0.5, measure=0.5)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=BoxConfig(load_force_limit=100.0))
-    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], PlantSupervisor(graph, True))
+    session = TrialRunner(Comparison(settings, [FixedGains(90.0, 15.0)]), PlantSupervisor(graph, True))
     graph.run(session, 60.0)
     assert [score.stopped for score in session.scores] == ["tripped (force_limit)"] * 4
 
@@ -215,7 +216,7 @@ def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
     """The session on a box and plant, against `simulation.offline.simulate` with the same gains: within 3 %."""
     graph, session = evaluation((90.0, 15.0), (40.0, 10.0), frequencies=(1.0, 2.0), settle=2.0, measure=1.0)
-    graph.run(session, session.seconds + 5.0)
+    graph.run(session, session.plan.seconds + 5.0)
     assert session.finished and len(session.scores) == 4 and not session.warnings
     for score in session.scores:
         kp, ki = (90.0, 15.0) if "90" in score.controller else (40.0, 10.0)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Schedules: segments of references and gains, and their one YAML form, checked whole as it is read.
 
-What `ros2 run hydro_sim collect` plays into the graph and what the emulator records offline (schedule.md). A fade
+What `ros2 run hydro_policy collect` plays into the graph and what the emulator records offline (schedule.md). A fade
 of 0.3 s joins the segments (protocol.md).
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 from math import log, pi
 from pathlib import Path
 from typing import Annotated, Literal, cast
@@ -19,7 +18,7 @@ import yaml
 
 from hydro_core.files.atomic import write_whole
 from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping
-from hydro_core.signals import SAMPLE_PERIOD, Flag, ReferenceSignal, Waveform
+from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_sim.model.bench import NOMINAL
 
 WaveformName = Literal["hold", "sine", "multisine", "smooth_step"]
@@ -73,56 +72,6 @@ def save_schedule(segments: Sequence[Segment], path: str | Path) -> None:
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"segments": [to_mapping(segment) for segment in segments]}, sort_keys=False)
     write_whole(Path(path), text.encode())
-
-
-class Playback:
-    """Plays segments by the plant's armed samples: while it is disarmed the schedule pauses."""
-
-    def __init__(self, schedule: Sequence[Segment]) -> None:
-        self._schedule = list(schedule)
-        self._ends = list(accumulate(segment.seconds for segment in schedule))
-        self._index, self._samples = -1, 0
-        self._clean = False
-        self.flags = 0
-        """Flags of the last sample."""
-        self.trips = 0
-        self.trips_in_a_row = 0
-        """Trips since the last segment that was played from its beginning to its end without one."""
-
-    @property
-    def seconds(self) -> float:
-        """Length of the schedule [s]."""
-        return self._ends[-1]
-
-    @property
-    def elapsed(self) -> float:
-        """Time played [s]."""
-        return self._samples * SAMPLE_PERIOD
-
-    @property
-    def finished(self) -> bool:
-        """Whether the last segment has ended."""
-        return self._index == len(self._schedule)
-
-    def on_sample(self, flags: int) -> None:
-        """Process a sample's flags. Nothing before the first segment is counted."""
-        before, self.flags = self.flags, flags
-        if self._index < 0:
-            return
-        self._samples += bool(self.flags & Flag.ARMED)
-        if self.flags & ~before & Flag.TRIPPED:
-            self.trips, self.trips_in_a_row, self._clean = self.trips + 1, self.trips_in_a_row + 1, False
-
-    def next(self) -> Segment | None:
-        """Return the segment that begins now, if one does."""
-        index = max(self._index, 0)
-        while index < len(self._ends) and self.elapsed >= self._ends[index]:
-            index += 1
-        if index == self._index:
-            return None
-        self.trips_in_a_row = 0 if self._clean else self.trips_in_a_row
-        self._index, self._clean = index, True
-        return None if self.finished else self._schedule[index]
 
 
 @dataclass(frozen=True, kw_only=True)

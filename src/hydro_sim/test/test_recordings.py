@@ -139,6 +139,7 @@ def data(states: StateArray) -> recordings.Data:
     return recordings.split({"one": states})
 
 
+@pytest.mark.study
 def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordings.Data) -> None:
     bench = replace(Bench.nominal(), effects=(SPRING, DEADBAND), closures=(DRAG,))
     result = bench_learning.learn(bench, data, count=60)

@@ -209,7 +209,9 @@ _OWN = {
     "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
     "evaluate": _CONTROLLER,
     "collect": Rights(
-        publishes=(GAINS, REFERENCE, ANSWERED), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), answers=(END_SERVICE,),
+        publishes=(GAINS, REFERENCE, ANSWERED),
+        subscribes=(STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
+        answers=(OVERRIDE_SERVICE, END_SERVICE),
         calls=(CLAIM_SERVICE,),
     ),
     "recorder": Rights(publishes=(DIAGNOSTICS, ANSWERED)),
@@ -244,6 +246,7 @@ for _name, _topics in {
     "dashboard": (STATE, LAW_STATE, CORRECTION),
     "trainer": (CORRECTION,),
     "evaluate": (CORRECTION,),
+    "collect": (),
 }.items():
     RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
 """Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""

@@ -17,7 +17,6 @@ import numpy as np
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_core.files import site
 from hydro_core.settings import describe
-from hydro_filter.certificate import QpCounts
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, STATES, Sample
@@ -141,7 +140,6 @@ def warm_up(contraction_filter: LoopFilter, bench: Bench) -> None:
             contraction_filter.correct(sample._replace(armed=armed))
     contraction_filter.correct(sample._replace(nominal_current=np.nan))
     contraction_filter.reset()
-    contraction_filter.qp.counts = QpCounts()
 
 
 def _digest(path: Path) -> str:

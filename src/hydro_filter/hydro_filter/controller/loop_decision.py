@@ -242,6 +242,12 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
     problem = build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, law, workspace)
     if not armed:
         return Decision(0.0, 0.0, 0.0, certificate.PASS)
+    return solution(parts, problem, nominal)
+
+
+@njit
+def solution(parts, problem, nominal):
+    """Return the decision of an armed bench's problem, for the law's current [A]."""
     if math.isnan(problem.a) and math.isfinite(problem.best):
         change, status = least_violation(parts.overlap, problem)
     else:

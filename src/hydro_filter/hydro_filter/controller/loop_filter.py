@@ -4,8 +4,8 @@
 ::
 
     contraction_filter = default_filter(bench)
-    contraction_filter.correct(sample)                    Sample in, Result out, one bench; OSQP, as the node runs it
-    loop_decision.decide(parts, memory[i], x, ...)        the same for a compiled loop; the QP's closed form
+    contraction_filter.correct(sample)                    Sample in, Result out, one bench, as the node runs it
+    loop_decision.decide(parts, memory[i], x, ...)        the same for a compiled loop
 
 Samples must be consecutive. A correction acts one sample after its own. Certified gains and limits: safety.md.
 
@@ -25,9 +25,9 @@ import numpy as np
 
 from hydro_core.settings import check, quantity
 from hydro_core.signals import CorrectionStatus
-from hydro_filter.certificate import QpFilter
+from hydro_filter.certificate import NAN
 from hydro_filter.controller import innovations, loop_decision
-from hydro_filter.controller.loop_decision import LoopParts, Problem
+from hydro_filter.controller.loop_decision import LoopParts
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model import observer
 from hydro_filter.model.loop import coordinates_of, loop_of, memories, overlap_of
@@ -70,15 +70,8 @@ class Result(NamedTuple):
     status: CorrectionStatus
 
 
-certificate_before_after, least_violation, correction_of = (
-    each.py_func
-    for each in (loop_decision.certificate_before_after, loop_decision.least_violation, loop_decision.correction_of)
-)
-"""Of one sample's numbers: a compiled call would take longer than they do."""
-
-
 NOT_FINITE, FITS, BROKEN = range(3)
-"""Results of `propose` for a sample: a number is not finite; the model holds; it does not."""
+"""Results of `judge` for a sample: a number is not finite; the model holds; it does not."""
 
 
 @njit
@@ -90,21 +83,25 @@ def packed(parts, workspace, monitor, limit):
 
 
 @njit
-def propose(box, memory, x, nominal, current, reference, reference_rate, gain, law):
-    """Return the validity of a sample and its `Problem`; advances the memory, shape (1,), and the monitor."""
+def judge(box, memory, x, nominal, current, reference, reference_rate, gain, law):
+    """Return the validity of a sample, its `Decision` if armed, and a, b, low, high of its QP.
+
+    Advances the memory, shape (1,), and the monitor.
+    """
     parts, workspace, monitor, limit = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain, law):
         observer.reset(memory[0])
         innovations.reset(monitor[0])
-        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return NOT_FINITE, 0.0, math.nan, math.nan, NAN, math.nan, math.nan, 0.0, 0.0
     innovations.update(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
     p = loop_decision.build_problem(
         parts, memory[0], x, nominal, current, reference, reference_rate, gain, law, workspace
     )
-    state = BROKEN if monitor[0].broken != 0 else FITS
-    return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best, p.applied
+    delta_u, before, after, status = loop_decision.solution(parts, p, nominal)
+    return BROKEN if monitor[0].broken != 0 else FITS, delta_u, before, after, status, p.a, p.b, p.low, p.high
 
 
+STATUSES = tuple(CorrectionStatus)
 NO_CERTIFICATE = {
     True: "its metric is not made for the compensated law; one of a bench file is (`learn_metric --model FILE.yaml`)",
     False: "its metric is not made for the paper's law, whose loop decays at no gain on this bench",
@@ -125,14 +122,15 @@ class LoopFilter:
         The same for other C_1.
     """
 
-    _propose = staticmethod(propose)
+    _judge = staticmethod(judge)
 
     def __init__(
         self, parts: LoopParts, settings: LoopFilterSettings | None = None, others: Sequence[LoopParts] = ()
     ) -> None:
         self.parts = parts
         self.settings = settings or LoopFilterSettings()
-        self.qp = QpFilter()
+        self.problem = (math.nan, math.nan, 0.0, 0.0)
+        """a, b, low, high of the last sample's QP."""
         self.memory = memories()
         self.monitor = innovations.monitors()
         workspace, limit = loop_decision.workspace(parts), self.settings.innovation_limit
@@ -170,28 +168,21 @@ class LoopFilter:
         for c_1, each in self._boxes[1:]:
             if abs(law[2] - law[3] * c_1) <= loop_decision.SAME * law[3]:
                 box = each
-        state, *numbers = self._propose(box, self.memory, x, *signals, sample.proportional_gain, law)
-        if state == NOT_FINITE:
-            status = CorrectionStatus.BYPASSED if self.settings.bypass else CorrectionStatus.NAN
-            return Result(0.0, math.nan, math.nan, status)
-        problem = Problem(*numbers)  # also of an old sample: the memory moves on
+        state, delta_u, before, after, number, *problem = self._judge(
+            box, self.memory, x, *signals, sample.proportional_gain, law
+        )
+        self.problem = tuple(problem)  # also of an old sample: the memory moves on
         if self.settings.bypass:
-            before, _ = certificate_before_after(self.parts.overlap, problem, 0.0)
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
+        if state == NOT_FINITE:
+            return Result(0.0, math.nan, math.nan, CorrectionStatus.NAN)
         if state == BROKEN:  # a certificate of another bench says nothing
             return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
         if not abs(age) <= self.settings.state_age_max:
             return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
-        if math.isnan(problem.a) and math.isfinite(problem.best):
-            change, number = least_violation(self.parts.overlap, problem)
-            status = CorrectionStatus(number)
-        else:
-            change, status = self.qp.solve(problem.a, problem.b, problem.low, problem.high)
-        before, after = certificate_before_after(self.parts.overlap, problem, change)
-        delta_u = correction_of(nominal, change, self.parts.loop.current_max)
-        return Result(delta_u, before, after, status)
+        return Result(delta_u, before, after, STATUSES[number])
 
 
 def loop_filter(

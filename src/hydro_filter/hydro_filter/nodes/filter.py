@@ -74,7 +74,6 @@ from hydro_core.files.site import ANEW
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
-from hydro_filter.certificate import QpCounts
 from hydro_filter.controller.factory import FilterChoice, arguments, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
@@ -139,14 +138,12 @@ class FilterStatistics:
         self._told = self.statuses.copy()
         return fresh
 
-    def values(self, qp: QpCounts) -> dict[str, object]:
+    def values(self) -> dict[str, object]:
         """Return the values by name, for /diagnostics."""
         counts = {status.name.lower(): self.statuses[status] for status in CorrectionStatus}
-        solver = {"qp_solved": qp.solved, "qp_infeasible": qp.infeasible, "qp_fallbacks": qp.fallbacks}
         return {
             **counts,
             "missing_states": self.missing,
-            **solver,
             **_shown("work", self.work),
             **_shown("age", self.age),
         }
@@ -447,7 +444,7 @@ class FilterNode(Node):
             told = f"BYPASSED, the box does not run the paper's law: {why}; {told}"
         if self._mismatch:
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
-        values = {**self._told, **self.tally.values(self.filter.qp.counts)}
+        values = {**self._told, **self.tally.values()}
         values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
         crowd = publisher_conflicts(self, STATE) or (
             "" if self._publisher else "another filter answers: this one waits"

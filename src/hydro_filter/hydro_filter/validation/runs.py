@@ -38,9 +38,10 @@ from hydro_core.signals import (
     Waveform,
 )
 from hydro_core.size import Size
-from hydro_filter.controller.loop_filter import LoopFilterSettings, Result, loop_filter
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result, loop_filter
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.sample import Sample
+from hydro_filter.validation.osqp_solver import Osqp
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -277,15 +278,36 @@ class Outcome:
     samples: int
     failed: int
     """Samples with status RELAXED, INFEASIBLE or NAN."""
+    agreed: int
+    """Problems that OSQP solves as the filter does."""
+    differed: int
+    """Problems that OSQP does not solve as the filter does."""
+
+
+class Checked:
+    """A filter whose problems OSQP solves, too."""
+
+    def __init__(self, contraction_filter: LoopFilter) -> None:
+        self._filter, self.osqp = contraction_filter, Osqp()
+
+    def reset(self) -> None:
+        """See `Corrector`."""
+        self._filter.reset()
+        self.osqp = Osqp()
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """See `Corrector`."""
+        result = self._filter.correct(sample, age)
+        if result.status in (CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE):
+            self.osqp.compare(*self._filter.problem)
+        return result
 
 
 @cache
-def make_filter(
-    chosen: str, metric: str | None = None, model: str | None = None, bench: str | None = None
-) -> Corrector:
+def make_filter(chosen: str, metric: str | None = None, model: str | None = None, bench: str | None = None) -> Checked:
     """One of `FILTERS`, with further entries of a `Task`."""
     settings = LoopFilterSettings(bypass=chosen == "none")
-    return loop_filter(ScheduledMetric.load(metric), load_model(model), _bench(bench), settings)
+    return Checked(loop_filter(ScheduledMetric.load(metric), load_model(model), _bench(bench), settings))
 
 
 def _bench(path: str | None) -> Bench:
@@ -309,13 +331,14 @@ def simulate(task: Task) -> tuple[Run, Case]:
 def evaluate_task(task: Task) -> Outcome:
     """Run a task and compute its statistics."""
     done, _ = simulate(task)
-    states = done.states
+    states, osqp = done.states, make_filter(task.filter, task.metric, task.model, task.bench).osqp
     settled = states[min(SETTLING, len(states) // 2) :]
     numbers = gammas(done.results, _bench(task.bench).valve_current_max)
     return Outcome(
         bounded=done.bounded, peak=float(np.abs(states["load_force"]).max()),
         rmse=float(np.sqrt(np.mean(tracking_error(settled) ** 2))), chattering=chattering(settled), numbers=numbers,
         samples=len(states), failed=sum(int(result.status) in (2, 3, 4) for result in done.results),
+        agreed=osqp.agreed, differed=osqp.differed,
     )  # fmt: skip
 
 
@@ -346,6 +369,7 @@ COLUMNS = {
     "verified_4": "%, verified after",
     "gamma_5": "1/s, mean M_c after",
     "failed": "%, samples whose certificate could not be restored",
+    "osqp": "%, corrections on which OSQP agrees with the filter's closed form",
 }
 
 
@@ -353,6 +377,7 @@ def table_row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> di
     """One line of the table; shares and means over all samples of all runs."""
     weights = np.array([one.samples for one in outcomes], float)
     numbers = np.average(np.array([tuple(one.numbers) for one in outcomes]), axis=0, weights=weights)
+    agreed, differed = sum(one.agreed for one in outcomes), sum(one.differed for one in outcomes)
     return {
         "plant": plant, "case": case, "filter": chosen, "runs": len(outcomes),
         "bounded": 100.0 * sum(one.bounded for one in outcomes) / len(outcomes),
@@ -361,4 +386,5 @@ def table_row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> di
         "gamma_1": 100.0 * numbers[0], "gamma_2": 100.0 * numbers[1], "verified_2": 100.0 * (1.0 - numbers[1]),
         "gamma_3": numbers[2], "gamma_4": 100.0 * numbers[3], "verified_4": 100.0 * (1.0 - numbers[3]),
         "gamma_5": numbers[4], "failed": 100.0 * sum(one.failed for one in outcomes) / weights.sum(),
+        "osqp": 100.0 * agreed / (agreed + differed) if agreed + differed else nan,
     }  # fmt: skip

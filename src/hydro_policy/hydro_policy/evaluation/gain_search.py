@@ -18,10 +18,8 @@ import numpy as np
 from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
-from hydro_policy.task.cases import EvaluationSettings, relative_scores
+from hydro_policy.evaluation.trial import Trial
+from hydro_policy.task.cases import EvaluationSettings, Score, relative_scores
 from hydro_policy.task.mdp import GainRange
 
 Gains = tuple[float, float]
@@ -134,69 +132,39 @@ class GridSearch:
         return [(p, i) for p, i in pairs if limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max]
 
 
-class GridSession:
-    """Runs a search on a live plant; a session like training and evaluation.
+class GridPlan:
+    """The trials of a search, a pair of gains after the other: one on each reference, until one is stopped.
 
-    Parameters
-    ----------
-    settings
-        The grid.
-    evaluation
-        References and lengths; runs are not repeated.
-    watch
-        Supervision of the plant.
-    monitor
-        Stops an unstable pair before the box has to.
+    `settings`: the grid. `evaluation`: references and lengths. `base`: base gains of the box, K_p [1/s], K_i [1/s^2].
     """
 
-    def __init__(
-        self,
-        settings: GridSettings,
-        evaluation: EvaluationSettings,
-        watch: PlantSupervisor,
-        monitor: SafetyMonitor | None = None,
-    ) -> None:
-        self.search, self.evaluation = GridSearch(settings), evaluation
-        self.watch, self.override = watch, watch.override
-        self._monitor = monitor or SafetyMonitor()
-        self._pair: Gains | None = None
-        self._next()
+    def __init__(self, settings: GridSettings, evaluation: EvaluationSettings, base: tuple[float, float]) -> None:
+        self.search, self.evaluation, self._base = GridSearch(settings), evaluation, base
+        self._pair = self.search.next()
+        self._rmse: list[float] = []
+        self.trial = self._due()
+        """See `Plan`."""
 
-    @property
-    def finished(self) -> bool:
-        """Whether the search is complete."""
-        return self._pair is None
+    def _due(self) -> Trial | None:
+        if self._pair is None:
+            return None
+        case = self.evaluation.cases[len(self._rmse)]
+        measure = self.evaluation.measured(case.signal.frequency)
+        controller = FixedGains(*self._pair, self._base)
+        return Trial(controller=controller, case=case, settle=self.evaluation.settle, measure=measure)
+
+    def add(self, score: Score) -> None:
+        """See `Plan`. A trial in which the machine was held up tells nothing for its gains."""
+        assert self._pair is not None
+        cases = len(self.evaluation.cases)
+        useless = bool(score.stopped) or score.spoilt
+        self._rmse = [np.inf] * cases if useless else [*self._rmse, score.rmse]
+        if len(self._rmse) == cases:
+            self.search.tell(self._pair, self._rmse)
+            self._pair, self._rmse = self.search.next(), []
+        self.trial = self._due()
 
     @property
     def best(self) -> FixedGains:
         """The best gains as a controller."""
-        return FixedGains(*self.search.best, self.override.base, "best fixed")
-
-    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Take a sample [14]; True if gains went out."""
-        if self._pair is None:
-            self.watch.on_sample(flags, now)
-            return False
-        acted = self._running.on_sample(sequence, sample, flags, now)
-        # a run in which the machine was held up tells nothing for its gains
-        stopped = any(score.stopped or score.spoilt for score in self._running.scores)
-        if stopped or self._running.finished:
-            cases = len(self.evaluation.cases)
-            rmse = [np.inf] * cases if stopped else [score.rmse for score in self._running.scores]
-            self.search.tell(self._pair, rmse)
-            self._next()
-        return acted
-
-    def on_correction(self, after: float, status: int) -> None:
-        """See `EvaluationSession`."""
-        self._running.on_correction(after, status)
-
-    def on_tick(self, now: float) -> None:
-        """Handle a tick, some twenty times a second."""
-        self._running.on_tick(now)
-
-    def _next(self) -> None:
-        self._pair = self.search.next()
-        if self._pair is not None:
-            controllers = [FixedGains(*self._pair, self.override.base)]
-            self._running = EvaluationSession(self.evaluation, controllers, self.watch, monitor=self._monitor)
+        return FixedGains(*self.search.best, self._base, "best fixed")

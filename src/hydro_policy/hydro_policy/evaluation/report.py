@@ -15,7 +15,8 @@ from hydro_bridge.pages import Section
 from hydro_core.cli.console import Table
 from hydro_core.files.atomic import json_text, write_whole
 from hydro_policy.evaluation.gain_search import GridSearch
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, Trace, relative_scores
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
@@ -26,30 +27,30 @@ SPOILT_MARK = (
 )
 
 
-def table(session: EvaluationSession) -> Table:
+def table(session: TrialRunner[Comparison]) -> Table:
     """Return the table of force RMSE, controllers by cases, with mean and, for repeated runs, spread."""
-    cases = [case.name for case in session.settings.cases]
+    cases = [case.name for case in session.plan.settings.cases]
     spoilt = SPOILT_MARK if any(score.spoilt for score in session.scores) else ""
     columns = {"controller": spoilt, "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
-    spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
+    spread = ", mean and standard deviation over the repeats" if session.plan.settings.repeats > 1 else ""
     felt = (
         "; in brackets of the force on the specimen" if any(math.isfinite(s.true_rmse) for s in session.scores) else ""
     )
-    result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}{felt}")
-    reaches = {controller.name: controller.reach for _, _, controller in session.plan}
+    result = Table(columns, title=f"Force RMSE [N], sines of {session.plan.settings.amplitude:g} N{spread}{felt}")
+    reaches = {controller.name: controller.reach for controller in session.plan.controllers}
     for name in dict.fromkeys(score.controller for score in session.scores):
         cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
         result.add(controller=name, authority=authority(reaches[name], session.override.base), **cells)
     return result
 
 
-def best(session: EvaluationSession) -> str:
+def best(session: TrialRunner[Comparison]) -> str:
     """Return which controller is the best, and by how much; empty where fewer than two completed every run.
 
     The best has the least mean over the references of its RMSE over the smallest there; of the force on the specimen
     where that was to follow (`LiveCompensation.cell`) and is known. A controller with a spoilt run is left out.
     """
-    cases = [case.name for case in session.settings.cases]
+    cases = [case.name for case in session.plan.settings.cases]
     names = dict.fromkeys(score.controller for score in session.scores)
     felt = session.compensation is not None and session.compensation.cell is not None
     felt = felt and all(math.isfinite(score.true_rmse) for score in session.scores if math.isfinite(score.rmse))
@@ -110,11 +111,11 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
     return table
 
 
-def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
+def write_json(session: TrialRunner[Comparison], path: Path, notes: Mapping[str, Any]) -> None:
     """Write settings, every single run, and `notes`; non-finite values become null, a missing folder is created."""
     content = {
         **notes,
-        "settings": session.settings,
+        "settings": session.plan.settings,
         "units": {
             "rmse": "N",
             "true_rmse": "N",
@@ -130,24 +131,24 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
     write_whole(path, json_text(content))
 
 
-def sections(session: EvaluationSession, picture: Path) -> list[Section]:
+def sections(session: TrialRunner[Comparison], picture: Path) -> list[Section]:
     """Return the sections of a page; `picture` is that of `plot`."""
     shown = table(session)
     found = [Section(heading=shown.title, text=" ".join([best(session), *session.warnings]).strip(), table=shown)]
     return [*found, Section(heading="Tracking at the fastest sine", picture=picture)] if picture.is_file() else found
 
 
-def plot(session: EvaluationSession, path: Path) -> None:
+def plot(session: TrialRunner[Comparison], path: Path) -> None:
     """Draw the paper's two figures at the fastest sine: tracking and error of the controllers, gains of the first."""
-    sines = session.settings.frequencies
-    case = f"{max(sines):g} Hz" if sines else session.settings.cases[0].name
+    sines = session.plan.settings.frequencies
+    case = f"{max(sines):g} Hz" if sines else session.plan.settings.cases[0].name
     traces = {t.controller: t for t in session.traces if t.case == case}
     path.unlink(missing_ok=True)  # an earlier evaluation's picture is not this one's
     if not traces:
         return
     first = next(iter(traces.values()))
     with figure(path, 3, size=(8.0, 6.5), sharex=True, height_ratios=(3, 2, 1.5)) as (drawing, (force, error, gain)):
-        drawing.suptitle(f"Force tracking, {session.settings.amplitude:g} N, {case}", x=0.01, ha="left")
+        drawing.suptitle(f"Force tracking, {session.plan.settings.amplitude:g} N, {case}", x=0.01, ha="left")
         force.plot(first.states["time"], first.states["reference_force"], color=GRAY, linestyle="--", label="reference")
         for color, trace in zip((BLUE, ORANGE, RED, GREEN), traces.values(), strict=False):
             states = trace.states

@@ -37,8 +37,9 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.compensation.residual import Network
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains, policy_controller, policy_file
-from hydro_policy.evaluation.gain_search import GridSession, GridSettings
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import EvaluationProgress
 from hydro_policy.nodes.startup.companions import (
@@ -206,7 +207,7 @@ def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
 
 
 def show_results(
-    results: EvaluationSession, run: RunDirectory, notes: Mapping[str, Any], json: Path | None = None
+    results: TrialRunner[Comparison], run: RunDirectory, notes: Mapping[str, Any], json: Path | None = None
 ) -> None:
     """Print the table; write figures and plot into the run's folder, the figures also to `json`."""
     if not results.scores:
@@ -300,7 +301,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
         if grid is not None:
             before = search_on(node, grid, settings, watch)
-            if not before.finished:
+            if before.trial is not None:
                 return 130
             if before.search.found:
                 controllers.append(before.best)
@@ -345,26 +346,27 @@ def search_on(
     grid: GridSettings,
     settings: EvaluationSettings,
     watch: PlantSupervisor,
-) -> GridSession:
-    """Search the best fixed gains on the plant by short runs; not `finished` after a signal."""
+) -> GridPlan:
+    """Search the best fixed gains on the plant by short trials; after a signal it is not at its end."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
-    session = GridSession(grid, short, watch, SafetyMonitor(resized(MonitorSettings(), NOMINAL, node.size)))
+    plan = GridPlan(grid, short, node.override.base)
+    runner = TrialRunner(plan, watch, monitor=SafetyMonitor(resized(MonitorSettings(), NOMINAL, node.size)))
     told = 0
 
     def tick() -> None:
         nonlocal told
-        for pair, rmse in list(session.search.tried.items())[told:]:
+        for pair, rmse in list(plan.search.tried.items())[told:]:
             cells = " ".join(f"{value:.1f}" for value in rmse)
             node.say(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
             told += 1
 
-    node.run_session(session, tick)
+    node.run_session(runner, tick)
     tick()
-    if session.finished and not session.search.found:
+    if runner.finished and not plan.search.found:
         node.say("the grid found no gains: even the lowest were stopped (see above)", warning=True)
-    if session.search.tried:
-        print(f"\n{report.grid_table(session.search, short).text()}")
-    return session
+    if plan.search.tried:
+        print(f"\n{report.grid_table(plan.search, short).text()}")
+    return plan
 
 
 def evaluate_on(
@@ -376,7 +378,7 @@ def evaluate_on(
     law: BoxLaw | None = None,
     cell: LoadCell | None = None,
     learned: bool = False,
-) -> EvaluationSession:
+) -> TrialRunner[Comparison]:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
     With `law`, the box's compensated law is compared, too; with `cell`, for the force in front of that; if `learned`,
@@ -389,13 +391,8 @@ def evaluate_on(
         controllers = [*controllers, Compensated(compensation, node.override.base)]
         if learned and cell is None:
             controllers.append(Compensated(compensation, node.override.base, learned=True))
-    session = EvaluationSession(
-        settings or EvaluationSettings(amplitude=node.size.force),
-        controllers,
-        watch,
-        compensation=compensation,
-        felt=node.load_force,
-    )
+    plan = Comparison(settings or EvaluationSettings(amplitude=node.size.force), controllers)
+    session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force)
     bar = EvaluationProgress(session)
     try:
         node.run_session(session, bar.tick)

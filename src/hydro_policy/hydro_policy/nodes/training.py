@@ -27,7 +27,8 @@ from hydro_core.size import resized
 from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluation import (
@@ -305,7 +306,7 @@ def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
 
 
 def write_training_page(
-    run: RunDirectory, record: RunRecord, results: EvaluationSession | None, notes: Mapping[str, Any]
+    run: RunDirectory, record: RunRecord, results: TrialRunner[Comparison] | None, notes: Mapping[str, Any]
 ) -> None:
     """Write learning.png and report.html into the run's folder; a failure is reported, never raised."""
     found = evaluation.sections(results, run.tracking_plot) if results is not None and results.scores else []
@@ -429,7 +430,7 @@ def drive(
     session: TrainingSession,
     learner: LearnerSupervisor,
     start: InitialAgent | None,
-) -> tuple[bool, EvaluationSession | None]:
+) -> tuple[bool, TrialRunner[Comparison] | None]:
     """Train, then evaluate if requested; returns whether all was completed, and the evaluation or None."""
     if not may_rearm(options):
         node.listen_for_enter()
@@ -455,7 +456,7 @@ def drive(
     if rearm:
         grid = coarse_grid(session.settings.task.gains, session.settings.base_gains)
         search = search_on(node, grid, replace(SEARCHED, amplitude=node.size.force), watch)
-        if not search.finished:
+        if search.trial is not None:
             return False, None
         controllers += [search.best] if search.search.found else []
         watch = node.supervisor(rearm=rearm, after=watch)

@@ -20,7 +20,8 @@ from typing import Any
 
 from hydro_core.signals import FAULTS, Flag, FloatArray
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
@@ -71,7 +72,7 @@ class TrainingSession:
         if state is not None:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.phase = Phase.WAITING
-        self.exam: EvaluationSession | None = None
+        self.exam: TrialRunner[Comparison] | None = None
         self._fresh = True  # no episode has passed since the box was armed
 
     @property
@@ -201,11 +202,13 @@ class TrainingSession:
         if reference_too := not self.progress.reference_rmse:
             controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, self.override.base))
         lead = LEAD if self._fresh or reference_too else 0.0
-        self.exam = EvaluationSession(settings.evaluation, controllers, self.watch, monitor=self.monitor, lead=lead)
+        self.exam = TrialRunner(Comparison(settings.evaluation, controllers, lead), self.watch, monitor=self.monitor)
         self.explorer.forget()
         self.phase = Phase.EVALUATING
 
-    def _examine(self, running: EvaluationSession, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+    def _examine(
+        self, running: TrialRunner[Comparison], sequence: int, sample: FloatArray, flags: int, now: float
+    ) -> bool:
         acted = running.on_sample(sequence, sample, flags, now)
         reason = stop_reason(running.scores)
         if reason:

@@ -127,6 +127,8 @@ class PlantSupervisor:
         Requirements before arming, besides plant and filter.
     override
         Gains held by a person: under them a plant is not idle.
+    filtered
+        Whether a filter that answers and fits is required, too.
     """
 
     def __init__(
@@ -135,13 +137,15 @@ class PlantSupervisor:
         rearm: bool,
         requirements: Sequence[Requirement] = (),
         override: GainOverride | None = None,
+        *,
+        filtered: bool = True,
     ) -> None:
         self.outputs, self.override = outputs, override or GainOverride()
         self._arming = Arming(outputs, rearm)
         samples = plant(lambda: not self.lost)
         answers = corrections(lambda: self.mismatched or self._bypassed or not self._flags & Flag.FILTER_STALE)
         fitting = fitting_filter(lambda: not self.mismatched)
-        needed = (samples, *requirements, answers, fitting)  # the filter's answers, after longer waits
+        needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
         self._seen = -math.inf
         self._acted = -math.inf  # time of the last action of a controller, or of arming
@@ -301,7 +305,7 @@ class PlantSupervisor:
 
 
 class Session(Protocol):
-    """Controls a plant: a `TrainingSession` or an `EvaluationSession`."""
+    """Controls a plant: a `TrialRunner` or a `TrainingSession`."""
 
     watch: PlantSupervisor
     override: GainOverride

@@ -93,11 +93,11 @@ class AuthorityWait:
     """Reports why a node does not command the plant, each reason once, and gives up after a timeout.
 
     `node`: waiting node. `commander`: requests the authority from the plant, and holds its answer. `warn`: called with
-    each reason.
+    each reason. `within`: s after which another holder ends the wait.
     """
 
-    def __init__(self, node: Node, commander: Commander, warn: Callable[[str], None]) -> None:
-        self._node, self._commander, self._warn = node, commander, warn
+    def __init__(self, node: Node, commander: Commander, warn: Callable[[str], None], within: float) -> None:
+        self._node, self._commander, self._warn, self._within = node, commander, warn, within
         self._since = math.inf
         self._two_plants, self._crowd, self._refusal = False, "", ""  # seen since the last check; already reported
 
@@ -118,7 +118,7 @@ class AuthorityWait:
             self._since, self._refusal = math.inf, ""
             return
         self._since = min(self._since, now)
-        refusal, within = self._commander.refusal or UNANSWERED, ALONE_WITHIN
+        refusal, within = self._commander.refusal or UNANSWERED, self._within
         if not self._commander.refusal:
             within = ANSWER_WITHIN
         elif refusal != self._refusal:
@@ -149,10 +149,10 @@ class GraphNode(Node):
     is decided in a step goes out with the answer.
 
     `name`: name of the node. `realtime`: request SCHED_FIFO while a session runs; processes started then (a restarted
-    learner) stay ordinary.
+    learner) stay ordinary. `alone_within`: s that it waits for the present holder of the plant.
     """
 
-    def __init__(self, name: str, *, realtime: bool = True) -> None:
+    def __init__(self, name: str, *, realtime: bool = True, alone_within: float = ALONE_WITHIN) -> None:
         super().__init__(name)
         self.announcer, journal = Announcer(), Journal(self)
         self.announcer.journal = journal.tell
@@ -187,7 +187,7 @@ class GraphNode(Node):
         self._step = PolicyStep()  # one object, used again a hundred times a second
         self._steps: Publisher | None = None
         self._commander = Commander(self, self._on_authority, endings.ask)
-        self._wait = AuthorityWait(self, self._commander, self.warn)
+        self._wait = AuthorityWait(self, self._commander, self.warn, alone_within)
         self._override_service = OverrideService(self, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = subscribe(self, STATE, STATES, self._on_state)
@@ -207,12 +207,14 @@ class GraphNode(Node):
         create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def supervisor(self, *needed: Requirement, rearm: bool, after: PlantSupervisor | None = None) -> PlantSupervisor:
+    def supervisor(
+        self, *needed: Requirement, rearm: bool, after: PlantSupervisor | None = None, filtered: bool = True
+    ) -> PlantSupervisor:
         """Return a session's supervision of the plant; `needed`: what it requires besides, before arming.
 
-        `after`: that of the session before, whose plant is taken over as it is.
+        `after`: that of the session before, whose plant is taken over as it is. `filtered`: see `PlantSupervisor`.
         """
-        made = PlantSupervisor(self, rearm, (*needed, *self.requirements), self.override)
+        made = PlantSupervisor(self, rearm, (*self.requirements, *needed), self.override, filtered=filtered)
         if after is not None:
             made.take_over(after)
         return made
@@ -275,6 +277,11 @@ class GraphNode(Node):
         """Whether the plant goes by its own clock."""
         return self._heard is not None and bool(self._heard.flags & Flag.PACED)
 
+    @property
+    def armed(self) -> bool:
+        """Whether the last sample was armed."""
+        return self._heard is not None and bool(self._heard.flags & Flag.ARMED)
+
     def now(self) -> float:
         """Time [s] of this session: the monotonic clock's, or the plant's own."""
         if not self.paced:
@@ -282,11 +289,13 @@ class GraphNode(Node):
         return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENT)
 
     def disarm(self) -> None:
-        """Release the authority, which disarms the plant, and wait at most 2 s for the answer.
+        """Release the authority, which disarms the plant, and wait at most 2 s for the answer; reference 0 N is left.
 
         With a `successor` set, the plant keeps the authority for that node.
         """
         self._session = None
+        self._commander.reference(ReferenceSignal())
+        self._commander.flush()
         if unconfirmed := self._commander.give_back(self.successor):
             self.warn(unconfirmed)
 

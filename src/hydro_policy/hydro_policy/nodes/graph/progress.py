@@ -14,7 +14,8 @@ from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.topics import TRAINING, create_publisher
 from hydro_core.cli.console import progress
 from hydro_msgs.msg import TrainingStatus
-from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.sessions.episode import Phase
 
@@ -135,7 +136,7 @@ class TrainingProgress:
 class EvaluationProgress:
     """Progress bar of one evaluation."""
 
-    def __init__(self, session: EvaluationSession) -> None:
+    def __init__(self, session: TrialRunner[Comparison]) -> None:
         self._session = session
         form = _BAR.replace("{elapsed}", "{elapsed}<{remaining}")
         self._bar: tqdm[None] = progress(total=len(session.plan), label="evaluating", bar_format=form)
@@ -144,12 +145,11 @@ class EvaluationProgress:
         """Redraw."""
         session = self._session
         self._bar.n = len(session.scores)
-        if not session.finished:
-            _, case, controller = session.plan[len(session.scores)]
+        if (trial := session.plan.trial) is not None:
             state = "" if (now := session.watch.summary) == "armed" else f" ({now})"
             held = f"OVERRIDDEN {session.override.description}, " if session.override.active else ""
             self._bar.set_description_str(f"evaluating{state}", refresh=False)
-            self._bar.set_postfix_str(f"{held}{controller.name} at {case.name}", refresh=False)
+            self._bar.set_postfix_str(f"{held}{trial.controller.name} at {trial.case.name}", refresh=False)
         self._bar.refresh()
 
     def close(self) -> None:

@@ -1,30 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluation session: force RMSE of controllers, run by run on a live plant, without ROS.
+"""The runner of trials: makes a plan's trials one after another on a live plant, without ROS.
 
-run       a new reference, 2 s to settle, then whole periods of at least 3 s in total over which e = f_r - f_l counts
-order     repeat, case, controller: controllers follow each other closely, so that drift of the bench affects all alike;
-          those of the compensated law last, since the plant is disarmed for another law
-failure   the box trips, or the monitor requests a stop: the run counts as stopped, and a second of calm follows. If the
-          plant is lost, or a person takes the gains, the run is restarted
-unheld    the box trips at once under base gains, several times: all runs under this force law count as stopped
-hold-up   corrections, commands or samples came late, or the box heard nothing for so long that it tripped: the run is
-          started again, `REPEATS` times at most
+trial     a new reference, seconds to settle, then those over which e = f_r - f_l counts
+failure   the box trips, or the monitor requests a stop: the trial counts as stopped, and a second of calm follows. If
+          the plant is lost, or a person takes the gains, the trial is begun again
+unheld    the box trips at once under base gains, several times: all trials under this force law count as stopped
+hold-up   corrections, commands or samples came late, or the box heard nothing for so long that it tripped: the trial is
+          begun again, `REPEATS` times at most
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from hydro_core.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import FALLBACK, TRIALS, UNHELD, PlantSupervisor
-from hydro_policy.task.cases import SPOILT, Case, EvaluationSettings, Score, Trace, score
+from hydro_policy.task.cases import SPOILT, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, StepClock, held
 from hydro_sim.files import load_force
 
@@ -47,11 +46,9 @@ ANOTHER_LAW = "the next controller needs another force law: the plant is disarme
 
 @dataclass
 class _Run:
-    """Data of the present run."""
+    """Data of the present trial."""
 
-    repeat: int
-    case: Case
-    controller: Controller
+    trial: Trial
     first: int
     last: int
     """Sequence of the last sample."""
@@ -60,51 +57,42 @@ class _Run:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
-class EvaluationSession:
-    """Performs all runs one after another.
+P = TypeVar("P", bound=Plan)
+
+
+class TrialRunner(Generic[P]):
+    """Makes a plan's trials.
 
     Parameters
     ----------
-    settings
-        References and lengths of the runs.
-    controllers
-        At least one.
+    plan
+        The trials.
     watch
         Supervision of the plant.
     monitor
-        Stops a run that goes wrong before the box has to; None: only the box does.
+        Stops a trial that goes wrong before the box has to; None: only the box does.
     compensation
         Estimator of the controller under the compensated law, if there is one.
     felt
         File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one.
-    lead
-        s that each controller's first run settles longer; then each controller makes all its runs before the next.
     """
 
     def __init__(
         self,
-        settings: EvaluationSettings,
-        controllers: Sequence[Controller],
+        plan: P,
         watch: PlantSupervisor,
         *,
         monitor: SafetyMonitor | None = None,
         compensation: LiveCompensation | None = None,
         felt: Path | None = None,
-        lead: float = 0.0,
     ) -> None:
-        if not controllers:
-            raise ValueError("an evaluation needs a controller")
-        self.settings, self.watch, self.override = settings, watch, watch.override
-        self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
-        if lead:
-            self.plan.sort(key=lambda run: controllers.index(run[2]))
-        self.plan.sort(key=lambda run: run[2].law.law)
-        self._lead, self.compensation = lead, compensation
-        self._wrong_law, self._law_trials = False, 0
+        self.plan, self.watch, self.override = plan, watch, watch.override
+        self.compensation, self.monitor = compensation, monitor
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
-        self._outputs, self.monitor, self._felt = watch.outputs, monitor, felt
+        self._wrong_law, self._law_trials = False, 0
+        self._outputs, self._felt = watch.outputs, felt
         self._repeats = 0
         self._clock = StepClock()
         self._run: _Run | None = None
@@ -112,27 +100,16 @@ class EvaluationSession:
 
     @property
     def finished(self) -> bool:
-        """Whether all runs are scored."""
-        return len(self.scores) == len(self.plan)
-
-    @property
-    def seconds(self) -> float:
-        """Bench time of all runs, s."""
-        return sum(self.settings.length(case) + self._more(k) for k, (_, case, _) in enumerate(self.plan))
-
-    def _more(self, index: int) -> float:
-        """By how much a run settles longer, s."""
-        return self._lead if index == 0 or self.plan[index][2] is not self.plan[index - 1][2] else 0.0
+        """Whether all trials are made."""
+        return self.plan.trial is None
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Take a sample [14]; True if gains went out."""
         self.watch.on_sample(flags, now)
-        if self.finished:
+        if self.compensation is not None and (trial := self.plan.trial) is not None:
+            self._follow_law(trial, self.compensation, sequence, sample, flags, now)
+        if (trial := self.plan.trial) is None:
             return False
-        if self.compensation is not None:
-            self._follow_law(self.compensation, sequence, sample, flags, now)
-            if self.finished:
-                return False
         if not flags & Flag.ARMED:
             if flags & Flag.TRIPPED:
                 self._on_trip(flags)
@@ -151,18 +128,18 @@ class EvaluationSession:
         if self._run is None:
             if not self.watch.may_begin(now):
                 return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))
-            self._run = self._begin(sequence)
+            self._run = self._begin(trial, sequence)
         self.watch.acted(now)
         return self._advance(self._run, sequence, sample, flags)
 
     def _follow_law(
-        self, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int, now: float
+        self, trial: Trial, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int, now: float
     ) -> None:
         """Command the law of the present controller, or the next; a plant armed with another is disarmed first.
 
         While a person holds the gains, nothing changes. A plant that does not take up the law ends the runs under it.
         """
-        law = self._controller.law
+        law = trial.controller.law
         holds = self._run is None or law.law is Law.PAPER or self.watch.mismatched
         force, rate = float(sample[LOAD_FORCE]), float(sample[REFERENCE_RATE])
         compensation.on_sample(sequence, force, flags, rate, reference=float(sample[REFERENCE]), holds=holds)
@@ -171,20 +148,18 @@ class EvaluationSession:
         self._law_trials *= wrong or not flags & Flag.ARMED
         self._wrong_law = wrong
         if self._law_trials > LAW_TRIALS:
-            self._give_up_law(NOT_TAKEN_UP)
+            self._give_up_law(law.law, NOT_TAKEN_UP)
         elif wrong and self.override.gains(now) is None:
             self._run = None
             self.watch.spoil(ANOTHER_LAW)
         elif not wrong and sequence % SAMPLES_PER_STEP == 0:
             self._outputs.command_law(law, self._steps)
 
-    def _give_up_law(self, why: str) -> None:
-        """Score what is left under the present force law as stopped."""
-        law = self._controller.law.law
+    def _give_up_law(self, law: Law, why: str) -> None:
+        """Score what is left under this force law, which comes next in the plan, as stopped."""
         self._outputs.say(f"{why}: what is left under the {law.name.lower()} law is left out", warning=True)
-        for repeat, case, controller in self.plan[len(self.scores) :]:
-            if controller.law.law is law:
-                self._score_stopped(repeat, case, controller, why)
+        while (trial := self.plan.trial) is not None and trial.controller.law.law is law:
+            self._add(trial.stopped(why))
         self._run = None
 
     def _in_law(self, gains: tuple[float, float]) -> tuple[float, float]:
@@ -193,10 +168,6 @@ class EvaluationSession:
             return gains
         base, law = self.override.base, self.compensation.law
         return base[0] + gains[0] - law.base_kp, base[1] + gains[1] - law.base_ki
-
-    @property
-    def _controller(self) -> Controller:
-        return self.plan[len(self.scores)][2]
 
     def on_tick(self, now: float) -> None:
         """Handle a tick, some twenty times a second."""
@@ -211,35 +182,32 @@ class EvaluationSession:
         if self.monitor is not None:
             self.monitor.on_correction(after, status)
 
-    def _begin(self, sequence: int) -> _Run:
-        repeat, case, controller = self.plan[len(self.scores)]
-        controller.reset()
-        frozen = self.compensation is not None and self.compensation.frozen and controller.law.law is not Law.PAPER
+    def _begin(self, trial: Trial, sequence: int) -> _Run:
+        trial.controller.reset()
+        compensated = trial.controller.law.law is not Law.PAPER
+        frozen = self.compensation is not None and self.compensation.frozen and compensated
         if frozen and FROZEN not in self.warnings:
             self.warnings.append(FROZEN)
         self._clock = StepClock()  # the step in progress is not this run's
         if self.monitor is not None:
             self.monitor.reset()
-        self._outputs.reference(case.signal)
-        return _Run(repeat, case, controller, sequence, sequence - 1)
+        self._outputs.reference(trial.case.signal)
+        return _Run(trial, sequence, sequence - 1)
 
     def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> bool:
+        trial = run.trial
         run.missed, run.last = run.missed + (sequence - run.last - 1) % 2**32, sequence
-        time = (sequence - run.first) * SAMPLE_PERIOD - self.settings.settle - self._more(len(self.scores))
-        if time >= 0.0:
+        time = (sequence - run.first) * SAMPLE_PERIOD - trial.settle
+        if time >= 0.0 and trial.judged:
             run.rows.append((time, sequence, *sample, flags))
-        step = self._clock.add(sequence, sample, flags, self._base(run.controller))
+        step = self._clock.add(sequence, sample, flags, self._base(trial.controller))
         reason = self.monitor.add(step) if step is not None and self.monitor is not None else None
         if reason is not None:
             self._publish((0.0, 0.0))
-            self._stop(run, reason)
+            self._stop(trial, reason)
         elif sequence % SAMPLES_PER_STEP == 0:
-            self._publish(run.controller.gains(sample))
-        if (
-            self._run is run
-            and run.rows
-            and time + SAMPLE_PERIOD >= self.settings.measured(run.case.signal.frequency) - 1e-9
-        ):
+            self._publish(trial.controller.gains(sample))
+        if self._run is run and time >= 0.0 and time + SAMPLE_PERIOD >= trial.measure - 1e-9:
             self._end(run)
         return sequence % SAMPLES_PER_STEP == 0
 
@@ -249,58 +217,60 @@ class EvaluationSession:
         return True
 
     def _end(self, run: _Run) -> None:
-        trace = Trace(run.controller.name, run.case.name, run.case.signal.frequency, np.array(run.rows, STATE_DTYPE))
-        self._run = None
+        trial, self._run = run.trial, None
+        controller, case = trial.controller, trial.case
+        trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
+        if not trial.judged:
+            self._add(Score(controller=controller.name, case=case.name, frequency=trace.frequency, repeat=trial.repeat))
+            return
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
-        bits = held(flags, k_p, k_i, self._base(run.controller))
-        if _own(run.controller) == self._base(run.controller):
+        bits = held(flags, k_p, k_i, self._base(controller))
+        if _own(controller) == self._base(controller):
             bits = np.zeros_like(bits)  # base gains replace none but themselves
         share = float(np.mean(bits != 0))
-        late = self._late(run.controller, share) or _missed(run)
-        if late and share <= REPLACED and self._again(run, late):
+        late = self._late(controller, share) or _missed(run)
+        if late and share <= REPLACED and self._again(trial, late):
             return
-        if reason := self._replaced(run.controller, trace, share):
-            self._leave_out(run, reason)
+        if reason := self._replaced(controller, trace, share):
+            self._leave_out(trial, reason)
             return
         if late:
             self._warn(f"{trace.controller} at {trace.case}: {late}")
-        self._repeats = 0
         felt = None if self._felt is None else load_force.read(self._felt, trace.states["sequence"])
-        self.scores.append(score(trace, run.repeat, int(np.count_nonzero(bits)), felt))
         self.traces.append(trace)
+        self._add(score(trace, trial.repeat, int(np.count_nonzero(bits)), felt))
 
-    def _again(self, run: _Run, why: str) -> bool:
-        """Let a run begin again that the machine spoilt; False where it has been repeated often enough."""
+    def _add(self, done: Score) -> None:
+        self._repeats = 0
+        self.scores.append(done)
+        self.plan.add(done)
+
+    def _again(self, trial: Trial, why: str) -> bool:
+        """Let a trial begin again that the machine spoilt; False where it has been repeated often enough."""
         if self._repeats == REPEATS:
             return False
         self._repeats += 1
-        self._outputs.say(f"{run.controller.name} at {run.case.name} is started again: {why}", warning=True)
+        self._outputs.say(f"{trial.controller.name} at {trial.case.name} is started again: {why}", warning=True)
         return True
 
-    def _stop(self, run: _Run, reason: str) -> None:
-        self._leave_out(run, reason)
+    def _stop(self, trial: Trial, reason: str) -> None:
+        self._leave_out(trial, reason)
         self.watch.calm()
         self._run = None
 
-    def _leave_out(self, run: _Run, reason: str) -> None:
-        """Score a run as stopped."""
-        self._score_stopped(run.repeat, run.case, run.controller, reason)
-        self._outputs.say(f"{run.controller.name} at {run.case.name}: {reason}", warning=True)
-
-    def _score_stopped(self, repeat: int, case: Case, controller: Controller, why: str) -> None:
-        frequency, self._repeats = case.signal.frequency, 0
-        self.scores.append(
-            Score(controller=controller.name, case=case.name, frequency=frequency, repeat=repeat, stopped=why)
-        )
+    def _leave_out(self, trial: Trial, reason: str) -> None:
+        """Score a trial as stopped."""
+        self._add(trial.stopped(reason))
+        self._outputs.say(f"{trial.controller.name} at {trial.case.name}: {reason}", warning=True)
 
     def _on_trip(self, flags: int) -> None:
         """Attribute a trip to the run, or to nobody under gains held by a person, or where the machine was held up."""
         silent = not flags & FAULTS
-        if self._run is not None and not (silent and self._again(self._run, SILENCE)):
-            self._stop(self._run, SILENCE if silent else self.watch.condition)
-        elif self.watch.trips >= TRIALS and not self.finished:
+        if self._run is not None and not (silent and self._again(self._run.trial, SILENCE)):
+            self._stop(self._run.trial, SILENCE if silent else self.watch.condition)
+        elif self.watch.trips >= TRIALS and (trial := self.plan.trial) is not None:
             self.watch.trips = 0
-            self._give_up_law(UNHELD)
+            self._give_up_law(trial.controller.law.law, UNHELD)
         elif not self.watch.calming:
             self.watch.calm()
 

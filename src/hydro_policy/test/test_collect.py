@@ -19,16 +19,14 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-import rclpy
-
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
 from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_core.signals import Flag
-from hydro_sim.excitation import Playback, Segment
+from hydro_policy.nodes.collect import SchedulePlan
+from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
-from hydro_sim.nodes.collect import CollectNode
 from tests.checks import ran
 from tests.graph_probe import Probe
 
@@ -40,23 +38,15 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> None:
-    playback = Playback([Segment(seconds=0.002), Segment(seconds=0.002), Segment(seconds=0.001)])
-    for flags in (Flag.ARMED, Flag.TRIPPED, 0):  # met like that: not our doing
-        playback.on_sample(flags)
-    assert playback.next() is not None and playback.next() is None
-    assert (playback.elapsed, playback.trips) == (0.0, 0)
-    for flags in (Flag.ARMED, Flag.TRIPPED, Flag.TRIPPED, 0, Flag.ARMED):
-        playback.on_sample(flags)
-    assert playback.next() is not None
-    assert playback.trips_in_a_row == 1  # the first segment was not played without one
-    playback.on_sample(Flag.ARMED)
-    playback.on_sample(Flag.ARMED)
-    assert playback.next() is not None
-    assert (playback.trips, playback.trips_in_a_row) == (1, 0)
-    playback.on_sample(Flag.ARMED)
-    assert playback.next() is None
-    assert playback.finished
+def test_a_schedule_goes_on_behind_a_trip_and_ends_after_three_in_a_row() -> None:
+    plan = SchedulePlan([Segment(seconds=1.0, kp=60.0) for _ in range(6)], (15.0, 5.0))
+    assert plan.trial is not None and plan.trial.controller.gains(np.zeros(14)) == (45.0, 10.0)
+    done, tripped = plan.trial.stopped(""), plan.trial.stopped("tripped")
+    for each in (tripped, tripped, done, tripped, tripped):
+        plan.add(each)
+    assert plan.trial is not None and (plan.played, plan.trips, plan.in_a_row, plan.ended) == (5.0, 4, 2, "")
+    plan.add(tripped)
+    assert plan.trial is None and "3 times in a row" in plan.ended
 
 
 @pytest.fixture
@@ -85,22 +75,6 @@ def _collect(folder: Path, segments: list[dict[str, object]], *words: str) -> li
     return ["--out", str(folder / "bag"), "--schedule", str(folder / "s.yaml"), *words]
 
 
-def test_enter_while_the_plant_is_armed_is_no_consent_to_arm_it_again() -> None:
-    rclpy.init()
-    node, asked = CollectNode([Segment(seconds=1.0)], rearm=False), list[bool]()
-    try:
-        node.arm = asked.append  # type: ignore[method-assign]
-        for now, typed, flags in ((0.0, "\n", Flag.ARMED), (0.5, "", 0), (2.0, "", 0), (4.0, "\n", 0), (4.5, "", 0)):
-            if typed:
-                node._keys.put(typed)
-            node.playback.on_sample(flags)
-            node._follow_arming(now)
-            assert asked == ([False, True] if now > 4.0 else [False] if now == 4.0 else []), now
-    finally:
-        node.destroy_node()
-        rclpy.shutdown()
-
-
 HOLD = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}
 
 
@@ -110,7 +84,7 @@ def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_
 ) -> None:
     plant("-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
     words = _collect(tmp_path, [{**HOLD, "kp": 80.0, "ki": 12.0}] * 2)
-    ended = subprocess.run([str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False)
+    ended = subprocess.run([str(executable_path("hydro_policy", "collect")), *words], timeout=60, check=False)
     assert ended.returncode == 0
     listener.wait(lambda: listener.heard[STATE])
     assert not fresh(listener) & Flag.ARMED
@@ -132,7 +106,7 @@ def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener:
     listener.node.create_subscription(GRAPH[REFERENCE][0], REFERENCE, references.append, GRAPH[REFERENCE][1])
     plant()
     crash = (
-        "import hydro_bridge.ros.commander as node; from hydro_sim.nodes.collect import main\n"
+        "import hydro_bridge.ros.commander as node; from hydro_policy.nodes.collect import main\n"
         "send, sent = node.reference_to_message, []\n"
         "def second(signal, epoch):\n"
         "    sent.append(signal)\n"
@@ -159,7 +133,7 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
     assert not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=60, check=True)
     output = io.StringIO()
-    collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output.write)
+    collect = Companion("hydro_policy", "collect", _collect(tmp_path, [HOLD]), output=output.write)
     listener.wait(lambda: HOW_TO_ARM in collect.last_line)
     assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=30, check=True)
@@ -176,7 +150,7 @@ def test_beside_another_who_commands_it_refuses_to_start(
 ) -> None:
     plant()
     listener.take()
-    collect = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
+    collect = [str(executable_path("hydro_policy", "collect")), *_collect(tmp_path, [HOLD])]
     with subprocess.Popen(collect, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         listener.wait(lambda: process.poll() is not None, 60.0)
         assert process.returncode == 2 and process.stderr is not None
@@ -191,7 +165,7 @@ def test_a_bench_file_that_is_not_the_boxs_is_refused(plant: Callable[..., None]
     (tmp_path / "nominal.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
     plant("--", "--bench", str(tmp_path / "own.yaml"))
     words = (*_collect(tmp_path, [HOLD]), "--bench", tmp_path / "nominal.yaml")
-    refused = ran(executable_path("hydro_sim", "collect"), *words, timeout=60)
+    refused = ran(executable_path("hydro_policy", "collect"), *words, timeout=60)
     assert refused.returncode == 2
     assert f"the box believes {own.digest}" in refused.stderr.splitlines()[-1]
     assert not (tmp_path / "bag").exists()

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plays a random schedule of references and gains into the graph and records it, as training data.
+
+ros2 run hydro_policy collect --out BAG [--seconds S] [--seed N] [--schedule FILE] [--bench FILE] [--rearm auto|ask]
+ros2 run hydro_policy collect --write-schedule FILE [--seconds S] [--seed N]
+
+The still bench is recorded first, and the plant is left disarmed with a reference of 0 N, whatever happens.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from math import inf
+from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory
+
+import yaml
+from tqdm import tqdm
+
+from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
+from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.readiness import NotReadyError, Requirement
+from hydro_core.cli.console import UserError, command, number, progress, writable, writable_folder
+from hydro_core.process.endings import undisturbed
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Trial
+from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.task.cases import Case, Score
+from hydro_sim.box.box import EMULATED_BOX
+from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
+from hydro_sim.files.pairing import BoxIdentity, PairingError
+from hydro_sim.model.bench import NOMINAL, Bench
+
+REST = 1.0
+"""s recorded before arming: the still bench."""
+TRIPS_IN_A_ROW = 3
+AUTHORITY_WITHIN = 5.0
+"""s for the plant to give the authority: longer than it keeps that of one who was killed."""
+TRIPPED = 3
+"""Exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there."""
+
+
+class SchedulePlan:
+    """A schedule's segments, each a trial that is not judged, until too many in a row have tripped the plant.
+
+    `schedule`: segments with total gains. `base`: base gains of the box, K_p [1/s] and K_i [1/s^2].
+    """
+
+    def __init__(self, schedule: Sequence[Segment], base: tuple[float, float]) -> None:
+        self._left = [
+            Trial(controller=FixedGains(one.kp, one.ki, base), case=Case(one.waveform, one.signal), settle=0.0,
+                  measure=one.seconds, judged=False)
+            for one in schedule
+        ]  # fmt: skip
+        self.seconds = sum(one.seconds for one in schedule)
+        self.played = 0.0
+        """s of the trials that are over."""
+        self.trips = self.in_a_row = 0
+
+    @property
+    def trial(self) -> Trial | None:
+        """See `hydro_policy.evaluation.trial.Plan`."""
+        return self._left[0] if self._left and not self.ended else None
+
+    @property
+    def ended(self) -> str:
+        """Reason for ending before the schedule does; empty if there is none."""
+        many = self.in_a_row >= TRIPS_IN_A_ROW
+        return f"the plant tripped {self.in_a_row} times in a row: it is left disarmed" if many else ""
+
+    def add(self, score: Score) -> None:
+        """See `hydro_policy.evaluation.trial.Plan`."""
+        self.trips += bool(score.stopped)
+        self.in_a_row = self.in_a_row + 1 if score.stopped else 0
+        self.played += self._left.pop(0).measure
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of the command line."""
+    made = argparse.ArgumentParser(
+        prog="collect",
+        description="Record random references and gains for training.",
+        epilog=f"It ends with status {TRIPPED} after {TRIPS_IN_A_ROW} trips in a row, and leaves the plant disarmed.",
+    )
+    made.add_argument("--out", type=writable_folder, metavar="BAG", help="recording to make")
+    made.add_argument("--seconds", type=number(1.0, 36000.0), default=600.0, help="length of the schedule")
+    made.add_argument("--seed", type=number(0), default=1, help="of the schedule")
+    made.add_argument(
+        "--schedule", metavar="FILE", help="play this one instead of drawing one (docs/manual/reference/schedule.md)"
+    )
+    made.add_argument(
+        "--write-schedule", type=writable, metavar="FILE", help="write the schedule, for instance for the emulator"
+    )
+    made.add_argument(
+        "--bench", metavar="FILE", help="bench.yaml of the box, kept in the recording (default: as the box says)"
+    )
+    made.add_argument(
+        "--rearm",
+        choices=("auto", "ask"),
+        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`",
+    )
+    add_page_option(made)
+    return made
+
+
+@command(ValueError, OSError, CompanionError, NotReadyError)
+def main() -> int:
+    """Entry point."""
+    own, ros = ros_arguments()
+    options = parser().parse_args(own)
+    if not (options.out or options.write_schedule):
+        parser().error("give --out, --write-schedule, or both")
+    bench = Bench.load(options.bench) if options.bench else None
+    schedule = playable(options, (bench.size if bench else NOMINAL).force)
+    if options.write_schedule:
+        save_schedule(schedule, options.write_schedule)
+        print(f"{options.write_schedule}: {len(schedule)} segments, {sum(s.seconds for s in schedule):g} s")
+    if not options.out:
+        return 0
+    if options.out.exists():
+        raise UserError(f"{options.out} exists already; a recording is never overwritten")
+    with running_ros(ros):
+        plan = collect(options, schedule, bench)
+    if plan.ended:
+        print(f"error: {plan.ended}; {options.out} holds what was played so far", file=sys.stderr)
+        return TRIPPED
+    if plan.trips:
+        print(f"the plant tripped {plan.trips} times; the schedule went on with the next segment")
+    print(f"{options.out}: {plan.played:g} s played")
+    return 0
+
+
+def playable(options: argparse.Namespace, force: float) -> Sequence[Segment]:
+    """Return the schedule of the command line, drawn for a bench of this force [N] if it names none.
+
+    Raises UserError: it has corrections, which are the filter's; only the emulator records others.
+    """
+    if not options.schedule:
+        return draw(options.seconds, options.seed, Range.of_force(force))
+    schedule = load_schedule(options.schedule)
+    for index, segment in enumerate(schedule):
+        if segment.delta_u:
+            raise UserError(
+                f"segments[{index}].delta_u is {segment.delta_u:g} A: only the emulator records corrections"
+            )
+    return schedule
+
+
+def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
+    """Record while the schedule plays; returns it as it ended.
+
+    Raises UserError: it was interrupted, or the recorder ended; PairingError, before anything is recorded: the box
+    believes another bench; NotReadyError: another node commands the plant; CompanionError: the box is another one now.
+    """
+    with ExitStack() as quiet, ExitStack() as stack:
+        node = GraphNode("collect", alone_within=AUTHORITY_WITHIN)
+        stack.callback(leave_graph, node)
+        refuse_unknown_parameters(node)
+        if not node.wait_for_plant() or node.box is None:
+            raise UserError("interrupted before anything was recorded")
+        box, believed = node.box, believed_bench(node.box, bench)
+        plan, plant = SchedulePlan(schedule, box.base_gains), "sim" if box.plant == "sim" else box.info.name
+        rearm = options.rearm == "auto" if options.rearm else plant in ("sim", EMULATED_BOX)
+        node.box_fault = lambda other: (
+            "" if other.base_gains == box.base_gains else "another box with other base gains has been connected"
+        )
+        start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
+        recorder = start_recorder(stack, options, schedule, believed, plant)
+        node.watch_companions([recorder], options.out)
+        stack.callback(node.disarm)
+        stack.callback(quiet.enter_context, undisturbed())  # a second Ctrl-C waits
+        runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
+        bar: tqdm[None] = stack.enter_context(progress(total=round(plan.seconds), label="collecting", unit="s"))
+
+        def tick() -> None:
+            bar.update(int(plan.played) - bar.n)
+            if not recorder.running:  # nothing moves unrecorded
+                why = why_ended(recorder, options.out)
+                node.fail(UserError(f"the recorder has ended, so the plant was disarmed: {why}"))
+
+        if not rearm:
+            node.listen_for_enter()
+        try:
+            finished = node.run_session(runner, tick)
+        except (NotReadyError, CompanionError, UserError):
+            if not node.timing.response.count and recorder.running:  # what is refused leaves no folder
+                quiet.callback(rmtree, options.out)  # once the recorder has ended
+            raise
+        if not finished:
+            raise UserError(f"interrupted: {options.out} holds what was played so far")
+    return plan
+
+
+def still_bench(node: GraphNode) -> Requirement:
+    """Require that a second of the still bench is recorded before anything is armed; call behind `watch_companions`."""
+    (recording,) = node.requirements
+    since = inf  # when the recorded bench came to rest, s; -inf: recorded
+
+    def recorded() -> bool:
+        nonlocal since
+        if since > -inf:
+            since = min(since, node.now()) if recording.ready() and not node.armed else inf
+            since = -inf if node.now() - since >= REST else since
+        return since == -inf
+
+    name = "a second of the still bench"
+    missing = f"{name} was not recorded: somebody arms it again and again"
+    return Requirement(name=name, ready=recorded, hint="it is recorded first", within=600.0, missing=missing)
+
+
+def believed_bench(box: KnownBox, asked: Bench | None) -> Bench:
+    """Return the bench.yaml to store in the recording: the requested one, or else the one that the box believes.
+
+    Raises PairingError: the box believes another one than requested.
+    """
+    if asked is None:
+        return Bench.from_mapping(yaml.safe_load(box.bench)) if box.bench else Bench.nominal()
+    if box.bench_digest not in ("", asked.digest):
+        told = f"--bench is bench {asked.digest}, the box believes {BoxIdentity.of_box(box).description}"
+        raise PairingError(f"{told}: name the bench.yaml of this box, or none")
+    return asked
+
+
+def start_recorder(
+    stack: ExitStack, options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench, plant: str
+) -> Companion:
+    """Start the recorder, with schedule and bench file attached, for as long as `stack` holds."""
+    scratch = Path(stack.enter_context(TemporaryDirectory()))
+    save_schedule(schedule, scratch / "schedule.yaml")
+    (scratch / "bench.yaml").write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
+    drawn = [] if options.schedule else [f"seed={options.seed}"]
+    words = ["--out", str(options.out), "--metadata", f"plant={plant or 'unknown'}", *drawn]
+    attached = [*words, "--attach", str(scratch / "schedule.yaml"), str(scratch / "bench.yaml")]
+    return stack.enter_context(Companion("hydro_bridge", "recorder", attached))
+
+
+def why_ended(recorder: Companion, out: Path) -> str:
+    """Return why a recorder has ended."""
+    if recorder.process.returncode == 2:  # it could not use `out`
+        return recorder.last_line.removeprefix("error: ")
+    return f"the recorder ended (exit status {recorder.process.returncode}); {out} holds what came before"
