@@ -9,7 +9,12 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "data/*.yaml", "data/*.safetensors", "model/*.c", "model/effects/grown/*.yaml"]},
+    package_data={
+        name: [
+            "py.typed", "data/*.yaml", "data/*.safetensors", "export/templates/*", "model/*.c",
+            "model/effects/grown/*.yaml",
+        ]
+    },  # fmt: skip
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -21,12 +26,17 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="The bench as a model: hydraulics, what the box runs, the sim node, and an emulated MicroLabBox.",
     license="Apache-2.0",
-    install_requires=["hydro_bridge", "casadi", "cobs", "matplotlib", "numba", "numpy", "pyyaml", "safetensors"],
-    extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
+    install_requires=["hydro_bridge", "casadi", "cobs", "jinja2", "matplotlib", "numba", "numpy", "pyyaml", "safetensors"],
+    extras_require={
+        "test": ["pytest"],  # by which colcon test knows to call pytest
+        "fmu": ["fmpy"],  # to run what `export` writes
+        "mujoco": ["mujoco"],
+    },
     entry_points={
         "console_scripts": [
             "sim = hydro_core.process.start:main_of.hydro_sim.nodes.sim",
-            "export_c = hydro_core.process.start:main_of.hydro_sim.box.header",
+            "export = hydro_core.process.start:main_of.hydro_sim.export.command",
+            "export_c = hydro_core.process.start:main_of.hydro_sim.export.former",
             "emulator = hydro_core.process.start:main_of.hydro_sim.emulator.command",
             "learn = hydro_core.process.start:main_of.hydro_sim.identification.learn",
             "validate = hydro_core.process.start:main_of.hydro_sim.identification.validate",

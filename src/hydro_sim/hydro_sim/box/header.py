@@ -1,24 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration of a box (firmware/hydro/config.h) as a C header, and what other generated headers need.
-
-ros2 run hydro_sim export_c --bench bench.yaml --out box_config.h
-"""
+"""The configuration of a box (firmware/hydro/config.h) as a C header, and what other generated headers need."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from textwrap import fill
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from hydro_core.cli.console import command, writable
-from hydro_core.files.atomic import write_whole
-from hydro_sim.box.box import NAME, BoxConfig, Integral
 from hydro_sim.box.firmware import Records
-from hydro_sim.model.bench import Bench
 
 
 def initializer(value: Any, indent: str = "") -> str:
@@ -62,7 +53,7 @@ def header(config: Records) -> str:
     members |= {name: repr(float(config[name][0])) for name in ("hold_timeout", "trip_timeout")}  # of type hydro_time
     name, digest = (config[field][0].tobytes().rstrip(b"\0").decode() for field in ("name", "digest"))
     body = f'#include "hydro/config.h"\n\nstatic const hydro_config HYDRO_BOX_CONFIG = {initializer(members)};'
-    origin = f"Written by `ros2 run hydro_sim export_c` for the bench {digest}, box {name}."
+    origin = f"Written by `ros2 run hydro_sim export --box` for the bench {digest}, box {name}."
     return header_file("HYDRO_BOX_CONFIG_H", origin, body)
 
 
@@ -78,26 +69,3 @@ def _members(record: np.void) -> dict[str, Any]:
         else:
             members[name] = value
     return members
-
-
-def parser() -> argparse.ArgumentParser:
-    """Parser of the command line."""
-    parser = argparse.ArgumentParser(
-        prog="export_c", description="Write the configuration of a box in C from a bench file.", allow_abbrev=False
-    )
-    parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: nominal")
-    parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
-    parser.add_argument("--name", default=NAME, help="name and version that the box gives itself; default: %(default)s")
-    parser.add_argument("--integral", choices=get_args(Integral), default="bumpless", help="default: %(default)s")
-    return parser
-
-
-@command(ValueError)
-def main() -> None:
-    """Entry point."""
-    options = parser().parse_args()
-    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    config = BoxConfig(integral=options.integral).of_bench(bench)
-    text = header(config.constants(bench, name=options.name))
-    write_whole(Path(options.out), text.encode())
-    print(f"{options.out}: box {options.name}, bench {bench.digest}")

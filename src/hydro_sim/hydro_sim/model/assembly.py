@@ -40,6 +40,9 @@ casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbol
 
 TEXTBOOK = ("pressure_a", "pressure_b", "piston_position", "piston_velocity", "load_force", "load_force_rate")
 READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+FORCES = ("holding", "level_out", "level_back", "thrust", "level", "cell")
+"""N: that would hold the mass at rest; level of dry friction at rest, for either direction; force of the piston on its
+load but for dry friction, and the level of that; force on an ideal load cell."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,15 @@ class Functions:
     """y' of the textbook's states and the integrated hidden ones, where the edges are open as `openings`."""
     past: int
     """Past currents at the end of y."""
+    rest: SX
+    """The textbook's states of a still bench (`equations.rest_state`)."""
+    slide: SX
+    """Direction of motion, -1 or 1, against which dry friction acts; 0: it holds the mass."""
+    dry_friction: bool
+    """Whether dry friction can hold the mass."""
+    ideal_cell: bool
+    motion: SX
+    """For solvers of others, without steps of their own: `rates` for `slide`, then the forces `FORCES`."""
 
 
 class Assembly:
@@ -114,12 +126,14 @@ class Assembly:
         begin, enter, read = self._begin(), self._enter(), self._read(self.y)
         start, spool, edges = self._start()
         slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self._holds() else _nothing))
+        slide, motion = self._motion(start, edges)
         step = self._step(start, edges)
         symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
         theta = vertcat(*self.theta.values())
         return Functions(
             theta, vertcat(theta, symbols), self.y, self.current, self.share, vertcat(theta, expressions),
-            begin, enter, step, read, spool, slopes, self.past,
+            begin, enter, step, read, spool, slopes, self.past, vertcat(*eq.rest_state(self.numbers)), slide,
+            self._holds(), self.numbers.load_cell_omega is None, motion,
         )  # fmt: skip
 
     def once(self, expression: Symbol) -> Symbol:
@@ -236,6 +250,22 @@ class Assembly:
         if any(effect.acts_in("inertia") for effect in self.effects):
             force = force + rates.inertia(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
         return force
+
+    def _motion(self, start: list[Symbol], edges: rates.Edges) -> tuple[SX, SX]:
+        slide = SX.sym("slide")
+        free = self._rates(start, edges, _nothing)
+        mass = self.numbers.moving_mass + rates.inertia(self.effects, start[2])
+        holding, load = mass * free[3], rates.load(self.numbers, self.effects, start[2])
+
+        def level(velocity: Symbol) -> Symbol:
+            return rates.dry_level(self.effects, velocity) if self._holds() else 0.0
+
+        speed = np.fmax(np.abs(start[3]), rates.STANDSTILL)
+        against = eq.choose(slide == 0.0, holding, slide * level(slide * speed))
+        slopes = self._rates(start, edges, lambda velocity: against) if self._holds() else free
+        turned = level(rates.STANDSTILL), level(-rates.STANDSTILL)
+        now = level(eq.choose(start[3] >= 0.0, speed, -speed))
+        return slide, vertcat(*slopes, holding, *turned, holding + load, now, self._cell_force(start))
 
     # --- an integration step -----------------------------------------------------------------------------------------
 

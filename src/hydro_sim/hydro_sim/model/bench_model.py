@@ -73,10 +73,8 @@ class BenchModel:
         """The parameters' values in the bench file."""
         self.structure = structure_of(bench, substeps)
         past = self.structure.past
-        self._code = library(self.structure)
         currents = (_state(f"current {i} samples ago", "A", 1e-2, integrated=False) for i in range(past))
         self.states = (*_TEXTBOOK, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
-        self.coefficients = ctypes.c_long.in_dll(self._code, "bench_coefficients").value
 
     def address_of(self, name: str) -> int:
         """Address in this process of a compiled function, such as "bench_sample", for `machine_code`."""
@@ -122,6 +120,15 @@ class BenchModel:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(BenchModel, substeps=self.substeps), (self.bench,)
+
+    @cached_property
+    def _code(self) -> ctypes.CDLL:
+        return library(self.structure)
+
+    @cached_property
+    def coefficients(self) -> int:
+        """Number of coefficients k."""
+        return ctypes.c_long.in_dll(self._code, "bench_coefficients").value
 
     @cached_property
     def _derivatives(self) -> ctypes.CDLL:

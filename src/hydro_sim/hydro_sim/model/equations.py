@@ -111,6 +111,12 @@ def force_rate(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Symbol:
     return hydraulic_force(n, rate_a, rate_b)
 
 
+def rest_state(n: Symbol) -> tuple[Symbol, ...]:
+    """p_a, p_b, x_p, x_p', f_l and f_l' of a still bench with a relaxed spring and p_a + p_b = p_s."""
+    pressure_b = n.supply_pressure / (1.0 + n.area_ratio)
+    return n.area_ratio * pressure_b, pressure_b, n.spring_rest_position, 0.0, 0.0, 0.0
+
+
 # --- motion and load -------------------------------------------------------------------------------------------------
 
 

@@ -12,6 +12,8 @@ Source: paper eq. q13-q15 and q4, physics.md; `input_gain` carries the erratum's
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from hydro_core.signals import FloatArray
@@ -61,6 +63,5 @@ def input_gain(bench, position, pressure_a, pressure_b, opening):
 
 
 def rest_state(bench: np.void) -> FloatArray:
-    """The physical state y, shape (6,), of a still bench with a relaxed spring and p_a + p_b = p_s."""
-    pressure_b = bench["supply_pressure"] / (1.0 + bench["area_ratio"])
-    return np.array([bench["area_ratio"] * pressure_b, pressure_b, bench["spring_rest_position"], 0.0, 0.0, 0.0])
+    """The physical state y, shape (6,), of a still bench (`equations.rest_state`)."""
+    return np.array(eq.rest_state(SimpleNamespace(**{name: bench[name] for name in bench.dtype.names})))

@@ -17,7 +17,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,11 @@ def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], N
             if found := _loaded(file):
                 return found
             said()
-            _compile(source(), file)
+            with tempfile.TemporaryDirectory(dir=file.parent) as place:
+                made = Path(place) / "model.so"
+                compile_c(source(), made)
+                made.with_suffix(".c").replace(file.with_suffix(".c"))
+                made.replace(file)
     except OSError as error:
         where = f"{file.parent} ({error.strerror})"
         raise ValueError(f"compiled models cannot be kept in {where}: set NUMBA_CACHE_DIR to a folder") from error
@@ -80,20 +84,18 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro" / "models"
 
 
-def _compile(source: str, file: Path) -> None:
+def compile_c(source: str, made: Path, flags: Sequence[str] = FLAGS) -> None:
+    """Write C source beside a library of this name, and compile it. Raises ValueError: no C compiler, or it fails."""
     compiler = shlex.split(os.environ.get("CC", "")) or [*filter(shutil.which, ("cc", "gcc", "clang"))][:1]
     if not compiler or shutil.which(compiler[0]) is None:
         raise ValueError("no C compiler found for the model of this bench: `apt install gcc`")
-    with tempfile.TemporaryDirectory(dir=file.parent) as place:
-        text, made = Path(place) / "model.c", Path(place) / "model.so"
-        text.write_text(source, encoding="utf-8")
-        words = [*compiler, *FLAGS, str(text), "-o", str(made), "-lm"]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-        if done.returncode:
-            first = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
-            raise ValueError(f"the C compiler refuses the model of this bench: {first}")
-        text.replace(file.with_suffix(".c"))
-        made.replace(file)
+    text = made.with_suffix(".c")
+    text.write_text(source, encoding="utf-8")
+    words = [*compiler, *flags, str(text), "-o", str(made), "-lm"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode:
+        first = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
+        raise ValueError(f"the C compiler refuses the model of this bench: {first}")
 
 
 @cache

@@ -13,6 +13,7 @@ from importlib import resources
 import casadi
 from casadi import SX
 
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model.assembly import READINGS, Functions
 
 Inputs = Sequence[tuple[str, SX]]
@@ -46,6 +47,26 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
     files = ["bench_model.c", *(["bench_sensitivities.c"] if sensitivities else [])]
     loops = "\n".join((resources.files("hydro_sim.model") / name).read_text(encoding="utf-8") for name in files)
     return f"#include <math.h>\n{head}\n{body}\n{loops}"
+
+
+def exported_source(model: Functions, substeps: int) -> str:
+    """Return what `hydro_sim.export` hands to other programs, without loops; all names begin with `hydro_`."""
+    k, y = ("k", model.k), ("y", model.y)
+    at: Inputs = [k, y, ("u", model.current)]
+    functions: list[tuple[str, Inputs, Outputs]] = [
+        ("once", [("theta", model.theta)], [("out", model.once)]), ("rest", [k], [("out", model.rest)]),
+        ("begin", [k, y], [("out", model.begin)]), ("enter", [y, ("u", model.current)], [("out", model.enter)]),
+        ("step", [*at, ("share", model.share)], [("out", model.step)]), ("read", [k, y], [("z", model.read)]),
+        ("motion", [*at, ("share", model.share), ("slide", model.slide)], [("out", model.motion)]),
+    ]  # fmt: skip
+    sizes = {
+        "STATES": model.y, "COEFFICIENTS": model.k, "PARAMETERS": model.theta, "RATES": model.rates,
+        "MOTION": model.motion,
+    }  # fmt: skip
+    head = "".join(f"#define HYDRO_{name} {symbols.numel()}\n" for name, symbols in sizes.items())
+    head += f"#define HYDRO_SUBSTEPS {substeps}\n#define HYDRO_STEP ({SAMPLE_PERIOD!r} / HYDRO_SUBSTEPS) /* s */\n"
+    text = "\n".join(_function(f"hydro_{name}", *rest) for name, *rest in functions)
+    return head + "\n" + re.sub(r"(static void \w+\((.*?)\)\n\{\n)", _used, text, flags=re.DOTALL)
 
 
 def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: bool) -> str:

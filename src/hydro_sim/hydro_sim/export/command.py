@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ros2 run hydro_sim export --fmu bench.fmu --bench corrected.yaml: the bench in other simulators."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+from hydro_core.cli.console import UserError, command, writable
+from hydro_core.files.atomic import write_whole
+from hydro_sim.box.box import NAME, BoxConfig, Integral
+from hydro_sim.box.header import header
+from hydro_sim.export.model import Exported
+from hydro_sim.model.bench import Bench
+
+FORMATS = {
+    "fmu": (".fmu", "Functional Mock-up Unit, FMI 3.0: co-simulation, and model exchange where no effect forbids it"),
+    "mujoco": (".py", "Python module: the cylinder as an actuator of MuJoCo"),
+    "simulink": (".c", "Simulink S-function, level 2"),
+    "c": (".c", "the model in C99"),
+    "box": (".h", "configuration of a box in C (firmware/hydro/config.h), which no effect is part of"),
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    """Parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="export",
+        description="Write a bench for another program, its effects and closures with it. Input: valve current [A]. "
+        "Outputs: hydraulic and load force, both pressures, piston position, as the sensors show them without noise.",
+        allow_abbrev=False,
+    )
+    formats = parser.add_mutually_exclusive_group(required=True)
+    for name, (suffix, text) in FORMATS.items():
+        formats.add_argument(f"--{name}", type=writable, metavar=f"FILE{suffix}", help=text)
+    parser.add_argument(
+        "--bench", type=Path, metavar="FILE", help="bench.yaml, or corrected.yaml of `diagnose`, whose report.json "
+        "beside it gives the intervals of the FMU's parameters; default: nominal",
+    )  # fmt: skip
+    parser.add_argument("--name", default=NAME, help="of --box: its name and version; default: %(default)s")
+    parser.add_argument("--integral", choices=get_args(Integral), default="bumpless", help="of --box; default: bumpless")
+    return parser
+
+
+@command(ValueError)
+def main() -> None:
+    """Entry point."""
+    options = parser().parse_args()
+    kind, out = next((name, Path(path)) for name in FORMATS if (path := getattr(options, name)))
+    if out.suffix != FORMATS[kind][0]:
+        raise UserError(f"{out}: a file of --{kind} ends in {FORMATS[kind][0]}")
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    said = f"{out}: bench {bench.digest}"
+    if kind == "box":
+        config = BoxConfig(integral=options.integral).of_bench(bench)
+        content = header(config.constants(bench, name=options.name)).encode()
+        said += f", box {options.name}"
+    else:
+        exported = Exported(bench, intervals_beside(options.bench) if options.bench else ())
+        said += f", {len(bench.terms)} effects and closures"
+        if kind == "fmu":
+            content = exported.fmu(out)
+            if exported.stepping:
+                said += f"; co-simulation only: {', '.join(exported.stepping)} move on by whole steps"
+        elif kind == "simulink":
+            if not re.fullmatch(r"[A-Za-z]\w*", out.stem):
+                raise UserError(f"{out}: the name of an S-function is made of letters, digits and _")
+            content = exported.simulink(out.stem).encode()
+        else:
+            content = (exported.mujoco() if kind == "mujoco" else exported.c()).encode()
+    write_whole(out, content)
+    print(said)
+
+
+def intervals_beside(bench: Path) -> Iterator[tuple[str, float, float, float]]:
+    """Yield name, value and 95 % interval of what was estimated, from the report.json beside a corrected.yaml."""
+    try:
+        report = json.loads((bench.parent / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return
+    estimates: list[tuple[str, dict[str, Any]]] = [(one["name"], one) for one in report.get("estimated", ())]
+    for one in report.get("effects", ()):
+        estimates += one["parameters"].items()
+    for one in report.get("closures", ()):
+        estimates += one["terms"].items()
+    for name, estimate in estimates:
+        if estimate["ci95"]:
+            yield name, estimate["value"], *estimate["ci95"]
