@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import platform
 import re
 import tempfile
@@ -43,6 +44,7 @@ _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("hydro_sim.export"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
     autoescape=False,
 )  # fmt: skip
+_TEMPLATES.filters["quoted"] = json.dumps  # a string of C and of Python
 
 
 class Exported:
