@@ -53,27 +53,25 @@ def main() -> None:
     kind, out = next((name, Path(path)) for name in FORMATS if (path := getattr(options, name)))
     if out.suffix != FORMATS[kind][0]:
         raise UserError(f"{out}: a file of --{kind} ends in {FORMATS[kind][0]}")
+    name = re.sub(r"\W|^(?=\d)", "_", out.stem)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    said = f"{out}: bench {bench.digest}"
-    if kind == "box":
+    exported = Exported(bench, intervals_beside(options.bench) if options.bench else ())
+    content: str | bytes
+    if kind == "fmu":
+        content = exported.fmu(name)
+    elif kind == "simulink":
+        if name != out.stem:
+            raise UserError(f"{out}: the name of an S-function is made of letters, digits and _")
+        content = exported.simulink(name)
+    elif kind == "box":
         config = BoxConfig(integral=options.integral).of_bench(bench)
-        content = header(config.constants(bench, name=options.name)).encode()
-        said += f", box {options.name}"
+        content = header(config.constants(bench, name=options.name))
     else:
-        exported = Exported(bench, intervals_beside(options.bench) if options.bench else ())
-        said += f", {len(bench.terms)} effects and closures"
-        if kind == "fmu":
-            content = exported.fmu(out)
-            if exported.stepping:
-                said += f"; co-simulation only: {', '.join(exported.stepping)} move on by whole steps"
-        elif kind == "simulink":
-            if not re.fullmatch(r"[A-Za-z]\w*", out.stem):
-                raise UserError(f"{out}: the name of an S-function is made of letters, digits and _")
-            content = exported.simulink(out.stem).encode()
-        else:
-            content = (exported.mujoco() if kind == "mujoco" else exported.c()).encode()
-    write_whole(out, content)
-    print(said)
+        content = exported.mujoco() if kind == "mujoco" else exported.c()
+    write_whole(out, content.encode() if isinstance(content, str) else content)
+    print(f"{out}: bench {bench.digest}, {f'box {options.name}' if kind == 'box' else f'{len(bench.terms)} effects'}")
+    if kind == "fmu" and exported.stepping:
+        print(f"co-simulation only: {', '.join(exported.stepping)} move on by whole steps")
 
 
 def intervals_beside(bench: Path) -> Iterator[tuple[str, float, float, float]]:

@@ -1,15 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bench as text for other programs: the generated C with its parameters, and the templates around it.
 
-::
-
-    Exported(bench).fmu(Path("bench.fmu"))     binary of this machine, sources, modelDescription.xml
-                   .simulink("bench_sfun")     S-function
-                   .mujoco()                   Python module
-                   .c()
-
-All of them hold the same functions of one integration step as the simulation (`model.assembly`), and nothing of hydro
-is needed to run them.
+All of them run the same functions of one integration step as the simulation (`model.assembly`), without anything else
+of hydro.
 """
 
 from __future__ import annotations
@@ -18,7 +11,6 @@ import hashlib
 import io
 import json
 import platform
-import re
 import tempfile
 import zipfile
 from collections import Counter
@@ -38,12 +30,14 @@ from hydro_sim.model.effects import catalogue
 from hydro_sim.model.source import exported_source
 
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
-"""Of the FMU's binary, which is for any machine of this kind: no -march."""
-UNITS = dict(zip(READINGS, ("N", "N", "Pa", "Pa", "m"), strict=True))
+"""Of the FMU's binary, which is for any processor of this kind: no -march."""
+OUTPUTS = dict(zip(READINGS, ("N", "N", "Pa", "Pa", "m"), strict=True))
+"""Outputs with their units."""
+FIRST = 2 + len(OUTPUTS)
+"""First value reference of an FMU's parameters, behind time, current and outputs."""
 _TEMPLATES = jinja2.Environment(
-    loader=jinja2.PackageLoader("hydro_sim.export"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
-    autoescape=False,
-)  # fmt: skip
+    loader=jinja2.PackageLoader("hydro_sim.export"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
+)
 _TEMPLATES.filters["quoted"] = json.dumps  # a string of C and of Python
 
 
@@ -55,105 +49,104 @@ class Exported:
     bench
         Numbers, effects and closures.
     intervals
-        `(name, value, low, high)` of numbers with a known 95 % interval, SI units (`intervals_beside`).
+        Name, value and 95 % interval of estimated numbers, SI units.
     """
 
     def __init__(self, bench: Bench, intervals: Iterable[tuple[str, float, float, float]] = ()) -> None:
         self.bench, self.model = bench, BenchModel(bench)
         self._intervals = {(name, value): (low, high) for name, value, low, high in intervals}
 
-    @cached_property
+    @property
     def stepping(self) -> list[str]:
-        """Effects with states that only an integration step moves on: no model exchange is possible with them."""
+        """Effects with states that only an integration step moves on, which rule model exchange out."""
+        kinds = {catalogue.label(entry): catalogue.kind_of(entry)[0].effect for entry in self.bench.terms}
         found = [
-            catalogue.label(entry)
-            for entry in self.bench.terms
-            if not all(one.integrated for one in catalogue.kind_of(entry)[0].effect.states)
-        ]
-        return [*found, *([DEAD_TIME.split(".")[0]] if self.model.structure.past else [])]
+            label for label, kind in kinds.items()
+            if not (kind.acts_in("flow") or all(one.integrated for one in kind.states))
+        ]  # fmt: skip
+        return [*found, *([DEAD_TIME.partition(".")[0]] if self.model.structure.past else [])]
 
     def c(self) -> str:
         """The model in C99."""
-        return self._rendered("model.c.j2")
+        return self._rendered("model.c.j2", source=exported_source(self.model.symbols(), self.model.substeps))
 
     def simulink(self, name: str) -> str:
         """The source of a level-2 S-function of this name."""
-        return f"#define HYDRO_API static\n{self.c()}{self._rendered('simulink.c.j2', name=name)}"
+        return self._static + self._rendered("simulink.c.j2", name=name)
 
     def mujoco(self) -> str:
-        """A Python module with the model as an actuator of MuJoCo."""
+        """A Python module with the cylinder as an actuator of MuJoCo."""
         mass = [one.name for one in self.model.parameters].index("moving_mass")
-        step = SAMPLE_PERIOD / self.model.substeps
-        return self._rendered("mujoco.py.j2", code=f"#define HYDRO_API static\n{self.c()}", mass=mass, step=step)
+        return self._rendered("mujoco.py.j2", code=self._static, mass=mass)
 
-    def fmu(self, file: Path) -> bytes:
-        """The archive of an FMU of that file's name.
+    def fmu(self, name: str) -> bytes:
+        """The archive of an FMU with this model identifier.
 
         Raises ValueError: there is no C compiler, or it fails.
         """
-        name = re.sub(r"\W|^(?=\d)", "_", file.stem)
-        source = f"#define HYDRO_API static\n{self.c()}"
-        token = hashlib.sha256(source.encode()).hexdigest()[:32]
-        source += self._rendered("fmu.c.j2", token=token, scales=[one.scale for one in self.model.states])
-        files = {
-            "modelDescription.xml": self._description(name, token),
-            "sources/fmu.c": source,
-            "sources/buildDescription.xml": self._rendered("buildDescription.xml.j2", name=name),
-        }
+        token = hashlib.sha256(self._static.encode()).hexdigest()[:32]
+        common = {"name": name, "token": token, "exchange": not self.stepping}
+        scales = [one.scale for one in self.model.states]
+        source = self._static + self._rendered("fmu.c.j2", scales=scales, **common)
         with tempfile.TemporaryDirectory() as place:
             library = Path(place) / f"{name}.so"
             machine_code.compile_c(source, library, FLAGS)
             binary = library.read_bytes()
+        files = {
+            "modelDescription.xml": self._description(common),
+            "sources/fmu.c": source,
+            "sources/buildDescription.xml": self._rendered("buildDescription.xml.j2", **common),
+            f"binaries/{platform.machine()}-linux/{name}.so": binary,
+        }
         archive = io.BytesIO()
-        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
-            for path, text in files.items():
-                packed.writestr(zipfile.ZipInfo(path), text)
-            packed.writestr(zipfile.ZipInfo(f"binaries/{platform.machine()}-linux/{library.name}"), binary)
+        with zipfile.ZipFile(archive, "w") as packed:
+            for path, content in files.items():
+                packed.writestr(zipfile.ZipInfo(path), content, zipfile.ZIP_DEFLATED)
         return archive.getvalue()
 
-    def _description(self, name: str, token: str) -> str:
-        numbers = len(self.model.parameters)
-        first, states = 2 + len(READINGS), self._states()
-        units = {"s", "A", *UNITS.values(), *(one["unit"] for one in (*self._parameters, *states))} - {"-"}
-        return self._rendered(
-            "modelDescription.xml.j2", name=name, token=token, units=sorted(units), exchange=not self.stepping,
-            step=SAMPLE_PERIOD / self.model.substeps, states=states,
-            outputs=[{"name": one, "unit": UNITS[one]} for one in READINGS],
-            first_state=first + numbers, first_derivative=first + numbers + len(self.model.states),
-            last=first + numbers + 2 * len(self.model.states),
-        )  # fmt: skip
-
-    def _states(self) -> list[dict[str, Any]]:
+    def _description(self, common: dict[str, Any]) -> str:
+        """modelDescription.xml; without model exchange of the states only those that may be set."""
+        exchange, count = common["exchange"], len(self.model.states)
         rest = hydraulics.rest_state(self.bench.constants()[0]).tolist()
         terms = [(catalogue.label(entry), catalogue.kind_of(entry)[0].effect.states) for entry in self.bench.terms]
-        labels = [f"{label}." for label, states in terms for _ in states]
-        names = [*("" for _ in rest), *labels, *("" for _ in range(self.model.structure.past))]
-        return [
-            {"name": f"{label}{one.name}", "unit": one.unit, "start": rest[i] if i < len(rest) else None}
-            for i, (label, one) in enumerate(zip(names, self.model.states, strict=True))
-        ]
+        labels = [*("" for _ in rest), *(f"{label}." for label, states in terms for _ in states)]
+        first = FIRST + len(self.model.parameters)
+        states = [
+            {"name": f"{label}{one.name}", "unit": one.unit, "reference": first + i, "derivative": first + count + i}
+            for i, (label, one) in enumerate(zip(labels, self.model.states, strict=False))
+        ][: None if exchange else 4]
+        sliding = first + 2 * count if exchange and self.model.symbols().dry_friction else None
+        unknown = [one["reference"] for one in states[4:]] + [one["derivative"] for one in states if exchange]
+        units = {"s", "A", *OUTPUTS.values(), *(one["unit"] for one in (*self._parameters, *states))} - {"-"}
+        return self._rendered(
+            "modelDescription.xml.j2", outputs=OUTPUTS, units=sorted(units), states=states, start=rest, sliding=sliding,
+            unknown=[*range(2, FIRST), *unknown], **common,
+        )  # fmt: skip
+
+    @cached_property
+    def _static(self) -> str:
+        return f"#define HYDRO_API static\n{self.c()}"
 
     @cached_property
     def _parameters(self) -> list[dict[str, Any]]:
         """Parameters in the model's order, by unique names."""
-        numbers, seen = self.bench.quantities(), Counter[str]()
+        numbers, seen, listed = self.bench.quantities(), Counter[str](), list[dict[str, Any]]()
         room = max(self.model.structure.past - 2, 0) * SAMPLE_PERIOD - catalogue.delay(self.bench.effects)
-        listed = []
         for i, (one, value) in enumerate(zip(self.model.parameters, self.model.values.tolist(), strict=True)):
-            short, own = one.name.rpartition(".")[2], i < len(numbers)
-            seen[one.name] += 1
-            name = one.name if seen[one.name] == 1 else f"{one.name}[{seen[one.name]}]"
+            name = f"bench.{one.name}" if i < len(numbers) else one.name
+            seen[name] += 1
             listed.append({
-                "name": f"bench.{name}" if own else name, "unit": one.unit, "value": value, "low": one.low,
-                "high": value + room if one.name == DEAD_TIME else one.high, "reference": 2 + len(READINGS) + i,
-                "meaning": numbers[one.name].meaning if own else "", "ci95": self._intervals.get((short, value)),
+                "name": name if seen[name] == 1 else f"{name}[{seen[name]}]", "unit": one.unit, "value": value,
+                "low": one.low, "high": value + room if one.name == DEAD_TIME else one.high, "reference": FIRST + i,
+                "meaning": numbers[one.name].meaning if i < len(numbers) else "",
+                "ci95": self._intervals.get((one.name.rpartition(".")[2], value)),
             })  # fmt: skip
         return listed
 
     def _rendered(self, template: str, **values: Any) -> str:
-        structure, symbols = self.model.structure, self.model.symbols()
-        origin = f"Bench {self.bench.digest} with {', '.join(structure.labels) or 'no effects'}, by hydro_sim export."
+        symbols, labels = self.model.symbols(), self.model.structure.labels
         return _TEMPLATES.get_template(template).render(
-            origin=origin, source=exported_source(symbols, self.model.substeps), parameters=self._parameters,
-            forces=FORCES, dry_friction=int(symbols.dry_friction), ideal_cell=int(symbols.ideal_cell), **values,
+            origin=f"Bench {self.bench.digest} with {', '.join(labels) or 'no effects'}; by hydro_sim export.",
+            parameters=self._parameters, forces=FORCES, dry_friction=int(symbols.dry_friction),
+            ideal_cell=int(symbols.ideal_cell), step=SAMPLE_PERIOD / self.model.substeps, **values,
         )  # fmt: skip

@@ -74,7 +74,7 @@ class Functions:
     """Whether dry friction can hold the mass."""
     ideal_cell: bool
     motion: SX
-    """For solvers of others, without steps of their own: `rates` for `slide`, then the forces `FORCES`."""
+    """For solvers without our steps: the forces `FORCES`, and y' for `slide`, if no state is moved on by steps alone."""
 
 
 class Assembly:
@@ -124,9 +124,9 @@ class Assembly:
     def functions(self) -> Functions:
         """All functions of the model."""
         begin, enter, read = self._begin(), self._enter(), self._read(self.y)
+        slide, motion = self._motion()
         start, spool, edges = self._start()
         slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self._holds() else _nothing))
-        slide, motion = self._motion(start, edges)
         step = self._step(start, edges)
         symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
         theta = vertcat(*self.theta.values())
@@ -251,8 +251,14 @@ class Assembly:
             force = force + rates.inertia(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
         return force
 
-    def _motion(self, start: list[Symbol], edges: rates.Edges) -> tuple[SX, SX]:
-        slide = SX.sym("slide")
+    def _motion(self) -> tuple[SX, SX]:
+        start, *_ = self._start()
+        spool, flowing = self._delayed(), dict[tuple[int, str], Symbol]()
+        for effect in self._commanding():
+            spool = self._flowing(effect, spool, flowing) if effect.acts_in("flow") else effect.command(spool)
+        for effect in self.effects:
+            effect.at.spool = spool
+        edges, slide = self._edges(spool), SX.sym("slide")
         free = self._rates(start, edges, _nothing)
         mass = self.numbers.moving_mass + rates.inertia(self.effects, start[2])
         holding, load = mass * free[3], rates.load(self.numbers, self.effects, start[2])
@@ -263,9 +269,23 @@ class Assembly:
         speed = np.fmax(np.abs(start[3]), rates.STANDSTILL)
         against = eq.choose(slide == 0.0, holding, slide * level(slide * speed))
         slopes = self._rates(start, edges, lambda velocity: against) if self._holds() else free
+        signals = dict(zip(READINGS, self._truth(start), strict=True))
+        for effect in self.effects:
+            if effect.acts_in("flow") and effect.acts_in("follow"):
+                signals[effect.sensor] = self._flowing(effect, signals[effect.sensor], flowing)
+        integrated = dict(zip(self.integrated, slopes[len(TEXTBOOK) :], strict=True))
+        hidden = [integrated.get(i, flowing.get((id(effect), one.name))) for i, (effect, one) in enumerate(self.hidden)]
+        steps = self.past or any(slope is None for slope in hidden)
         turned = level(rates.STANDSTILL), level(-rates.STANDSTILL)
         now = level(eq.choose(start[3] >= 0.0, speed, -speed))
-        return slide, vertcat(*slopes, holding, *turned, holding + load, now, self._cell_force(start))
+        forces = (holding, *turned, holding + load, now, self._cell_force(start))
+        return slide, vertcat(*forces, *([] if steps else [*slopes[: len(TEXTBOOK)], *hidden]))
+
+    @staticmethod
+    def _flowing(effect: Effect, signal: Symbol, flowing: dict[tuple[int, str], Symbol]) -> Symbol:
+        passed, slopes = effect.flow(signal)
+        flowing |= {(id(effect), name): slope for name, slope in slopes.items()}
+        return passed
 
     # --- an integration step -----------------------------------------------------------------------------------------
 

@@ -59,10 +59,7 @@ def exported_source(model: Functions, substeps: int) -> str:
         ("step", [*at, ("share", model.share)], [("out", model.step)]), ("read", [k, y], [("z", model.read)]),
         ("motion", [*at, ("share", model.share), ("slide", model.slide)], [("out", model.motion)]),
     ]  # fmt: skip
-    sizes = {
-        "STATES": model.y, "COEFFICIENTS": model.k, "PARAMETERS": model.theta, "RATES": model.rates,
-        "MOTION": model.motion,
-    }  # fmt: skip
+    sizes = {"STATES": model.y, "COEFFICIENTS": model.k, "PARAMETERS": model.theta, "MOTION": model.motion}
     head = "".join(f"#define HYDRO_{name} {symbols.numel()}\n" for name, symbols in sizes.items())
     head += f"#define HYDRO_SUBSTEPS {substeps}\n#define HYDRO_STEP ({SAMPLE_PERIOD!r} / HYDRO_SUBSTEPS) /* s */\n"
     text = "\n".join(_function(f"hydro_{name}", *rest) for name, *rest in functions)

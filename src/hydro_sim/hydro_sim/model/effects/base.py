@@ -198,6 +198,10 @@ class Effect:
         """Rates of the integrated hidden states, per second. `drawn` [m3/s]: what leaves the supply."""
         return {}
 
+    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+        """For solvers without our steps: what it makes of a command, or of its sensor's signal; rates of its states."""
+        raise NotImplementedError
+
     def remember(self, position: Symbol, velocity: Symbol) -> None:
         """Write into `self.next` the hidden states after a step that ends there [m, m/s]."""
 

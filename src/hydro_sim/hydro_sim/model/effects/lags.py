@@ -56,6 +56,12 @@ def straight(at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Sy
     return moved, turned
 
 
+def rates(bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol) -> dict[str, Symbol]:
+    """s'' of the equation, as that of a state `rate`; for solvers without our steps."""
+    omega = 2.0 * np.pi * bandwidth
+    return {"rate": omega * (omega * (signal - state[0]) - 2.0 * damping * state[1])}
+
+
 def _exponential(system: list[list[Symbol]], reach: Symbol) -> Symbol:
     """exp(system * reach)."""
     from casadi import SX, horzcat, vertcat

@@ -41,6 +41,10 @@ class SensorLag(Effect):
         )
         return self.signal, self.next["signal"]
 
+    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+        state = self.signal, self.rate
+        return self.signal, {"signal": self.rate, **lags.rates(self.bandwidth, self.damping, state, signal)}
+
 
 class LoadCellGain(Effect):
     """A load cell's scale is wrong."""

@@ -53,6 +53,10 @@ class ValveLag(Effect):
         self.next["spool"], self.next["rate"] = moved
         return mean
 
+    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+        state = self.spool, self.rate
+        return self.spool, {"spool": self.rate, **lags.rates(self.bandwidth, self.damping, state, signal)}
+
 
 class ValveLagFirstOrder(Effect):
     """Spool of first order, exact for a held current."""
@@ -70,6 +74,9 @@ class ValveLagFirstOrder(Effect):
         left = self.at.once(np.exp(-reach))
         self.next["spool"] = spool + (self.spool - spool) * left
         return spool + (self.spool - spool) * self.at.once((1.0 - left) / reach)
+
+    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+        return self.spool, {"spool": 2.0 * np.pi * self.bandwidth * (signal - self.spool)}
 
 
 class ValveDeadband(Effect):
