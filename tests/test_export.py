@@ -49,7 +49,8 @@ DRY = (
     effect("friction_stribeck", {"breakaway_force": 8.0, "velocity": 0.01}),
 )
 LAGS = (
-    effect("valve_lag", {"bandwidth": 120.0, "damping": 0.8}), effect("valve_lag", {"bandwidth": 300.0}, form="first_order"),
+    effect("valve_lag", {"bandwidth": 120.0, "damping": 0.8}),
+    effect("valve_lag", {"bandwidth": 300.0}, form="first_order"),
     effect("sensor_lag", {"bandwidth": 200.0, "damping": 0.7}, sensor="pressure_a"),
 )
 STEPPING = (
@@ -237,9 +238,7 @@ def test_the_s_function_is_the_simulation(tmp_path: Path) -> None:
 
     def run_block(parameters: FloatArray) -> bytes | None:
         size = ctypes.c_size_t(len(parameters))
-        return block(
-            numbers(parameters), size, ctypes.c_long(len(found)), numbers(run.currents), numbers(found)
-        )
+        return block(numbers(parameters), size, ctypes.c_long(len(found)), numbers(run.currents), numbers(found))
 
     assert run_block(np.empty(0)) is None
     assert run.worst(found) < 1e-9

@@ -9,12 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={
-        name: [
-            "py.typed", "data/*.yaml", "data/*.safetensors", "export/templates/*", "model/*.c",
-            "model/effects/grown/*.yaml",
-        ]
-    },  # fmt: skip
+    package_data={name: ["py.typed", "data/*", "export/templates/*", "model/*.c", "model/effects/grown/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -26,7 +21,17 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="The bench as a model: hydraulics, what the box runs, the sim node, and an emulated MicroLabBox.",
     license="Apache-2.0",
-    install_requires=["hydro_bridge", "casadi", "cobs", "jinja2", "matplotlib", "numba", "numpy", "pyyaml", "safetensors"],
+    install_requires=[
+        "hydro_bridge",
+        "casadi",
+        "cobs",
+        "jinja2",
+        "matplotlib",
+        "numba",
+        "numpy",
+        "pyyaml",
+        "safetensors",
+    ],
     extras_require={
         "test": ["pytest"],  # by which colcon test knows to call pytest
         "fmu": ["fmpy"],  # to run what `export` writes

@@ -42,7 +42,9 @@ def parser() -> argparse.ArgumentParser:
         "beside it gives the intervals of the FMU's parameters; default: nominal",
     )  # fmt: skip
     parser.add_argument("--name", default=NAME, help="of --box: its name and version; default: %(default)s")
-    parser.add_argument("--integral", choices=get_args(Integral), default="bumpless", help="of --box; default: bumpless")
+    parser.add_argument(
+        "--integral", choices=get_args(Integral), default="bumpless", help="of --box; default: bumpless"
+    )
     return parser
 
 

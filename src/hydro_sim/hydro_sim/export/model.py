@@ -92,7 +92,7 @@ class Exported:
             library = Path(place) / f"{name}.so"
             machine_code.compile_c(source, library, FLAGS)
             binary = library.read_bytes()
-        files = {
+        files: dict[str, str | bytes] = {
             "modelDescription.xml": self._description(common),
             "sources/fmu.c": source,
             "sources/buildDescription.xml": self._rendered("buildDescription.xml.j2", **common),

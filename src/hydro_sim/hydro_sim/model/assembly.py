@@ -74,7 +74,7 @@ class Functions:
     """Whether dry friction can hold the mass."""
     ideal_cell: bool
     motion: SX
-    """For solvers without our steps: the forces `FORCES`, and y' for `slide`, if no state is moved on by steps alone."""
+    """For solvers without our steps: the forces `FORCES`; y' for `slide`, unless steps alone move a state on."""
 
 
 class Assembly:
@@ -127,12 +127,12 @@ class Assembly:
         slide, motion = self._motion()
         start, spool, edges = self._start()
         slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self._holds() else _nothing))
-        step = self._step(start, edges)
+        step, rest = self._step(start, edges), SX(vertcat(*eq.rest_state(self.numbers)))
         symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
         theta = vertcat(*self.theta.values())
         return Functions(
             theta, vertcat(theta, symbols), self.y, self.current, self.share, vertcat(theta, expressions),
-            begin, enter, step, read, spool, slopes, self.past, vertcat(*eq.rest_state(self.numbers)), slide,
+            begin, enter, step, read, spool, slopes, self.past, rest, slide,
             self._holds(), self.numbers.load_cell_omega is None, motion,
         )  # fmt: skip
 

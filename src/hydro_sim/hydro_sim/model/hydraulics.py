@@ -64,4 +64,4 @@ def input_gain(bench, position, pressure_a, pressure_b, opening):
 
 def rest_state(bench: np.void) -> FloatArray:
     """The physical state y, shape (6,), of a still bench (`equations.rest_state`)."""
-    return np.array(eq.rest_state(SimpleNamespace(**{name: bench[name] for name in bench.dtype.names})))
+    return np.array(eq.rest_state(SimpleNamespace(**{name: bench[name] for name in bench.dtype.names or ()})))
