@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 STANDARD = {
     "abandoned_after": "gains_timeout",
-    "box_header": "export_c",
+    "box_header": "export",
     "filter_header": "export_c",
     "Findings": "ReportMarks",
     "flag_words": "flag_labels",

@@ -116,6 +116,14 @@ REFUSED = {
         ("--pace fast", "--pace fast: say plant, real, or a factor of real time"),
         ("--offline --out /dev/null/x", "/dev/null is not a folder: choose another place"),
     ),
+    "hydro_sim export": (
+        ("--bench @corrected.yaml", "one of the arguments --fmu --mujoco --simulink --c --box is required"),
+        ("--fmu @bench.xml", "bench.xml: a file of --fmu ends in .fmu"),
+        ("--simulink @1st.c", "1st.c: the name of an S-function is made of letters, digits and _"),
+        ("--c @model.c --bench @nowhere.yaml", "nowhere.yaml"),
+        ("--fmu /dev/null/x.fmu", "/dev/null/x.fmu cannot be written"),
+    ),
+    "hydro_sim export_c": (("--out @box.h", "export_c is now export: `ros2 run hydro_sim export --box FILE.h`"),),
     "hydro_sim learn": (
         ("@bag --out @new", "a bench file's name ends in .yaml or .yml"),
         ("@bag --out /dev/null/x", "/dev/null/x cannot be written"),

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* What a box is configured by: limits, times, and the bench that its force law believes. SI units.
  *
- * `ros2 run hydro_sim export_c --bench bench.yaml --out box_config.h` writes one as `static const hydro_config`.
+ * `ros2 run hydro_sim export --box box_config.h --bench bench.yaml` writes one as `static const hydro_config`.
  */
 #ifndef HYDRO_CONFIG_H
 #define HYDRO_CONFIG_H
