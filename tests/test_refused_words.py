@@ -118,6 +118,7 @@ REFUSED = {
     ),
     "hydro_sim export": (
         ("--bench @corrected.yaml", "one of the arguments --fmu --mujoco --simulink --c --box is required"),
+        ("--c @model.c --name mine", "--name and --integral go with --box, not with --c"),
         ("--fmu @bench.xml", "bench.xml: a file of --fmu ends in .fmu"),
         ("--simulink @1st.c", "1st.c: the name of an S-function is made of letters, digits and _"),
         ("--c @model.c --bench @nowhere.yaml", "nowhere.yaml"),

@@ -55,6 +55,8 @@ def main() -> None:
     kind, out = next((name, Path(path)) for name in FORMATS if (path := getattr(options, name)))
     if out.suffix != FORMATS[kind][0]:
         raise UserError(f"{out}: a file of --{kind} ends in {FORMATS[kind][0]}")
+    if kind != "box" and (options.name, options.integral) != (NAME, "bumpless"):
+        raise UserError(f"--name and --integral go with --box, not with --{kind}")
     name = re.sub(r"\W|^(?=\d)", "_", out.stem)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     exported = Exported(bench, intervals_beside(options.bench) if options.bench else ())
@@ -80,13 +82,11 @@ def intervals_beside(bench: Path) -> Iterator[tuple[str, float, float, float]]:
     """Yield name, value and 95 % interval of what was estimated, from the report.json beside a corrected.yaml."""
     try:
         report = json.loads((bench.parent / "report.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return
-    estimates: list[tuple[str, dict[str, Any]]] = [(one["name"], one) for one in report.get("estimated", ())]
-    for one in report.get("effects", ()):
-        estimates += one["parameters"].items()
-    for one in report.get("closures", ()):
-        estimates += one["terms"].items()
-    for name, estimate in estimates:
-        if estimate["ci95"]:
-            yield name, estimate["value"], *estimate["ci95"]
+        estimates: list[tuple[str, Any]] = [(one["name"], one) for one in report["estimated"]]
+        for one in (*report["effects"], *report["closures"]):
+            estimates += one.get("parameters", one.get("terms", {})).items()
+        for name, estimate in estimates:
+            if estimate["ci95"]:
+                yield name, estimate["value"], *estimate["ci95"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return  # no report of ours
