@@ -8,6 +8,7 @@
     y, u ─── enter ──> y        a sample begins: past currents move on
     y, u ─── step ───> y        one integration step: spool, edges | Runge-Kutta 4 | what remembers | amplifiers
     y ────── read ───> z        the five readings, without noise
+    y, u ─ motion ───> F, y'    forces, and rates for solvers without our steps (`hydro_sim.export`)
 
     y = [ p_a  p_b  x_p  x_p'  F  F' | hidden states of the effects | past currents ]
           Pa   Pa   m    m/s   N  N/s                                 A, latest first
