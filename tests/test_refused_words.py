@@ -124,7 +124,8 @@ REFUSED = {
         ("--c @model.c --bench @nowhere.yaml", "nowhere.yaml"),
         ("--fmu /dev/null/x.fmu", "/dev/null/x.fmu cannot be written"),
     ),
-    "hydro_sim export_c": (("--out @box.h", "export_c is now export: `ros2 run hydro_sim export --box FILE.h`"),),
+    "hydro_sim export_c": (("--out @box.h", "export_c is now `ros2 run hydro_sim export --box FILE.h`"),),
+    "hydro_sim collect": (("--out @new", "collect is now `ros2 run hydro_policy collect`"),),
     "hydro_sim learn": (
         ("@bag --out @new", "a bench file's name ends in .yaml or .yml"),
         ("@bag --out /dev/null/x", "/dev/null/x cannot be written"),

@@ -157,7 +157,7 @@ ROS2 = ROOT / "setup" / "ros2.py"
 ARM = ("service", "call", "/hydro/arm", "std_srvs/srv/SetBool")
 REFUSED = (
     (("run", "nothing", "echo"), "package 'nothing' not found"),
-    (("run", "hydro_sim", "si"), "no executable 'si'; it has: emulator, "),
+    (("run", "hydro_sim", "si"), "no executable 'si'; it has: collect, "),
     (("doctor",), "`ros2 doctor` needs a full ROS 2 Jazzy"),
     ((*ARM, "{dat: 1}"), "has no field dat; it has: data"),
     ((*ARM, "{data: 1}"), "data: 1 is no boolean"),

@@ -41,7 +41,8 @@ setup(
         "console_scripts": [
             "sim = hydro_core.process.start:main_of.hydro_sim.nodes.sim",
             "export = hydro_core.process.start:main_of.hydro_sim.export.command",
-            "export_c = hydro_core.process.start:main_of.hydro_sim.export.former",
+            "collect = hydro_core.process.start:main_of.hydro_sim.nodes.former",
+            "export_c = hydro_core.process.start:main_of.hydro_sim.nodes.former",
             "emulator = hydro_core.process.start:main_of.hydro_sim.emulator.command",
             "learn = hydro_core.process.start:main_of.hydro_sim.identification.learn",
             "validate = hydro_core.process.start:main_of.hydro_sim.identification.validate",

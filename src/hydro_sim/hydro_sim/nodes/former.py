@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Former names of commands, each refused with the one that took its place."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from hydro_core.cli.console import UserError, command
+
+FORMER = {"export_c": "ros2 run hydro_sim export --box FILE.h", "collect": "ros2 run hydro_policy collect"}
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    name = Path(sys.argv[0]).stem
+    now = FORMER[name]
+    argparse.ArgumentParser(prog=name, description=f"Refused: it is now `{now}`.").parse_known_args()
+    raise UserError(f"{name} is now `{now}`")
