@@ -173,7 +173,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
         recorder = start_recorder(stack, options, schedule, believed, plant)
         node.watch_companions([recorder], options.out)
-        stack.callback(node.disarm)
+        stack.callback(node.disarm, still=True)
         stack.callback(quiet.enter_context, undisturbed())  # a second Ctrl-C waits
         runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
         bar: tqdm[None] = stack.enter_context(progress(total=round(plan.seconds), label="collecting", unit="s"))

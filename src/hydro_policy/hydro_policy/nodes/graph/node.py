@@ -288,14 +288,15 @@ class GraphNode(Node):
             return time.monotonic()
         return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENT)
 
-    def disarm(self) -> None:
-        """Release the authority, which disarms the plant, and wait at most 2 s for the answer; reference 0 N is left.
+    def disarm(self, *, still: bool = False) -> None:
+        """Release the authority, which disarms the plant, and wait at most 2 s for the answer.
 
-        With a `successor` set, the plant keeps the authority for that node.
+        `still`: leave a reference of 0 N. With a `successor` set, the plant keeps the authority for that node.
         """
         self._session = None
-        self._commander.reference(ReferenceSignal())
-        self._commander.flush()
+        if still:
+            self._commander.reference(ReferenceSignal())
+            self._commander.flush()
         if unconfirmed := self._commander.give_back(self.successor):
             self.warn(unconfirmed)
 
