@@ -25,6 +25,7 @@ setup(
         "npTDMS",
         "numpy",
         "pandas",
+        "pint",
         "pyarrow",
         "pyyaml",
         "ruptures",

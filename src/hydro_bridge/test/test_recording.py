@@ -469,6 +469,8 @@ def test_damage_is_found_by_its_check_sum(bag):
     path.write_bytes(data)
     with pytest.raises(RecordingError, match="is damaged"):
         read_bag(bag)
+    whole = read_bag(bag, salvages=True)
+    assert len(whole.state) > 0 and whole.notes == (f"{path.name} is damaged: 1 of its blocks could not be read",)
 
 
 def test_errors_are_one_clear_sentence(tmp_path, bag):

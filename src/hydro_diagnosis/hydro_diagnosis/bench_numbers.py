@@ -10,7 +10,7 @@ Viscous friction and spring are in the motion equation where the bench has them.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -183,6 +183,23 @@ def connected(channels: Collection[str], bench: Bench) -> tuple[Connection, ...]
     """Equations that these channels bring in."""
     return tuple(
         one for one in CONNECTIONS if one.channels <= set(channels) and (not one.if_known or knows(bench, one.if_known))
+    )
+
+
+def refuse_unconnected(channels: Collection[str], bench: Bench, notes: Sequence[str] = ()) -> None:
+    """Raise `InputError` if no equation can be checked: what is lacking, and `notes` on what was left out and why."""
+    if connected(channels, bench):
+        return
+    ways = dict.fromkeys(
+        f"{', '.join(sorted(one.channels - set(channels)))} ({one.equation})"
+        for one in sorted(CONNECTIONS, key=lambda one: len(one.channels - set(channels)))
+        if not one.if_known or knows(bench, one.if_known)
+    )
+    lost = [note for note in notes if "left out" in note]
+    raise InputError(
+        f"no equation can be checked with {', '.join(sorted(channels)) or 'nothing'}: lacking is "
+        + ", or ".join(ways)
+        + "".join(f"; {note}" for note in lost)
     )
 
 

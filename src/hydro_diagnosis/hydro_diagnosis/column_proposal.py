@@ -20,19 +20,17 @@ import numpy as np
 import yaml
 
 from hydro_core.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.io.column_map import TARGETS, ColumnMap, Source
-from hydro_diagnosis.io.columns import QUANTITY, UNITS, Columns, named_like_time, runs_forward, without_unit
+from hydro_diagnosis.bench_numbers import has_spring
+from hydro_diagnosis.io.column_map import QUANTITY_OF, TARGETS, ColumnMap, Source
+from hydro_diagnosis.io.columns import Columns, is_time, runs_forward
 from hydro_diagnosis.io.table import base_of
-from hydro_diagnosis.wiring import LOOKED_AT, MEAN, line, means
+from hydro_diagnosis.io.units import quantity, split_unit, to_si
+from hydro_diagnosis.recording import MEASURED
+from hydro_diagnosis.wiring import LOOKED_AT, MEAN, TOGETHER, line, means
 from hydro_sim.model.bench import Bench
 
 ENOUGH = 3.0
 """Score from which a column is proposed for a field: a word or a letter, and a unit or a range that agrees."""
-_QUANTITY_OF = {
-    "hydraulic_force": "force", "load_force": "force", "pressure_a": "pressure", "pressure_b": "pressure",
-    "piston_position": "length", "piston_velocity": "velocity", "valve_current": "current", "reference_force": "force",
-    "hydraulic_force_rate": "force rate", "load_force_rate": "force rate", "nominal_valve_current": "current",
-}  # fmt: skip
 _PRESSURE = r"(p|press\w*|druck\w*)"
 _WORDS: Mapping[str, str] = {
     "hydraulic_force": r"hydraulic_?force|f_?h(yd\w*)?|zylinderkraft|kolbenkraft|(piston|actuator)_?force|f_?cyl\w*|"
@@ -71,7 +69,9 @@ MOST = 16
 """Columns at most that are tried for every field."""
 SILENT = 1e-4
 """White noise over the standard deviation below which a force was computed, not measured."""
-_NEVER = re.compile(r"temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
+_REFERENCE = re.compile(_WORDS["reference_force"] + r"|\w*(ref|soll|target|desired|setpoint)", re.IGNORECASE)
+_VALVE = re.compile(r"valve|spool|ventil|schieber|servo", re.IGNORECASE)
+_NEVER = re.compile(r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
 
 
 def proposed(found: Columns, bench: Bench) -> ColumnMap:
@@ -79,12 +79,12 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
 
     Numbers that are not known of a bench are taken to be of the nominal one's size.
     """
-    known = bench.to_mapping()
+    known, sprung = bench.to_mapping(), has_spring(bench)
     bench = replace(Bench.nominal(), **{name: known[name] for name in _SIZES if name in known})
     sources: dict[str, Source] = {}
     if not found.clocks:
         times = [name for name, values in found.series.items() if runs_forward(values)]
-        named = [name for name in times if named_like_time(name)]
+        named = [name for name, values in found.series.items() if is_time(name, values)]
         even = [name for name in times if _even(found.series[name])]
         if named or even:
             best = "time" if "time" in named else (named or even)[0]
@@ -102,6 +102,7 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
             taken.add(name)
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
     _add_by_physics(sources, found, bench)
+    _move_lone_force(sources, found, sprung)
     if sources.keys() == {"time"}:
         _add_by_equations(sources, found, bench)
     if found.clocks and sources:
@@ -112,13 +113,31 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
     return ColumnMap({field: sources[field] for field in TARGETS if field in sources})
 
 
+def _move_lone_force(sources: dict[str, Source], found: Columns, sprung: bool) -> None:
+    """Take the only force for the cylinder's where it does not go with the position as that of a spring does.
+
+    A name that says load, spring or cell stands.
+    """
+    load, place = sources.get("load_force"), sources.get("piston_position")
+    if load is None or place is None or "hydraulic_force" in sources or _forces(found) > 1:
+        return
+    words = _words(_own_name(load.column))
+    if any(_ACTS_ON["load_force"].fullmatch(word) or re.search("cell|mess|sensor", word, re.I) for word in words):
+        return
+    force, position = found.series[load.column], found.series[place.column]
+    both = np.isfinite(force) & np.isfinite(position) if len(force) == len(position) else np.zeros(len(force), bool)
+    slope, left = line(position[both], force[both], 1) if both[: len(position)].any() else (1.0, 0.0)
+    if not sprung or slope < 0.0 or left > 1.0 - TOGETHER**2:
+        sources["hydraulic_force"] = sources.pop("load_force")
+
+
 def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) -> None:
     """Add columns of a stated unit whose names say nothing; where several may be meant, by how they move together."""
     left: dict[str, list[str]] = {}
     for name, values in found.series.items():
         unit = found.unit(name)
         if unit and np.isfinite(values).all() and np.ptp(values) > 0.0 and not _NEVER.search(_own_name(name)):
-            left.setdefault(QUANTITY[unit], []).append(name)
+            left.setdefault(quantity(unit), []).append(name)
     for source in sources.values():
         for names in left.values():
             if source.column in names:
@@ -127,16 +146,16 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
     def take(field: str, name: str | None) -> None:
         if name is not None and field not in sources:
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
-            left[_QUANTITY_OF[field]].remove(name)
+            left[QUANTITY_OF[field]].remove(name)
 
     def nearest(field: str, like: FloatArray, *, unsure: int) -> str | None:
         """Return the column that moves most like `like`; None where fewer than `unsure` may be meant."""
-        names = left.get(_QUANTITY_OF[field], [])
+        names = left.get(QUANTITY_OF[field], [])
         alike = {name: _correlation(found.series[name], like) for name in names}
         return max(alike, key=lambda name: alike[name]) if len(names) >= unsure else None
 
     def only(field: str) -> str | None:
-        names = left.get(_QUANTITY_OF[field], [])
+        names = left.get(QUANTITY_OF[field], [])
         return names[0] if len(names) == 1 else None
 
     for field in ("piston_position", "valve_current"):
@@ -174,8 +193,8 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
 
     def sized(field: str, taken: set[str]) -> dict[Source, FloatArray]:
         """Means over `MEAN` rows [SI] of the columns in each unit in which their numbers are of the field's size."""
-        units = ("", *_LIKELY.get(_QUANTITY_OF[field], ()))
-        there = {Source(name, unit=unit): UNITS.get(unit, 1.0) * free[name] for name in free for unit in units}
+        units = ("", *_LIKELY.get(QUANTITY_OF[field], ()))
+        there = {Source(name, unit=unit): to_si(unit) * free[name] for name in free for unit in units}
         sizes = {source: means(one, MEAN) for source, one in there.items() if source.column not in taken}
         return {source: one for source, one in sizes.items() if _fits(field, one, bench)}
 
@@ -260,39 +279,51 @@ def as_yaml(columns: ColumnMap) -> str:
 def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
     """Score of a column for a field."""
     own = re.sub(r"\W+", "_", _own_name(name))
-    if _NEVER.search(own):
+    words = _words(own)
+    if _NEVER.search(own) or (field in MEASURED and any(map(_REFERENCE.fullmatch, words))):
         return 0.0
-    score, words = 0.0, [word for word in own.split("_") if word]
+    score = 0.0
     if field in _ACTS_ON and _is_force(name, found):
         words = [word for word in words if not _ANY_FORCE.fullmatch(word)] if _forces(found) > 1 else words
-        own = "_".join(words)
-        score += 2.5 * any(_ACTS_ON[field].fullmatch(word) for word in words)
+        own = "_".join(word for word in own.split("_") if word in words)
+        score += 3.5 * any(_ACTS_ON[field].fullmatch(word) for word in words)
     pattern = re.compile(_WORDS[field], re.IGNORECASE)
     if score == 0.0 and own:
-        score += 2.5 if pattern.fullmatch(own) else 2.0 if any(map(pattern.fullmatch, words)) else 0.0
+        said = [word for word in words if pattern.fullmatch(word)]
+        plainly = (
+            field in MEASURED
+            and any(len(word) > 3 and not _ANY_FORCE.fullmatch(word) for word in said)
+            and not any(map(_VALVE.fullmatch, words))
+        )
+        score += 3.5 if plainly else 2.5 if pattern.fullmatch(own) else 2.0 if said else 0.0
     unit = found.unit(name)
     if unit:
-        score += 1.5 if QUANTITY[unit] == _QUANTITY_OF[field] else -3.0
-    scale = UNITS.get(_unit(field, name, found, bench), 1.0)
+        score += 1.5 if quantity(unit) == QUANTITY_OF[field] else -3.0
+    scale = to_si(_unit(field, name, found, bench))
     return score + (1.0 if _fits(field, scale * found.series[name], bench) else -0.5)
 
 
 def _is_force(name: str, found: Columns) -> bool:
-    unit = found.unit(name)
-    words = re.split(r"[\W_]+", _own_name(name))
-    return QUANTITY[unit] == "force" if unit else any(_ANY_FORCE.fullmatch(word) for word in words)
+    unit, words = found.unit(name), _words(_own_name(name))
+    return quantity(unit) == "force" if unit else any(_ANY_FORCE.fullmatch(word) for word in words)
 
 
 def _forces(found: Columns) -> int:
-    """How many columns are forces, the reference's left out."""
-    reference = re.compile(_WORDS["reference_force"], re.IGNORECASE)
-    named = [name for name in found.series if _is_force(name, found)]
-    return sum(not any(map(reference.fullmatch, re.split(r"[\W_]+", _own_name(name)))) for name in named)
+    """How many columns are forces that were measured."""
+    named = [_own_name(name) for name in found.series if _is_force(name, found)]
+    return sum(not _NEVER.search(name) and not any(map(_REFERENCE.fullmatch, _words(name))) for name in named)
+
+
+def _words(name: str) -> list[str]:
+    """Words of a name: `F_load_cell` by its underscores, `JibPaCyl` by its capitals."""
+    words = [word for word in re.split(r"[\W_]+", name) if word]
+    capitals = [part for word in words for part in re.findall(r"[A-Z]+[a-z]*\d*|[a-z]+\d*", word)]
+    return [*words, *(part for part in capitals if len(name) > 3 and part not in words)]
 
 
 def _own_name(name: str) -> str:
     r"""The last part of a path that tells: `Model Root/pA/Out1` is pA, INCA's `pA\ADC:1` too, `/pressure_a.data`."""
-    parts = [part for part in re.split(r"[/\\.]", without_unit(name)) if part]
+    parts = [part for part in re.split(r"[/\\.]", split_unit(name)[0]) if part]
     telling = [
         part for part in parts if not re.fullmatch(r"(out|in|value|data|samples|fluid_pressure)?\d*|.*:\d+", part, re.I)
     ]
@@ -301,12 +332,11 @@ def _own_name(name: str) -> str:
 
 def _unit(field: str, name: str, found: Columns, bench: Bench) -> str:
     """The unit that is stated, or the one in which the numbers are of the bench's size; empty for SI."""
-    quantity = _QUANTITY_OF.get(field, "")
-    unit = found.unit(name)
-    if unit:
-        return unit if QUANTITY[unit] == quantity and UNITS[unit] != 1.0 else ""
-    candidates = ["", *_LIKELY.get(quantity, ())]
-    fitting = [one for one in candidates if _fits(field, UNITS.get(one, 1.0) * found.series[name], bench)]
+    wanted, unit = QUANTITY_OF.get(field, ""), found.unit(name)
+    if unit or name == field:
+        return unit if quantity(unit) == wanted and to_si(unit) != 1.0 else ""
+    candidates = ["", *_LIKELY.get(wanted, ())]
+    fitting = [one for one in candidates if _fits(field, to_si(one) * found.series[name], bench)]
     return fitting[0] if fitting else ""
 
 
@@ -319,11 +349,11 @@ def _fits(field: str, values: FloatArray, bench: Bench) -> bool:
     strength = bench.piston_area * bench.supply_pressure
     return {
         "pressure": -0.02 * bench.supply_pressure < low and 0.05 < high / bench.supply_pressure < 1.5,
-        "length": -bench.stroke <= low and 1e-3 * bench.stroke < max(high, -low) <= 1.1 * bench.stroke,
-        "current": 1e-3 < max(high, -low) / bench.valve_current_max <= 1.05,
+        "length": -bench.stroke <= low and 1e-2 * bench.stroke < max(high, -low) <= 1.1 * bench.stroke,
+        "current": 1e-2 < max(high, -low) / bench.valve_current_max <= 1.05,
         "force": 1e-3 * strength < max(high, -low) < 2.0 * strength,
         "velocity": max(high, -low) < 20.0 * bench.stroke,
-    }.get(_QUANTITY_OF.get(field, ""), False)
+    }.get(QUANTITY_OF.get(field, ""), False)
 
 
 def _even(values: FloatArray) -> bool:
@@ -336,6 +366,6 @@ def _time_unit(name: str, found: Columns) -> str:
     """The unit that is stated, or the one in which the rows follow each other within `_APART`; empty for seconds."""
     unit = found.unit(name)
     if unit:
-        return unit if QUANTITY[unit] == "time" and UNITS[unit] != 1.0 else ""
-    step = float(np.median(np.diff(found.series[name])))
-    return next((unit for unit in ("", "ms", "us") if step * UNITS.get(unit, 1.0) <= _APART), "ns")
+        return unit if quantity(unit) == "time" and to_si(unit) != 1.0 else ""
+    step = float(np.nanmean(np.diff(found.series[name])))
+    return next((unit for unit in ("", "ms", "us") if step * to_si(unit) <= _APART), "ns")

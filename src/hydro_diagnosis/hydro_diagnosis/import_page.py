@@ -37,8 +37,9 @@ from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.column_proposal import as_yaml
 from hydro_diagnosis.inspect_command import COLUMNS, ROWS, improbable, listed, missing
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
-from hydro_diagnosis.io.columns import UNITS, Columns
+from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import columns_of
+from hydro_diagnosis.io.units import UNITS
 from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench

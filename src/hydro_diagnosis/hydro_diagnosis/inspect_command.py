@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,9 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.column_proposal import as_yaml, proposed
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import UNITS, Columns, named_like_time, runs_forward
+from hydro_diagnosis.io.columns import Columns, is_time
 from hydro_diagnosis.io.table import columns_of, table_of
+from hydro_diagnosis.io.units import quantity, split_unit, to_si
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.wiring import inspect_table
 from hydro_sim.model.bench import Bench
@@ -82,6 +84,8 @@ def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, b
         add(column, "one number: a factor or offset in --columns", Extent(1, 1, number, number))
     for column in found.other:
         add(column, "not numbers, or another length", Extent(1, 0, np.nan, np.nan))
+    for column in found.broken:
+        add(column, "not read: see below", Extent(1, 0, np.nan, np.nan))
     return chosen
 
 
@@ -89,15 +93,15 @@ def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
     """Samples per second, by a column's clock, else by the column that the map takes for the time."""
     mapped = chosen.sources.get("time")
     clock = found.clocks.get(name) or (mapped.column if mapped else "")
-    if not clock and named_like_time(name) and runs_forward(found.series[name]):
+    if not clock and is_time(name, found.series[name]):
         clock = name
     if clock not in found.series or len(found.series[clock]) != len(found.series[name]):
         return float("nan")
     steps = np.diff(found.series[clock])
     steps = steps[steps > 0.0]
-    unit = found.units.get(clock) or (mapped.unit if mapped else "")
-    every = found.extents.get(clock, Extent(1)).every
-    return float(every / (np.median(steps) * UNITS.get(unit, 1.0))) if len(steps) else float("nan")
+    unit = found.unit(clock) or (mapped.unit if mapped else "")
+    every = found.extents.get(clock, Extent(1)).every * np.diff(found.series[clock]).size / max(len(steps), 1)
+    return float(every / (np.median(steps) * to_si(unit))) if len(steps) and quantity(unit or "s") else float("nan")
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -128,7 +132,9 @@ def main() -> int:
         said = improbable(path, found, maps[-1], bench)
         if columns is None:
             said += [_advice(maps[-1], chosen.bench), *missing(maps[-1])]
-        said += found.notes
+        said += [*found.notes, *found.broken.values()]
+        if columns is None:
+            said += unlike(found, maps[-1], bench)
         remarks += [f"{path.name}: {sentence}" for sentence in said]
     table.show(chosen.json)
     for remark in remarks:
@@ -136,6 +142,10 @@ def main() -> int:
     if chosen.write and maps[0].sources.keys() <= {"time"}:
         raise InputError(f"{chosen.write} was not written: no signal of {chosen.recordings[0].name} is known")
     if chosen.write:
+        try:
+            table_of(chosen.recordings[0], columns_of(chosen.recordings[0], ROWS), maps[0])
+        except InputError as error:
+            raise InputError(f"{chosen.write} was not written, since diagnose could not read by it: {error}") from None
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
         write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
         print(f"{chosen.write}: the map of {chosen.recordings[0].name}")
@@ -166,6 +176,21 @@ def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> 
         f"{doubt[0].field} has numbers that this bench cannot have: perhaps "
         + ", or ".join(one.sentence for one in doubt)
         for doubt in doubts
+    ]
+
+
+def unlike(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
+    """Return which columns have the name of a field that lacks, but a unit that is not the field's, a sentence each."""
+    taken = {source.column for source in proposal.sources.values()}
+    bare = replace(found, units={}, series={
+        split_unit(name)[0]: values for name, values in found.series.items() if name not in taken
+    })  # fmt: skip
+    units = {split_unit(name)[0]: found.unit(name) for name in found.series}
+    return [
+        f"{source.column!r} may be the {field}, but is in {units[source.column]}: give a factor to SI, as in {field}="
+        f"{replace(source, unit='', steps=(('*', 0.001),))}"
+        for field, source in proposed(bare, bench).sources.items()
+        if field not in proposal.sources and units.get(source.column)
     ]
 
 

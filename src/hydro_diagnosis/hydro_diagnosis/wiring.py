@@ -17,8 +17,8 @@ import numpy as np
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import UnknownNumberError, guarded
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import UNITS
 from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.io.units import to_si
 from hydro_diagnosis.recording import MEASURED
 from hydro_sim.model.bench import Bench
 
@@ -61,7 +61,7 @@ class Scale(Repair):
         source = columns.sources[self.field]
         if self.unit and not self.offset:
             return columns.changed(self.field, replace(source, unit=self.unit))
-        si = UNITS.get(source.unit, 1.0)
+        si = to_si(source.unit)
         steps, factor = list(source.steps), self.factor
         if steps and steps[-1][0] == "*" and isinstance(steps[-1][1], float):
             factor *= float(steps.pop()[1])
@@ -133,7 +133,7 @@ def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -
     """The field in each of these units but the one in which it was `taken`."""
     here = taken.get(field, "")
     said = f", not {here}" if here else ""
-    factors = {unit: UNITS[unit] / UNITS.get(here, 1.0) for unit in units if unit != here}
+    factors = {unit: to_si(unit) / to_si(here) for unit in units if unit != here}
     return [
         Scale(field, f"{field} is in {unit}{said}", factor=factor, unit=unit)
         for unit, factor in factors.items()

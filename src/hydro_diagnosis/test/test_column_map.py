@@ -16,8 +16,9 @@ from scipy.io import savemat
 from hydro_core.signals import StateArray
 from hydro_diagnosis.column_proposal import proposed
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import UNITS, Columns
+from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
+from hydro_diagnosis.io.units import UNITS
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
@@ -65,7 +66,7 @@ def test_every_form_of_a_map_gives_the_same_fields(form: str, tmp_path: Path) ->
         ("time=clok,load_force=vir", "did you mean 'clock'"),
         ("time=clock,load_force=vir*gtua", "no single number named 'gtua' .did you mean 'gtau'"),
         ("time=clock,piston_positon=pos", "not a field of a recording, did you mean 'piston_position'"),
-        ("time=clock,load_force=vir[furlong]", "unit 'furlong' is unknown; there are s, ms"),
+        ("time=clock,load_force=vir[qubit]", "unit 'qubit' is unknown; there are s, ms"),
         ("time=clock,load_force", "'load_force' is not FIELD=COLUMN"),
         ("time=clock,load_force=vir**2", "cannot be read from '\\*\\*2' on"),
         ("load_force=vir", "no column is the time"),

@@ -116,7 +116,7 @@ def test_recording_without_pressures_is_diagnosed_for_what_it_shows(tmp_path: Pa
 def test_recordings_with_which_no_equation_can_be_checked_are_a_sentence(tmp_path: Path) -> None:
     path = tmp_path / "bare.csv"
     frame(record(Bench.nominal(), 31))[["time", "valve_current", "piston_position"]].to_csv(path, index=False)
-    with pytest.raises(InputError, match=r"no equation can be checked with .*: both pressures or a force are needed"):
+    with pytest.raises(InputError, match=r"no equation can be checked with .*: lacking is hydraulic_force"):
         diagnose([path])
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from mcap.reader import make_reader
 
 from hydro_bridge.bags.recording import BagWriter
 from hydro_core.cli.console import Table
@@ -106,6 +107,24 @@ def test_a_bag_that_was_cut_off_says_so(minute: tuple[Path, Recording], tmp_path
     cut.write_bytes(next(minute[0].glob("*.mcap")).read_bytes()[:2_000_000])
     assert "cut.mcap was not finished" in read_bag_within(cut, BENCH).quality[0]
     assert "cut.mcap was not finished" in columns_of(cut).notes[0]
+
+
+@pytest.mark.parametrize("chunk", [0, 9])
+def test_one_damaged_block_of_a_bag_is_a_gap_and_a_note(
+    chunk: int, minute: tuple[Path, Recording], tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    data = bytearray(next(minute[0].glob("*.mcap")).read_bytes())
+    with next(minute[0].glob("*.mcap")).open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    one = sorted(summary.chunk_indexes, key=lambda one: one.chunk_start_offset)[chunk]
+    data[one.chunk_start_offset + one.chunk_length // 2] ^= 0x10
+    path.write_bytes(data)
+    found = read_bag_within(path, BENCH)
+    assert found.quality[0] == "run.mcap: run.mcap is damaged: 1 of its blocks could not be read"
+    assert minute[1].seconds - 8.0 < found.seconds < minute[1].seconds - 0.5
+    assert columns_of(path).notes[0] in found.quality[0]
 
 
 def test_a_thinned_bag_is_listed_as_the_whole_one(minute: tuple[Path, Recording]) -> None:

@@ -113,14 +113,16 @@ class _Column:
             self.table[: self.count] = kept
 
 
-def read_bag(path: Path | str, topics: Collection[str] | None = None, rows: int | None = None) -> Recording:
+def read_bag(
+    path: Path | str, topics: Collection[str] | None = None, rows: int | None = None, *, salvages: bool = False
+) -> Recording:
     """Read a recording into arrays.
 
     `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: of a longer table every
-    n-th row is kept, less than twice so many. Raises RecordingError: nothing there, damaged, or a topic in `topics` has
-    no messages.
+    n-th row is kept, less than twice so many. `salvages`: blocks that are damaged are left out, with a note. Raises
+    RecordingError: nothing there, damaged, or a topic in `topics` has no messages.
     """
-    source = BagSource(Path(path))
+    source = BagSource(Path(path), salvages)
     types: dict[str, str] = {}
     qos: dict[str, TopicQos] = {}
     columns: dict[str, _Column] = {}
@@ -152,12 +154,14 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None, rows: int 
     )
 
 
-def stream_bag(path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | None = None) -> Iterator[Table]:
+def stream_bag(
+    path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | None = None, *, salvages: bool = False
+) -> Iterator[Table]:
     """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`.
 
     `notes` gets what was tolerated (`Recording.notes`) once all is read.
     """
-    source = BagSource(Path(path))
+    source = BagSource(Path(path), salvages)
     for scan, channel, block, span in source.spans(topic):
         layout = source.layout(scan, channel)
         if layout is None:
@@ -182,9 +186,9 @@ def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
     yield from _ordered(last, spans)
 
 
-def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
+def objects(path: Path | str, topic: str, *, salvages: bool = False) -> Iterator[tuple[float, Any]]:
     """Yield log time [s] and message object of a topic of any type such as /diagnostics; errors as `read_bag`."""
-    source = BagSource(Path(path))
+    source = BagSource(Path(path), salvages)
     decoder = MessageDecoder(source)
     for scan, channel, block, span in source.spans(topic):
         yield from decoder.objects(scan, channel, block, span)

@@ -270,7 +270,14 @@ class McapScan:
             if chunk.message_start_time < end and chunk.message_end_time >= begin:
                 place = chunk.chunk_start_offset + _RECORD.size
                 stream.seek(place)
-                yield self._chunk(stream.read(chunk.chunk_length - _RECORD.size), place)
+                try:
+                    block = self._chunk(stream.read(chunk.chunk_length - _RECORD.size), place)
+                except RecordingError:
+                    if not self.salvages:
+                        raise
+                    self.damaged += 1
+                else:
+                    yield block
 
     def _raw_blocks(self, stream: BinaryIO, size: int) -> Iterator[bytes]:
         loose = bytearray()
@@ -385,6 +392,8 @@ class BagSource:
     """The files of one recording, read one after the other."""
 
     path: Path
+    salvages: bool = False
+    """Whether damaged blocks are left out, with a note, in place of an error."""
     scans: list[McapScan] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
@@ -392,7 +401,7 @@ class BagSource:
     def __post_init__(self) -> None:
         whole, part = parted(self.path)
         files, self.notes = mcap_files(whole)
-        self.scans = _in_time([McapScan(path) for path in files])
+        self.scans = _in_time([McapScan(path, salvages=self.salvages) for path in files])
         if part is not None:
             first = self.scans[0].times()[0]
             for scan in self.scans:
@@ -412,7 +421,9 @@ class BagSource:
                     if topic in (None, scan.channels[number].topic):
                         found = True
                         yield scan, scan.channels[number], block, span
-            if not scan.finished:
+            if scan.damaged:
+                self.notes.append(f"{scan.path.name} is damaged: {scan.damaged} of its blocks could not be read")
+            elif not scan.finished:
                 self.notes.append(
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
                 )
@@ -436,6 +447,8 @@ class BagSource:
     def without(self, topic: str, topics: Collection[str]) -> RecordingError:
         """Return the error that `topic` is not among the `topics` that were read."""
         there = f"there is {', '.join(sorted(topics)) or 'nothing'}"
+        if damaged := sum(scan.damaged for scan in self.scans):
+            there = f"{damaged} of its blocks are damaged"
         if not topics and not all(scan.finished for scan in self.scans):
             there = "it was cut off before the end of its first block: copy it again"
         elif any(scan.part for scan in self.scans):

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import wraps
+from io import TextIOWrapper
 from math import inf
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -62,6 +63,9 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
     def decorate(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
         @wraps(main)
         def wrapped() -> NoReturn:
+            for stream in (sys.stdout, sys.stderr):
+                if isinstance(stream, TextIOWrapper):
+                    stream.reconfigure(errors="replace")  # of a terminal that has not every character
             try:
                 with endings.raised():
                     status = main() or 0

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.bench_numbers import connected
+from hydro_diagnosis.bench_numbers import connected, refuse_unconnected
 from hydro_diagnosis.effects.base import (
     HYDRAULIC,
     LOAD,
@@ -39,7 +39,7 @@ from hydro_diagnosis.effects.base import (
 from hydro_diagnosis.estimation.noise import SegmentNoise, mass_attenuation, sensor_noise
 from hydro_diagnosis.model.responses import Responses, intervening
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
-from hydro_diagnosis.recording import InputError, Segment
+from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
 FOLDS = 4
@@ -230,10 +230,8 @@ class Problem:
 
     def _checked_blocks(self) -> tuple[str, ...]:
         have = set.intersection(*(set(model.channels) for model in self.models))
+        refuse_unconnected(have, self.bench)
         present = {one.block for one in connected(have, self.bench)}
-        if not present:
-            names = ", ".join(sorted(have))
-            raise InputError(f"no equation can be checked with {names}: both pressures or a force are needed, too")
         return tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
 
     @property

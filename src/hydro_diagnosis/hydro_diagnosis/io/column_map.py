@@ -30,7 +30,7 @@ import numpy as np
 import yaml
 
 from hydro_core.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.io.columns import QUANTITY, UNITS, known
+from hydro_diagnosis.io.units import UNITS, known, quantity, to_si
 from hydro_diagnosis.recording import InputError
 
 _SOURCE = re.compile(
@@ -92,10 +92,8 @@ class Source:
                 raise InputError(f"there is no single number named {number!r}{_instead(number, constants)}")
             by = constants[number] if isinstance(number, str) else number
             values = _OPERATIONS[sign](values, by)
-        if self.unit and self.unit not in UNITS:
-            raise InputError(f"{self.column!r} is a {QUANTITY[self.unit]}, in {self.unit}: no field is one")
         if self.unit:
-            values = values * UNITS[self.unit]
+            values = values * to_si(self.unit)
         return np.ascontiguousarray(values, dtype=np.float64)
 
 
@@ -106,9 +104,9 @@ def source_of(field: str, value: Any) -> Source:
     if isinstance(value, (int, float)):
         return _constant(field, float(value))
     if isinstance(value, Mapping):
-        return _from_words(field, value)
+        return _refuse_unit(field, _from_words(field, value))
     number = _number(value)
-    return _constant(field, number) if isinstance(number, float) else _parsed(field, number)
+    return _constant(field, number) if isinstance(number, float) else _refuse_unit(field, _parsed(field, number))
 
 
 def _constant(field: str, value: float) -> Source:
@@ -165,9 +163,17 @@ def _number(text: Any) -> float | str:
 
 
 def _unit(field: str, unit: str) -> str:
-    if known(unit) not in UNITS:
+    if not known(unit):
         raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
     return known(unit)
+
+
+def _refuse_unit(field: str, source: Source) -> Source:
+    """Return a source whose unit is one of the field's quantity, or raise InputError; factors make any unit its."""
+    wanted, here = QUANTITY_OF.get(field, ""), quantity(source.unit)
+    if source.unit and wanted and here != wanted and not any(sign in "*/" for sign, _ in source.steps):
+        raise InputError(f"columns: {field} is a {wanted}, {source.unit} is a unit of {here}: give a factor to SI")
+    return source
 
 
 def _instead(name: str, there: Iterable[str]) -> str:
@@ -181,6 +187,13 @@ def _instead(name: str, there: Iterable[str]) -> str:
 _OPERATIONS = {"*": mul, "/": truediv, "+": add, "-": sub}
 TARGETS = ("time", *STATE_FIELDS)
 """Targets of a column."""
+QUANTITY_OF = {
+    "time": "time", "hydraulic_force": "force", "load_force": "force", "pressure_a": "pressure",
+    "pressure_b": "pressure", "piston_position": "length", "piston_velocity": "velocity", "valve_current": "current",
+    "reference_force": "force", "hydraulic_force_rate": "force rate", "load_force_rate": "force rate",
+    "nominal_valve_current": "current",
+}  # fmt: skip
+"""Quantity that a field is."""
 
 
 @dataclass(frozen=True)

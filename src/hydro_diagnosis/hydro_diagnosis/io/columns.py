@@ -4,68 +4,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hydro_bridge.bags.recording import Extent
 from hydro_core.signals import FloatArray
-
-_BY_QUANTITY: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3},
-    "force": {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605},
-    "force rate": {"N/s": 1.0, "kN/s": 1e3},
-    "pressure": {
-        "Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5, "psi": 6894.757293168361,
-        "N/mm2": 1e6,
-    },
-    "current": {"A": 1.0, "mA": 1e-3},
-}  # fmt: skip
-
-UNITS = {unit: factor for units in _BY_QUANTITY.values() for unit, factor in units.items()}
-"""Factor from a unit to SI."""
-_OTHERS = {"degC": "temperature", "degF": "temperature", "l/min": "flow", "rpm": "speed of rotation", "Hz": "frequency"}
-QUANTITY = {unit: quantity for quantity, units in _BY_QUANTITY.items() for unit in units} | _OTHERS
-"""Quantity that a unit measures; those that no field is have no factor in `UNITS`."""
-
-_SPELLINGS = {
-    "sec": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms", "µs": "us", "μs": "us", "µm": "um", "μm": "um",
-    "mikrometer": "um", "meter": "m", "metre": "m", "newton": "N", "pascal": "Pa", "ampere": "A", "amp": "A",
-    "n": "N", "kn": "kN", "pa": "Pa", "kpa": "kPa", "mpa": "MPa", "a": "A", "ma": "mA",
-    "n/mm²": "N/mm2", "n/mm^2": "N/mm2",
-    "m*s^-1": "m/s", "m s-1": "m/s", "inch": "in",
-    "°c": "degC", "degc": "degC", "deg c": "degC", "celsius": "degC", "°f": "degF", "lpm": "l/min", "hz": "Hz",
-}  # fmt: skip
-_IN_NAME = re.compile(r"[\[(]\s*([^\])]{1,12})\s*[\])]\s*$")
-_SUFFIX = re.compile(r"_(s|ms|us|ns|mm|cm|um|N|kN|kPa|MPa|mbar|bar|psi|mA)$")
-"""Units behind an underscore; `_a`, `_m`, `_A` are more often chambers and what was measured."""
-
-
-def known(text: str) -> str:
-    """The unit as `QUANTITY` spells it; empty where it is none of these."""
-    bare = text.strip().strip("[](){}").strip()
-    if bare in QUANTITY:
-        return bare
-    return _SPELLINGS.get(bare.lower(), bare.lower() if bare.lower() in QUANTITY else "")
-
-
-def in_name(name: str) -> str:
-    """The unit at the end of a column's name (`pos [mm]`, `pos_mm`), as `QUANTITY` spells it, or empty."""
-    found = _IN_NAME.search(name)
-    suffix = _SUFFIX.search(name)
-    return known(found[1]) if found else suffix[1] if suffix else ""
-
-
-def without_unit(name: str) -> str:
-    """A column's name without the unit at its end."""
-    return _SUFFIX.sub("", _IN_NAME.sub("", name)).strip()
-
+from hydro_diagnosis.io.units import quantity, split_unit, stated, to_si
 
 _TIME = re.compile(
-    r"^(.*[./\\ _-])?(time|t|\w*zeit|timestamp|timestamps|x-?axis|x_value|elapsed)(\.\d+)?$", re.IGNORECASE
+    r"^(.*[./\\ _-])?(time|t|\w*zeit|time_?stamps?|x-?axis|x_value|elapsed|date|datum|clock)(\.\d+)?$", re.IGNORECASE
 )
 
 
@@ -80,36 +29,145 @@ class Columns:
     other: list[str] = field(default_factory=list)
     """Names of what is neither: texts, columns of another length."""
     units: dict[str, str] = field(default_factory=dict)
-    """Units that the file states, as `QUANTITY` spells them; only those that are known."""
+    """Units that the file states, as `units.stated` has them."""
     clocks: dict[str, str] = field(default_factory=dict)
     """By column, the name of the column that holds its times; none for a table in which every row is one instant."""
     notes: list[str] = field(default_factory=list)
     """Notes on these times, one sentence each."""
     extents: Mapping[str, Extent] = field(default_factory=dict)
     """By column of which `series` holds every n-th number: what is known of all."""
+    broken: dict[str, str] = field(default_factory=dict)
+    """By column that cannot be read as numbers: which cell is why, one sentence."""
 
     def add(self, name: str, values: FloatArray, unit: str = "") -> str:
         """Add a column in a unit as the file states it; returns its name, with a number behind it if it was taken."""
         column = unique(name, self.series)
         self.series[column] = values
-        if known(unit):
-            self.units[column] = known(unit)
+        if stated(unit):
+            self.units[column] = stated(unit)
         return column
 
     def unit(self, name: str) -> str:
         """Unit of a column, as the file states it or by the column's name; empty if neither tells."""
-        return self.units.get(name) or in_name(name)
+        return self.units.get(name) or split_unit(name)[1]
 
 
 def named_like_time(name: str) -> bool:
     """Return whether a column's name says that it is the time."""
-    return _TIME.match(without_unit(name)) is not None
+    return _TIME.match(split_unit(name)[0]) is not None
 
 
-def runs_forward(values: FloatArray) -> bool:
-    """Return whether the numbers grow from each row to the next but for rare exceptions, as times do."""
+def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
+    """Return whether the numbers grow from each row to the next but for rare exceptions, as times do.
+
+    `ticks`: or stand still for some rows and go on, as a clock of coarse steps does.
+    """
     steps = np.diff(values[np.isfinite(values)])
-    return len(steps) > 0 and float(np.mean(steps > 0.0)) > 0.9
+    forward = steps >= 0.0 if ticks and np.any(steps > 0.0) else steps > 0.0
+    return len(steps) > 0 and float(np.mean(forward)) > 0.9
+
+
+def is_time(name: str, values: FloatArray) -> bool:
+    """Return whether a column's name and numbers say that it is the time."""
+    return named_like_time(name) and runs_forward(values, ticks=True)
+
+
+def counts_rows(values: FloatArray) -> bool:
+    """Return whether a column only counts: its steps are 1."""
+    return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
+
+
+_STEP = r"(wf_?|x_?)?(increment|incr?)|delta_?[tx]|dt|h_?resolution|(sampl\w*|x)[ _]?(interval|period|time|increment)"
+_RATE = r"sampl\w*[ _]?(rate|freq\w*)|abtast(rate|frequenz)|fs"
+_START = r"x_?0|t_?0|wf_?start_?offset|start|x_?(origin|offset|zero)"
+
+
+def stated_step(properties: Iterable[tuple[str, object]]) -> tuple[float, float]:
+    """Start and step [s] by which properties of a file say that its rows follow each other; a step of 0 if none does.
+
+    Keys as loggers and scopes write them: `wf_increment`, `Delta_X`, `Increment`, `Sample rate [Hz]`.
+    """
+    start = step = 0.0
+    for key, value in properties:
+        own, unit = split_unit(key.strip().rstrip(":"))
+        number, _, behind = str(value).strip().replace(",", ".").partition(" ")
+        try:
+            size = float(number) * (to_si(unit or behind) if quantity(unit or behind) != "" else 1.0)
+        except ValueError:
+            continue
+        if re.fullmatch(_START, own, re.IGNORECASE):
+            start = size
+        elif re.fullmatch(_STEP, own, re.IGNORECASE) and not step:
+            step = size
+        elif re.fullmatch(_RATE, own, re.IGNORECASE) and size > 0.0 and not step:
+            step = 1.0 / size
+    return (start, step) if 0.0 < step < 1e3 else (0.0, 0.0)
+
+
+def merged(parts: Iterable[Columns]) -> Columns:
+    """Parts of a recording as one: those of the same columns are joined while their times go on, and a note says so.
+
+    Parts whose time begins again, and other columns, stand beside each other, with a number behind a name that comes
+    again.
+    """
+    found, last, joined, again = Columns(), Columns(), 0, 0
+    names: dict[str, str] = {}
+    for part in parts:
+        alike = bool(last.series) and list(part.series) == list(last.series)
+        if alike and _goes_on(last, part):
+            for name, values in part.series.items():
+                found.series[names[name]] = np.concatenate([found.series[names[name]], values])
+            joined += 1
+        else:
+            again += alike
+            names = {name: found.add(name, values, part.units.get(name, "")) for name, values in part.series.items()}
+            found.clocks.update({names[name]: names[clock] for name, clock in part.clocks.items()})
+        found.other.extend(name for name in part.other if name not in found.other)
+        found.notes.extend(note for note in part.notes if note not in found.notes)
+        found.broken.update(part.broken)
+        found.constants.update(part.constants)
+        last = part
+    if joined:
+        found.notes.append(
+            f"a header or other words stand among the numbers, or it was stopped and started again, {joined} times: "
+            "what follows was joined by its times"
+        )
+    if again:
+        found.notes.append(
+            f"its columns come {again + 1} times and the time begins again: the later parts are columns of their own "
+            "and a map takes one part only; give each part as a file of its own"
+        )
+    return found
+
+
+def _goes_on(above: Columns, below: Columns) -> bool:
+    """Return whether all times of one part follow those of another: clocks, else the column named so or the first."""
+    clocks = set(above.clocks.values())
+    if not clocks:
+        named = (name for name, values in above.series.items() if is_time(name, values))
+        clocks = {next(named, next(iter(above.series)))}
+    ends = [(above.series[name], below.series[name]) for name in clocks]
+    ends = [(one[np.isfinite(one)], other[np.isfinite(other)]) for one, other in ends]
+    return all(len(a) and len(b) and runs_forward(a, ticks=True) and b[0] >= a[-1] for a, b in ends)
+
+
+def tell_days(found: Columns) -> None:
+    """State the unit of times that spreadsheets and MATLAB count in days: date and clock as one number.
+
+    Read as seconds, rows would follow each other by less than 10 us.
+    """
+    for name, values in found.series.items():
+        finite = values[np.isfinite(values)]
+        if found.unit(name) or not is_time(name, values) or len(finite) < 3:
+            continue
+        step, first = (
+            float(np.median(steps[steps > 0.0])) if np.any((steps := np.diff(finite)) > 0.0) else 1.0,
+            finite[0],
+        )
+        dated = 20_000.0 < first < 80_000.0 or 690_000.0 < first < 780_000.0
+        if step < (2e-5 if dated else 2e-6) and (dated or 0.0 <= first < 1.0) and finite[-1] - first < 30.0:
+            found.units[name] = "d"
+            found.notes.append(f"{name!r} was taken as days, as spreadsheets count them: {first:.10g} and so on")
 
 
 def assign_clocks_of_equal_length(found: Columns) -> None:
@@ -122,7 +180,7 @@ def assign_clocks_of_equal_length(found: Columns) -> None:
     lengths = {len(values) for values in series.values()}
     if len(lengths) <= 1:
         return
-    times = [name for name, values in series.items() if named_like_time(name) and runs_forward(values)]
+    times = [name for name, values in series.items() if is_time(name, values)]
     longest = max(lengths)
     for name, values in [*series.items()]:
         alike = [time for time in times if len(series[time]) == len(values)]

@@ -9,24 +9,32 @@ Four shapes of header are read: a row of names, with a row of units by it or uni
 that begin with a key, as ControlDesk writes them (`trace_names;...`, `path;...`, `unit;...`, then `trace_values;`
 before the first row of numbers and an empty cell before the others); rows that repeat their key before the channels of
 each clock, as TwinCAT Scope writes them (`Name;fPos;Name;fForce`, then ms and values); lines of anything else above
-either. Without names, columns are numbered. LabVIEW's step `Delta_X` makes the times where no column is one.
+either. Without names, columns are numbered. A step in the header (LabVIEW's `Delta_X`, a scope's `Increment`) makes the
+times where no column is one.
+
+pandas reads the numbers. A column that it cannot read is read by the signs of all of its cells together: decimal and
+thousands, times of day. One that is partly something else is not read, and the first such cell and its line are told.
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from io import StringIO
+from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.io.columns import Columns, in_name, known, named_like_time, runs_forward, unique
+from hydro_diagnosis.io.columns import Columns, counts_rows, is_time, merged, stated_step, tell_days, unique
+from hydro_diagnosis.io.units import UNITS, known, split_unit, stated
 
 NAME_KEYS = (
     "name", "names", "trace_name", "trace_names", "displayidentifier", "signal", "signals", "channel", "label", "path",
@@ -37,11 +45,35 @@ UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_lab
 """First cells of rows that hold units."""
 FIRST_NUMBERS = "trace_values"
 """ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)."""
-_NUMBER = re.compile(r"[+-]?(\d+([.]\d*)?|[.]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE)
-_CLOCK = r"(?<!\d)(\d{1,2}):(\d\d):(\d\d(?:[.]\d+)?)(?:\s*([ap])\.?m\b)?"
-"""Time of day in a cell, its decimal sign a point; of 12 hours with am or pm."""
+MISSING = ["-", "--", "---", "?", "NaN.", "1.#R"]
+"""Cells in which nothing was measured, beside those that pandas knows."""
+BLANKS = r"\s+"
+_SEPARATORS = (";", "\t", BLANKS, ",", "|")
+_THOUSANDS = ".,'’ \u00a0\u2009\u202f"
+_PLAIN = {sign: rf"[+-]?(?:\d+[{sign}]?\d*|[{sign}]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)" for sign in ".,"}
+_GROUPED = {
+    sign: rf"[+-]?[1-9]\d{{0,2}}([{_THOUSANDS.replace(sign, '')}])(?:\d{{2,3}}\1)*\d{{3}}(?:[{sign}]\d*)?"
+    for sign in ".,"
+}
+_NUMBER = {sign: re.compile(f"(?:{_GROUPED[sign]}|{_PLAIN[sign]})", re.IGNORECASE) for sign in ".,"}
+"""Numbers by decimal sign, with thousands or without."""
+_CLOCK = r"(?<!\d)(?:(\d{1,2}):)?(\d\d):(\d\d)(?:([.,:])(\d+))?(?!\d|:)(?:\s*([ap])\.?m\b)?"
+"""Time of day in a cell, or minutes and seconds; parts of a second behind a point, a comma or a colon."""
 _FOLLOWING = 4
 """Rows below the first that must be numbers too."""
+_HEAD = 1 << 16
+"""Bytes inspected to detect a file's format."""
+_TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
+"""A line that begins with a word: what stands above a block of numbers."""
+
+
+class Style(NamedTuple):
+    """Signs of a text table."""
+
+    separator: str
+    decimal: str
+    sure: bool
+    """Whether some cell can be read by this decimal sign only."""
 
 
 @dataclass(frozen=True)
@@ -55,31 +87,131 @@ class Header:
     names: tuple[str, ...]
     """Names of the columns, each unique."""
     units: tuple[str, ...]
-    """Units as `columns.QUANTITY` spells them; empty where none is stated."""
+    """Units as `units.stated` has them; empty where none is stated."""
+    start: float
     step: float
     """s from row to row, where the header states it; else 0."""
 
 
-def header_of(lines: list[str], separator: str, decimal: str) -> Header:
+def delimited_columns(path: Path) -> Columns:
+    """Read a table of text. Raises ValueError, OSError, pandas.errors.EmptyDataError if it cannot be read."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if not head.strip():
+        raise pd.errors.EmptyDataError(str(path))
+    if head.lstrip()[:1] == b"<":
+        raise ValueError("it is a web page or XML, not a table")
+    encoding = _encoding(head)
+    lines = head.decode(encoding, errors="replace").splitlines()
+    found = merged(_blocks(path, encoding, style_of(lines[:-1] if len(head) == _HEAD else lines)))
+    tell_days(found)
+    if len({len(values) for values in found.series.values()}) == 1 and len(set(found.clocks.values())) <= 1:
+        found.clocks.clear()
+    return found
+
+
+def _encoding(head: bytes) -> str:
+    """Encoding by the byte order mark; without one UTF-8 if valid, else a code page of Windows.
+
+    That of Western Europe, or that of Korea where bytes beyond ASCII come in pairs.
+    """
+    marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+    for mark, encoding in marks.items():
+        if head.startswith(mark):
+            return encoding
+    if head[1::2].count(0) > len(head) // 4:
+        return "utf-16-le"
+    for cut in range(4):  # a character may be cut in two where the head ends
+        try:
+            head[: len(head) - cut].decode("utf-8")
+        except UnicodeDecodeError:
+            continue
+        return "utf-8"
+    return "cp1252" if any(len(run) % 2 for run in re.findall(rb"[\x80-\xff]+", head[:-1])) else "cp949"
+
+
+def style_of(lines: list[str]) -> Style:
+    """Separator and decimal sign by which the most cells of the last lines are numbers and the fewest are none."""
+    last = [line for line in lines[-200:] if line.strip()]
+    best, most = Style(",", ".", sure=False), -1
+    for decimal, other in (".,", ",."):
+        plain = re.compile(_PLAIN[decimal], re.IGNORECASE)
+        for separator in _SEPARATORS:
+            rows = (_cells(line, separator) for line in last if separator != BLANKS or not re.search("[;\t|]", line))
+            cells = [cell for row in rows if len(row) > 1 for cell in row if cell]
+            numbers = [cell for cell in cells if _is_number(cell, decimal)]
+            score = sum(3 if plain.fullmatch(cell) else 1 if " " in cell else 2 for cell in numbers) - len(cells)
+            if numbers and score > most:
+                sure = any(not _NUMBER[other].fullmatch(cell) for cell in numbers if _NUMBER[decimal].fullmatch(cell))
+                best, most = Style(separator, decimal, sure), score
+    return best
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    line = line.replace("\0", "")
+    if separator == BLANKS:
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    return bool(_NUMBER[decimal].fullmatch(cell)) or (decimal == "," and bool(_NUMBER["."].fullmatch(cell)))
+
+
+def header_of(lines: list[str], style: Style) -> Header:
     """Header of a block that begins with `lines`. Raises ValueError if no row of numbers is among them."""
-    rows = list(csv.reader([line.replace("\0", "") for line in lines], delimiter=separator, skipinitialspace=True))
-    rows = [[cell.strip() for cell in row] for row in rows]
+    rows = [_cells(line, style.separator) for line in lines]
     marked = (k for k, row in enumerate(rows) if row and row[0].lower() == FIRST_NUMBERS)
     first = next(marked, None)
     if first is None:
-        first = next((k for k in range(len(rows)) if _numbers_begin(rows, k, decimal)), None)
+        first = next((k for k in range(len(rows)) if _numbers_begin(rows, k, style.decimal)), None)
     if first is None:
         raise ValueError("there is no row of numbers in it")
-    lead = 1 if rows[first] and rows[first][0] and not _is_number(rows[first][0], decimal) and _led(rows, first) else 0
+    led = rows[first] and rows[first][0] and not _is_number(rows[first][0], style.decimal) and _led(rows, first)
+    lead = 1 if led else 0
     body = rows[first][lead:]
     width = len(body) - (1 if len(body) > 2 and body[-1] == "" and _ends_empty(rows[first:]) else 0)
-    above = [row for row in rows[:first] if any(row)]
+    above = _header_rows(lines[:first], rows[:first], width, style.separator)
+    if style[:2] == (",", ".") and any(width == 2 * len(row) and not any(map(_plain_number, row)) for row in above):
+        raise ValueError(
+            f"line {first + 1} has {width} cells under half as many names: its decimal commas separate columns, too; "
+            "write decimal points, or semicolons between the columns"
+        )
     grouped = _by_clock(above)
     names, units = _keyed(grouped or above, width) if lead or grouped else _plain(above, width)
-    stated = tuple(known(unit) or in_name(name) for name, unit in zip(names, units, strict=True))
-    steps = [row[1] for row in above if row[0].lower() == "delta_x" and len(row) > 1 and _is_number(row[1], decimal)]
-    step = float(steps[0].replace(decimal, ".")) if steps else 0.0
-    return Header(first, lead, _distinct(names), stated, step)
+    apart = [split_unit(name)[1] for name in names]
+    units = [stated(unit) or behind for unit, behind in zip(units, apart, strict=True)]
+    return Header(first, lead, _distinct(names), tuple(units), *stated_step(_properties(above)))
+
+
+def _plain_number(cell: str) -> bool:
+    return _is_number(cell, ".")
+
+
+def _header_rows(lines: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
+    """Rows above the numbers; where none is as wide, the lines by any separator that makes them so."""
+    bare = [line.strip().lstrip("#%").strip() for line in lines]
+    if separator == BLANKS:
+        rows = [line.split() for line in bare]
+    if width > 1 and not any(width <= len(row) <= width + 3 for row in rows):
+        for way in (r"\s{2,}", r"\s*;\s*", r"\s*\t\s*", r"\s*,\s*", r"\s+"):
+            split = [re.split(way, line) for line in bare]
+            if any(len(cells) == width for cells in split):
+                rows = split
+                break
+    return [row for row in rows if any(row)]
+
+
+def _properties(above: list[list[str]]) -> Iterator[tuple[str, str]]:
+    """Cells with what stands next to them and below them, where that is a number."""
+    for k, row in enumerate(above):
+        for j, cell in enumerate(row):
+            below = above[k + 1][j] if k + 1 < len(above) and len(above[k + 1]) > j else ""
+            beside = next((one for one in row[j + 1 :] if one), "")
+            for value in (beside, below):
+                if cell and re.match(r"[+-]?[\d.,]", value):
+                    yield cell, value
+                    break
 
 
 def _by_clock(above: list[list[str]]) -> list[list[str]]:
@@ -88,18 +220,6 @@ def _by_clock(above: list[list[str]]) -> list[list[str]]:
         return []
     clock = dict.fromkeys(UNIT_KEYS, "ms")
     return [[row[0], *(clock.get(row[0].lower(), "") if cell == row[0] else cell for cell in row)] for row in above]
-
-
-def numeric_cells(line: str, separator: str, decimal: str) -> int:
-    """Number of numeric cells in a line; 0 where there are fewer than two."""
-    cells = next(iter(csv.reader([line.replace("\0", "")], delimiter=separator)), [])
-    count = sum(_is_number(cell.strip(), decimal) for cell in cells)
-    return count if len(cells) > 1 else 0
-
-
-def _is_number(cell: str, decimal: str) -> bool:
-    plain = cell.replace(",", ".") if decimal == "," and "." not in cell else cell
-    return _NUMBER.fullmatch(plain) is not None
 
 
 def _numbers_begin(rows: list[list[str]], at: int, decimal: str) -> bool:
@@ -137,17 +257,21 @@ def _keyed(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
 
 def _plain(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
     """Of the rows as wide as the numbers the last in which most cells differ, and the last of units if there is one."""
-    wide = [row for row in reversed(above) if width <= len(row) <= width + 1]
+    wide = [row for row in reversed(above) if width <= len(row) <= width + 3]
     units = next(filter(_are_units, wide), []) if len(wide) > 1 else []
-    names = max((row for row in wide if row is not units), key=lambda row: len(set(row)), default=[])
+    names = max((row for row in wide if row is not units), key=lambda row: len(set(row[:width])), default=[])
     return _filled_cells(names[:width], width), [*units[:width], *[""] * (width - len(units))]
 
 
 def _are_units(row: list[str]) -> bool:
     """Return whether a row holds units: most are known, or all stand in brackets."""
-    cells = [cell for cell in row if cell and cell not in ("-", "[-]")]
+    cells = [cell for cell in row if cell and cell not in ("-", "[-]") and not _is_number(cell, ",")]
     bracketed = all(cell[0] in "[(" and cell[-1] in "])" for cell in cells)
-    return not cells or bracketed or 2 * sum(bool(known(cell)) for cell in cells) > len(cells)
+    return (
+        (not cells and not any(row))
+        or bool(cells and bracketed)
+        or 2 * sum(bool(known(cell)) for cell in cells) > len(cells)
+    )
 
 
 def _filled_cells(names: list[str], width: int) -> list[str]:
@@ -162,189 +286,173 @@ def _distinct(names: list[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-_HEAD = 1 << 16
-"""Bytes inspected to detect a file's format."""
-_SEPARATORS = (";", "\t", ",")
-_TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
-"""A line that begins with a word: what stands above a block of numbers."""
+def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
+    """Blocks of numbers below their headers; most files are one, read by pandas in one go."""
 
+    def text() -> Iterator[str]:
+        with path.open(encoding=encoding, errors="replace") as file:
+            yield from (line.rstrip("\r\n") for line in file)
 
-def delimited_columns(path: Path) -> Columns:
-    """Read a table of text. Raises ValueError, OSError, pandas.errors.EmptyDataError if it cannot be read."""
-    with path.open("rb") as file:
-        head = file.read(_HEAD)
-    if not head.strip():
-        raise pd.errors.EmptyDataError(str(path))
-    if head.lstrip()[:1] == b"<":
-        raise ValueError("it is a web page or XML, not a table")
-    encoding = _encoding(head)
-    text = head.decode(encoding, errors="replace")
-    separator, decimal = _style(text.splitlines()[:-1] if len(head) == _HEAD else text.splitlines())
-    blocks, notes = _joined(_blocks(path, encoding, separator, decimal))
-    found = Columns(notes=notes)
-    for header, frame in blocks:
-        _take(header, frame, found)
-    if len({len(values) for values in found.series.values()}) == 1 and len(set(found.clocks.values())) <= 1:
-        found.clocks.clear()
-    return found
-
-
-def _joined(blocks: Iterable[tuple[Header, pd.DataFrame]]) -> tuple[list[tuple[Header, pd.DataFrame]], list[str]]:
-    """Blocks, those put together whose header is the same, or without names, while the time goes on; and notes."""
-    found: list[tuple[Header, pd.DataFrame]] = []
-    joined = again = 0
-    for header, frame in blocks:
-        before, above = found[-1] if found else (header, frame)
-        alike = header.names in (before.names, tuple(_filled_cells([], len(before.names))))
-        if found and alike and _goes_on(before.names, above, frame):
-            found[-1] = before, pd.concat([above, frame], ignore_index=True)
-            joined += 1
-            continue
-        again += bool(found) and alike
-        found.append((header, frame))
-    notes = []
-    if joined:
-        times = "once" if joined == 1 else f"{joined} times"
-        notes.append(f"a header or other words stand among the numbers {times}: what follows was joined to them")
-    if again:
-        notes.append(
-            f"its header comes {again + 1} times and the time begins again: the later parts are columns of their own "
-            "and a map takes one part only; give each part as a file of its own"
-        )
-    return found, notes
-
-
-def _goes_on(names: tuple[str, ...], above: pd.DataFrame, below: pd.DataFrame) -> bool:
-    """Return whether the times of one block follow those of another: of the column named so, else of the first."""
-    time = next((k for k, name in enumerate(names) if named_like_time(name)), 0)
-    parts = [frame[time].to_numpy(dtype=np.float64) for frame in (above, below)]
-    last, first = parts[0][np.isfinite(parts[0])], parts[1][np.isfinite(parts[1])]
-    return len(last) > 1 and len(first) > 0 and runs_forward(last) and first[0] >= last[-1]
-
-
-def _encoding(head: bytes) -> str:
-    """Encoding by the byte order mark; without one UTF-8 if valid, else a code page of Windows.
-
-    That of Western Europe, or that of Korea where bytes beyond ASCII come in pairs.
-    """
-    marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-    for mark, encoding in marks.items():
-        if head.startswith(mark):
-            return encoding
-    if head[1::2].count(0) > len(head) // 4:
-        return "utf-16-le"
-    for cut in range(4):  # a character may be cut in two where the head ends
-        try:
-            head[: len(head) - cut].decode("utf-8")
-        except UnicodeDecodeError:
-            continue
-        return "utf-8"
-    return "cp1252" if any(len(run) % 2 for run in re.findall(rb"[\x80-\xff]+", head[:-1])) else "cp949"
-
-
-def _style(lines: list[str]) -> tuple[str, str]:
-    """Separator and decimal sign: those by which the most cells of the last lines are numbers."""
-    last = [line for line in lines[-200:] if line.strip()]
-    counts = {
-        (separator, decimal): sum(numeric_cells(line, separator, decimal) for line in last)
-        for decimal in (".", ",")
-        for separator in _SEPARATORS
-    }
-    best = max(counts, key=lambda style: counts[style])
-    return best if counts[best] else (",", ".")
-
-
-def _blocks(path: Path, encoding: str, separator: str, decimal: str) -> Iterator[tuple[Header, pd.DataFrame]]:
-    """Headers with their numbers; most files are one such block, read by pandas in one go."""
-    lines: list[str] = []
-    with path.open(encoding=encoding, errors="replace") as file:
-        for line in file:
-            lines.append(line.rstrip("\r\n"))
-            if len(lines) > 400:
-                break
-    header = header_of(lines, separator, decimal)
+    header = header_of(list(islice(text(), 400)), style)
     try:
         with path.open(encoding=encoding, errors="replace") as file:
-            yield header, _numbers(file, header, separator, decimal)
+            frame = _read(file, header, style)
+        if not _holds_headers(frame, style):
+            yield _columns(header, frame, style, lambda: islice(text(), header.length, None), header.length)
             return
     except (ValueError, pd.errors.ParserError):
         pass
-    rest = path.read_text(encoding=encoding, errors="replace").splitlines()
-    some = False
-    while rest:
+    rest, at, above = list(text()), 0, header
+    while at < len(rest):
         try:
-            header = header_of(rest[:400], separator, decimal)
+            header = header_of(rest[at : at + 400], style)
         except ValueError:
-            if some:
+            if at:
                 return  # words below the last number
             raise
-        some = True
-        end = next((k for k in range(header.length + 1, len(rest)) if _TEXT.match(rest[k])), len(rest))
-        yield header, _numbers(StringIO("\n".join(rest[:end])), header, separator, decimal, strict=False)
-        rest = rest[end:]
+        if header.names == tuple(_filled_cells([], len(above.names))):  # words, no header
+            header = Header(header.length, above.lead, above.names, above.units, above.start, above.step)
+        begin = at + header.length
+        ends = (k for k in range(begin + 1, len(rest)) if _is_words(rest[k], style))
+        end = next(ends, len(rest))
+        frame = _read(StringIO("\n".join(rest[at:end])), header, style)
+        yield _columns(header, frame, style, partial(iter, rest[begin:end]), begin)
+        at, above = end, header
 
 
-def _numbers(source: object, header: Header, separator: str, decimal: str, *, strict: bool = True) -> pd.DataFrame:
-    """The block's numbers; if `strict`, a header among them is a ValueError: a new block begins there."""
+def _is_words(line: str, style: Style) -> bool:
+    return bool(_TEXT.match(line)) and not _mostly_numbers(_cells(line, style.separator), style.decimal)
+
+
+def _holds_headers(frame: pd.DataFrame, style: Style) -> bool:
+    """Return whether rows look like a header of a new block: words in the first cell, and no numbers beside it."""
+    first = frame.iloc[:, 0]
+    if first.dtype != object:
+        return False
+    worded = first.astype(str).str.match(_TEXT.pattern, case=False) & first.notna()
+    if worded.all() or not worded.any():
+        return False
+    rows = frame[worded].iloc[:20].astype(str).to_numpy()
+    return not all(_mostly_numbers([*filter(lambda cell: cell != "nan", row)], style.decimal) for row in rows)
+
+
+def _read(source: object, header: Header, style: Style) -> pd.DataFrame:
+    """The block's cells: numbers where pandas reads them all, else texts."""
     width = len(header.names) + header.lead
     frame = pd.read_csv(
-        source, sep=separator, decimal=decimal, header=None, names=range(width), usecols=range(header.lead, width),
-        index_col=False, skiprows=header.length, skipinitialspace=True, skip_blank_lines=True, low_memory=False,
-        float_precision="round_trip" if decimal == "." else "high",
+        source, sep=style.separator, decimal=style.decimal, header=None, names=range(width),
+        usecols=range(header.lead, width), index_col=False, skiprows=header.length, skipinitialspace=True,
+        skip_blank_lines=True, low_memory=False, na_values=MISSING, dtype=None if style.sure else str,
+        float_precision="round_trip" if style.decimal == "." else "high",
     )  # fmt: skip
     if not len(frame):
         raise pd.errors.EmptyDataError("no rows")
-    if decimal == ",":  # a column with a word in it was not converted
-        texts_there = frame.select_dtypes("object").columns
-        frame[texts_there] = frame[texts_there].apply(lambda column: column.str.replace(",", ".", regex=False))
-    numbers = frame.apply(pd.to_numeric, errors="coerce")
-    broken = frame.notna() & numbers.isna()
-    texts = [column for column in frame if broken[column].all() or not numbers[column].notna().any()]
-    if strict and broken.drop(columns=texts).to_numpy().any() and _holds_headers(frame[broken.any(axis=1)]):
-        raise ValueError("another block")
-    for column in numbers.columns[numbers.isna().all()]:
-        numbers[column] = _times_of_day(frame[column])
-    numbers.columns = pd.RangeIndex(len(header.names))
-    return numbers
+    frame.columns = pd.RangeIndex(len(header.names))
+    return frame
 
 
-def _times_of_day(cells: pd.Series) -> FloatArray:
+def _columns(
+    header: Header, frame: pd.DataFrame, style: Style, lines: Callable[[], Iterator[str]], begin: int
+) -> Columns:
+    """A block's columns. `lines`: those of its numbers, of which `begin` others stand above."""
+    found, numbers = Columns(), []
+    body = ((begin + k + 1, line) for k, line in enumerate(lines()) if line.strip())
+    if style.separator == BLANKS and frame.iloc[:-1, -1].isna().any():
+        short = next((k for k, line in body if len(line.split()) < frame.shape[1]), 0)
+        raise ValueError(
+            f"line {short} has fewer numbers than the others, and blanks do not say which is missing: write nan in its "
+            "place, or separate the columns by another sign"
+        )
+    for k, name in enumerate(header.names):
+        values, bad = numbers_of(frame[k], style.decimal, sure=style.sure)
+        if bad is not None:
+            line = next(islice(((begin + i + 1) for i, one in enumerate(lines()) if one.strip()), bad, None), 0)
+            found.broken[name] = (
+                f"{str(frame[k][bad])[:40]!r} in line {line} of {name!r} is not a number as the others of its column "
+                "are: write it as they are, without thousands separators, or leave the cell empty where nothing was "
+                "measured"
+            )
+        numbers.append(values)
+    _take(header, numbers, found)
+    return found
+
+
+def numbers_of(cells: pd.Series, decimal: str = ".", *, sure: bool = True) -> tuple[FloatArray, int | None]:
+    """Numbers of a column, and the first cell that is none where others are; NaN throughout where none is.
+
+    Signs are decided by all cells together: `decimal` with thousands, the other decimal sign, times of day. Unless it
+    is `sure`, a column that can be read by both signs is not read.
+    """
+    if cells.dtype != object:
+        return cells.to_numpy(dtype=np.float64), None
+    text = cells.astype(str).str.strip().str.replace("\u2212", "-").where(cells.notna(), "")
+    given = (text != "").to_numpy()
+    read: list[tuple[npt.NDArray[np.bool_], FloatArray]] = []
+    for sign in (decimal, "," if decimal == "." else "."):
+        fits = text.str.fullmatch(_NUMBER[sign].pattern, case=False).to_numpy(dtype=bool)
+        bare = text.where(fits, "nan").str.replace(f"[{_THOUSANDS.replace(sign, '')}]", "", regex=True)
+        read.append((fits, bare.str.replace(",", ".").to_numpy(dtype=np.float64)))
+    (fits, values), (others_fit, others) = read
+    if fits[given].all():
+        unlike = others_fit & given & ~np.isclose(values, others, equal_nan=True)
+        if not sure and unlike.any() and others_fit[given].all():
+            return np.full(len(text), np.nan), int(np.argmax(unlike))
+        return values, None
+    if others_fit[given].all():
+        return others, None
+    times = _times_of_day(text)
+    if np.isfinite(times[given]).all():
+        return times, None
+    best = max((fits, others_fit, np.isfinite(times)), key=lambda one: int(np.sum(one & given)))
+    if not np.any(best & given):
+        return np.full(len(text), np.nan), None
+    bad = int(np.argmax(given & ~best))
+    if bad == len(text) - 1:  # the file ends within it
+        return (values if best is fits else others if best is others_fit else times), None
+    return np.full(len(text), np.nan), bad
+
+
+def _times_of_day(text: pd.Series) -> FloatArray:
     """Times of day, with or without a date, in s since the first midnight; NaN in a cell without one."""
-    parts = cells.astype(str).str.lower().str.replace(",", ".").str.extract(_CLOCK)
-    seconds = parts[[0, 1, 2]].to_numpy(dtype=np.float64) @ np.array([3600.0, 60.0, 1.0])
-    halves = parts[3].notna()
-    seconds[halves] = seconds[halves] % 43200.0 + 43200.0 * (parts[3][halves] == "p")
+    parts = text.str.lower().str.extract(_CLOCK)
+    hours = parts[0].astype(float)
+    behind = parts[4].fillna("0")
+    scale = np.where(parts[3] == ":", np.where(behind.str.len() > 3, 1e6, 1e3), 10.0 ** behind.str.len())
+    seconds = (60.0 * parts[1].astype(float) + parts[2].astype(float) + behind.astype(float) / scale).to_numpy()
+    seconds[hours.isna() & ((parts[3] == ":") | parts[3].isna())] = np.nan  # 10:00 is hours and minutes
+    seconds += 3600.0 * hours.fillna(0.0).to_numpy()
+    halves = parts[5].notna().to_numpy()
+    seconds[halves] = seconds[halves] % 43200.0 + 43200.0 * (parts[5][halves] == "p").to_numpy()
     told = np.isfinite(seconds)
-    seconds[told] = np.unwrap(seconds[told], period=86400.0)
+    seconds[told] = np.unwrap(seconds[told], period=86400.0 if hours.notna().any() else 3600.0)
     return np.asarray(seconds)
 
 
-def _holds_headers(rows: pd.DataFrame) -> bool:
-    """Whether rows that are not numbers look like a header of a new block: words in most of their first cells."""
-    first = rows.iloc[:, 0].astype(str)
-    return bool(first.str.match(_TEXT.pattern, case=False).any())
-
-
-def _take(header: Header, frame: pd.DataFrame, found: Columns) -> None:
+def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
     """Add a block's columns; a column of times is the clock of those to its right, and kept once."""
     series, clocks = found.series, found.clocks
-    columns = [frame[k].to_numpy(dtype=np.float64) for k in range(len(header.names))]
-    times = [
-        k
-        for k, name in enumerate(header.names)
-        if named_like_time(name) and runs_forward(columns[k][_filled(columns[k])])
-    ]
+    times = [k for k, name in enumerate(header.names) if is_time(name, columns[k][_filled(columns[k])])]
     clock = ""
     steps: FloatArray = np.empty(0)
-    if header.step and not times:
-        steps = np.arange(len(frame), dtype=np.float64) * header.step
+    counter = next((k for k, one in enumerate(columns) if counts_rows(one[_filled(one)])), None)
+    if header.step and (not times or (counter is not None and times == [counter] and not known(header.units[counter]))):
+        rows = columns[counter] if counter is not None else np.arange(len(columns[0]), dtype=np.float64)
+        times, steps = [], header.start + header.step * rows
         clock = found.add("time", steps, "s")
+        found.notes.append(f"its rows are {1e3 * header.step:g} ms apart, as its header says")
+    elif header.step and header.units[times[0]] in UNITS:
+        own = float(np.nanmedian(np.diff(columns[times[0]]))) * UNITS[header.units[times[0]]]
+        if not 0.99 < own / header.step < 1.01:
+            found.notes.append(
+                f"its header says that rows are {1e3 * header.step:g} ms apart, its times {1e3 * own:g} ms: taken are "
+                "the times"
+            )
     for k, name in enumerate(header.names):
         if k in times and clock and np.array_equal(columns[k], steps, equal_nan=True):
             continue  # the clock of the columns to the left again
         there = _filled(columns[k])
         if not np.isfinite(columns[k]).any():
-            found.other.append(name)
+            found.other.extend([name] * (name not in found.broken))
             continue
         column = unique(name, series)
         if header.units[k]:
@@ -353,9 +461,9 @@ def _take(header: Header, frame: pd.DataFrame, found: Columns) -> None:
             series[column], clock, steps = columns[k][there], column, columns[k]
         elif clock and _thinned(columns[k], steps):
             sampled = np.isfinite(columns[k]) & np.isfinite(steps)
-            own = next((one for one in clocks.values() if np.array_equal(series[one], steps[sampled])), "")
-            own = own or unique(f"{clock} of {column}", series)
-            series[own], series[column], clocks[column] = steps[sampled], columns[k][sampled], own
+            own_clock = next((one for one in clocks.values() if np.array_equal(series[one], steps[sampled])), "")
+            own_clock = own_clock or unique(f"{clock} of {column}", series)
+            series[own_clock], series[column], clocks[column] = steps[sampled], columns[k][sampled], own_clock
         elif clock and len(series[clock]) < len(columns[k]):
             series[column], clocks[column] = columns[k][_filled(steps)], clock
         else:

@@ -7,7 +7,8 @@ two (asammdf, npTDMS) are installed for them alone. ControlDesk exports .mat fil
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -16,29 +17,58 @@ from typing import Any
 import h5py
 import numpy as np
 from nptdms import TdmsFile
+from nptdms.reader import TdmsReader
 from scipy.io import loadmat
+from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import (
     Columns,
     assign_clocks_of_equal_length,
-    known,
-    named_like_time,
-    runs_forward,
+    is_time,
+    merged,
+    stated_step,
+    tell_days,
     unique,
 )
+from hydro_diagnosis.io.units import known, stated
 from hydro_diagnosis.recording import InputError
 
 
 @contextmanager
-def _read_as(kind: str) -> Iterator[None]:
-    """Raise ValueError for whatever a reader stumbles over in a damaged file, but OSError as it is."""
+def _read_as(kind: str, notes: list[str] | None = None) -> Iterator[None]:
+    """Raise ValueError for whatever a reader stumbles over in a damaged file, but OSError as it is.
+
+    Its warnings are not printed: a note takes their place.
+    """
+    heard = _Heard()
+    loggers = [logging.getLogger(name) for name in (*logging.root.manager.loggerDict,) if name.startswith(_READERS)]
+    kept = [(logger, logger.handlers, logger.propagate) for logger in loggers]
+    for logger in loggers:
+        logger.handlers, logger.propagate = [heard], False
     try:
         yield
     except OSError:
         raise
     except Exception as error:
         raise ValueError(f"not {kind} that can be read ({error})") from None
+    finally:
+        for logger, handlers, propagate in kept:
+            logger.handlers, logger.propagate = handlers, propagate
+    if heard.warned and notes is not None:
+        notes.append("the file was cut off: read up to where it ends")
+
+
+_READERS = ("nptdms", "asammdf")
+
+
+class _Heard(logging.Handler):
+    """Whether a reader has warned."""
+
+    warned = False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.warned = self.warned or record.levelno >= logging.WARNING
 
 
 def matlab_columns(path: Path) -> Columns:
@@ -54,13 +84,37 @@ def matlab_columns(path: Path) -> Columns:
     captures = [value for value in variables.values() if _is_capture(value)]
     if len(captures) == 1 == len(variables):
         return _capture(captures[0])
-    return leaves_as_columns((name, value, "") for name, value in _leaves(variables))
+    found = leaves_as_columns((name, value, "", ()) for name, value in _leaves(variables))
+    return _without_objects(found, [name for name, value in _leaves(variables) if _is_opaque(value)])
 
 
-def leaves_as_columns(leaves: Iterator[tuple[str, Any, str]]) -> Columns:
-    """Arrays, numbers and the rest by name and unit as columns, single numbers and others."""
+def _is_opaque(value: Any) -> bool:
+    return isinstance(value, (MatlabOpaque, MatlabFunction))
+
+
+def _without_objects(found: Columns, objects: list[str]) -> Columns:
+    """The columns with a note on objects beside them; raises ValueError if there is nothing else."""
+    if not objects:
+        return found
+    named = ", ".join(name if name not in ("None", "") else "one" for name in objects)
+    said = (
+        f"{named}: timetables, tables, timeseries and other objects of MATLAB can be read by MATLAB only: save the "
+        "numbers, of a timetable T by `T = timetable2table(T); s.time = seconds(T{:,1} - T{1,1}); "
+        "s.data = T{:,2:end}; save('run.mat', '-struct', 's')`"
+    )
+    if not found.series:
+        raise ValueError(said)
+    found.notes.append(said)
+    return found
+
+
+def leaves_as_columns(leaves: Iterator[tuple[str, Any, str, Iterable[tuple[str, Any]]]]) -> Columns:
+    """Arrays, numbers and the rest by name, unit and properties as columns, single numbers and others.
+
+    Columns whose properties state a step get times by it.
+    """
     found = Columns()
-    for name, value, unit in leaves:
+    for name, value, unit, properties in leaves:
         array = np.asarray(value)
         if array.dtype.kind not in "fiub" or array.ndim > 2 or array.size == 0:
             found.other.append(name)
@@ -70,6 +124,11 @@ def leaves_as_columns(leaves: Iterator[tuple[str, Any, str]]) -> Columns:
             columns = split(name, array.astype(np.float64))
             found.series.update(columns)
             found.units.update(dict.fromkeys(columns, unit) if unit else {})
+            start, step = stated_step(properties)
+            if step:
+                times = start + step * np.arange(len(next(iter(columns.values()))), dtype=np.float64)
+                found.clocks.update(dict.fromkeys(columns, _master(times, found)))
+    tell_days(found)
     assign_clocks_of_equal_length(found)
     return found
 
@@ -164,30 +223,36 @@ def hdf5_columns(path: Path) -> Columns:
     """
     if not is_hdf5(path):
         raise ValueError("not an HDF5 file that can be read")
+    objects: list[str] = []
     with h5py.File(path, "r") as file:
-        return leaves_as_columns(_hdf5_leaves(file, ""))
+        return _without_objects(leaves_as_columns(_hdf5_leaves(file, "", objects)), objects)
 
 
-def _hdf5_leaves(group: h5py.Group, prefix: str) -> Iterator[tuple[str, Any, str]]:
+def _hdf5_leaves(
+    group: h5py.Group, prefix: str, objects: list[str]
+) -> Iterator[tuple[str, Any, str, Iterable[tuple[str, Any]]]]:
     for key, item in group.items():
         if key.startswith("#"):  # where MATLAB keeps what its cells refer to
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(item, h5py.Group):
-            yield from _hdf5_leaves(item, name)
+            yield from _hdf5_leaves(item, name, objects)
+        elif isinstance(item, h5py.Dataset) and "MATLAB_object_decode" in item.attrs:
+            objects.append(f"{name} ({_text(item.attrs.get('MATLAB_class', 'object'))})")
         elif isinstance(item, h5py.Dataset):
             yield from _dataset(item, name)
 
 
-def _dataset(item: h5py.Dataset, name: str) -> Iterator[tuple[str, Any, str]]:
+def _dataset(item: h5py.Dataset, name: str) -> Iterator[tuple[str, Any, str, Iterable[tuple[str, Any]]]]:
     """One array, or the fields of a table; texts come as texts, which are no columns."""
-    unit = known(_text(next((item.attrs[key] for key in _UNIT_KEYS if key in item.attrs), "")))
+    unit = stated(_text(next((item.attrs[key] for key in _UNIT_KEYS if key in item.attrs), "")))
+    steps = [(key, _text(value)) for one in (item, item.parent) for key, value in one.attrs.items()]
     if item.dtype.names:
-        yield from ((f"{name}.{field}", item[field], "") for field in item.dtype.names)
+        yield from ((f"{name}.{field}", item[field], "", steps) for field in item.dtype.names)
     elif _text(item.attrs.get("MATLAB_class", "")) in ("char", "cell") or item.dtype.kind not in "fiub":
-        yield name, "", ""
+        yield name, "", "", ()
     else:
-        yield name, np.asarray(item[()]), unit
+        yield name, np.asarray(item[()]), unit, steps
 
 
 def _text(value: Any) -> str:
@@ -219,14 +284,29 @@ def mdf_columns(path: Path) -> Columns:
 
 
 def _channels(file: Any) -> Columns:
-    found = Columns()
+    """Channels of all groups; those that a group marks as invalid are no numbers."""
+    parts: dict[int, Columns] = {}
     for signal in file.iter_channels(skip_master=True):
-        values = np.asarray(signal.samples)
-        if values.dtype.kind not in "fiub" or values.ndim != 1 or len(values) < 2:
+        found, samples = parts.setdefault(signal.group_index, Columns()), np.asarray(signal.samples)
+        if samples.dtype.kind not in "fiub" or samples.ndim != 1 or len(samples) < 2:
             found.other.append(unique(str(signal.name), found.series))
             continue
-        name = found.add(str(signal.name), values.astype(np.float64), str(signal.unit))
+        values: FloatArray = samples.astype(np.float64)
+        invalid = np.zeros(len(values), dtype=bool)
+        if signal.invalidation_bits is not None:
+            invalid = np.asarray(signal.invalidation_bits, dtype=bool)
+            values[invalid] = np.nan
+        name = found.add(str(signal.name), values, str(signal.unit))
         found.clocks[name] = _master(np.asarray(signal.timestamps, dtype=np.float64), found)
+        if invalid.any():
+            found.notes.append(
+                f"{int(invalid.sum())} of {len(values)} samples of {name!r} are marked as invalid: left out"
+            )
+    found = merged(parts.values())
+    if len(set(found.clocks.values())) > 1:  # groups sampled together share a clock
+        first: dict[bytes, str] = {}
+        same = {clock: first.setdefault(found.series[clock].tobytes(), clock) for clock in {*found.clocks.values()}}
+        found.clocks.update({name: same[clock] for name, clock in found.clocks.items()})
     return found
 
 
@@ -237,26 +317,78 @@ def _master(times: FloatArray, found: Columns) -> str:
     return next(same, "") or found.add("time", times, "s")
 
 
+class _Starts(TdmsReader):
+    """Reader that keeps what a channel says of its start where it began again: the file keeps the last only."""
+
+    def __init__(self, path: str) -> None:
+        super().__init__(path)
+        self.starts: dict[str, list[tuple[int, np.datetime64]]] = {}
+        """By channel: number of its first sample, and when that was taken."""
+
+    def _update_object_metadata(self, segment: Any) -> None:
+        self._before = {path: one.num_values for path, one in self.object_metadata.items()}
+        super()._update_object_metadata(segment)
+
+    def _update_object_properties(self, properties: Any) -> None:
+        super()._update_object_properties(properties)
+        for path, pairs in (properties or {}).items():
+            start = dict(pairs).get("wf_start_time")
+            if start is not None and (at := start.as_datetime64("ns")) > np.datetime64("1971"):
+                self.starts.setdefault(path, []).append((self._before.get(path, 0), at))
+
+
 def tdms_columns(path: Path) -> Columns:
     """Channels by name, with their group in front where there are several; times from the waveform's properties.
 
-    Raises ValueError, OSError if it cannot be read.
+    Channels begin when they say so, and begin again where they say so. Raises ValueError, OSError if it cannot be read.
     """
-    with _read_as("a TDMS file"):
-        file = TdmsFile.read(str(path))
     found = Columns()
+    with _read_as("a TDMS file", found.notes):
+        file, reader = TdmsFile.read(str(path)), _Starts(str(path))
+        reader.read_metadata()
+        reader.close()
     series, groups = found.series, file.groups()
+    earliest = min((one[0][1] for one in reader.starts.values()), default=np.datetime64(0, "ns"))
+    unsaid: list[str] = []
     for group in groups:
         prefix = f"{group.name}." if len(groups) > 1 else ""
         named = _numbers(group, prefix, found)
-        waveforms: dict[tuple[float, float, int], str] = {}
-        times = [name for name in named if named_like_time(name) and runs_forward(series[name])]
+        times = [name for name in named if is_time(name, series[name])]
         for name, channel in named.items():
-            clock = _clock(channel, len(series[name]), waveforms, prefix, found)
-            same = [time for time in times if len(series[time]) == len(series[name])]
-            if clock or same:
-                found.clocks[name] = clock or same[0]
+            step, length = float(channel.properties.get("wf_increment", 0.0)), len(series[name])
+            same = [time for time in times if len(series[time]) == length]
+            if step > 0.0:
+                starts = reader.starts.get(channel.path, [])
+                unsaid += [name] * (not starts)
+                own = _waveform(starts, earliest, step, length)
+                own += float(channel.properties.get("wf_start_offset", 0.0))
+                found.clocks[name] = _clock(own, prefix, found)
+            elif same:
+                found.clocks[name] = same[0]
+    if reader.starts and unsaid:
+        found.notes.append(
+            f"{', '.join(unsaid)} does not say when it was started: taken is with the first of the others"
+        )
+    for name in sorted({clock for clock in found.clocks.values() if (series[clock][:1] > 0.0).any()}):
+        found.notes.append(f"{name!r} was started {1e3 * series[name][0]:.6g} ms after the first")
     return found
+
+
+def _waveform(starts: list[tuple[int, np.datetime64]], earliest: np.datetime64, step: float, length: int) -> FloatArray:
+    """Times [s] of a waveform since the earliest start, in which a start that goes on as counted is none."""
+    times: FloatArray = step * np.arange(length, dtype=np.float64)
+    for first, start in starts:
+        begin = float((start - earliest) / np.timedelta64(1, "ns")) * 1e-9
+        if first < length and (first == 0 or abs(begin - times[first]) > 0.5 * step):
+            times[first:] = begin + step * np.arange(length - first, dtype=np.float64)
+    return times
+
+
+def _clock(times: FloatArray, prefix: str, found: Columns) -> str:
+    """Name of the column that holds these times, which is added if there is none of the group."""
+    clocks = (clock for clock in dict.fromkeys(found.clocks.values()) if clock.startswith(prefix))
+    same = (clock for clock in clocks if np.array_equal(found.series[clock], times))
+    return next(same, "") or found.add(f"{prefix}time", times, "s")
 
 
 def _numbers(group: Any, prefix: str, found: Columns) -> dict[str, Any]:
@@ -272,21 +404,3 @@ def _numbers(group: Any, prefix: str, found: Columns) -> dict[str, Any]:
         unit = str(channel.properties.get("unit_string", channel.properties.get("NI_UnitDescription", "")))
         named[found.add(name, values.astype(np.float64), unit)] = channel
     return named
-
-
-def _clock(
-    channel: Any,
-    length: int,
-    waveforms: dict[tuple[float, float, int], str],
-    prefix: str,
-    found: Columns,
-) -> str:
-    """Name of the column of times that a channel's waveform properties make; empty if it has none."""
-    step = float(channel.properties.get("wf_increment", 0.0))
-    if step <= 0.0:
-        return ""
-    start = float(channel.properties.get("wf_start_offset", 0.0))
-    if (start, step, length) not in waveforms:
-        times = start + step * np.arange(length, dtype=np.float64)
-        waveforms[start, step, length] = found.add(f"{prefix}time", times, "s")
-    return waveforms[start, step, length]

@@ -10,9 +10,10 @@ the sample that begins there, which up to 1 ms is what acted from this row to th
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,12 @@ from hydro_bridge.bags.location import is_bag, is_there
 from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
-from hydro_diagnosis.io.column_map import ColumnMap, Source
-from hydro_diagnosis.io.columns import UNITS, Columns, in_name
-from hydro_diagnosis.io.delimited import delimited_columns
+from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
+from hydro_diagnosis.io.columns import Columns, tell_days
+from hydro_diagnosis.io.delimited import delimited_columns, numbers_of
 from hydro_diagnosis.io.measurement_files import hdf5_columns, is_hdf5, matlab_columns, mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
+from hydro_diagnosis.io.units import OFFERED, known, quantity, split_unit, to_si
 from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, UnusableRecordingError, unreadable
 
 SLOWER = 1.2
@@ -43,12 +45,14 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     notes = list(found.notes)
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
     base = base_of(sources, found)
-    times = partial(_times_of, found=found, mapped=sources.get("time"))
+    times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
     time = times(base)
     fields, clocks = {}, []
     for field, source in sources.items():
         if field == "time":
             continue
+        if source.column in found.broken:
+            raise InputError(found.broken[source.column])
         own = found.clocks.get(source.column, base) if source.column else base
         length = len(found.series[source.column]) if source.column in found.series else len(time)
         values = source.of(found.series, found.constants, length)
@@ -71,11 +75,20 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
 
 
 def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> Source:
-    """A source that is taken as it is, in the unit that the file states."""
-    unit = found.units.get(source.column, "")
+    """A source that is taken as it is, in the unit that the file states. Raises InputError: the field has no such."""
+    unit = found.unit(source.column)
     if not source.plain or not unit:
         return source
-    if UNITS.get(unit) != 1.0:
+    wanted = QUANTITY_OF.get(field, "")
+    if wanted and quantity(unit) != wanted:
+        what = f"a {quantity(unit)}, in {unit}" if known(unit) else f"in {unit!r}, which is no unit that is known here"
+        there = "no field is one" if quantity(unit) not in QUANTITY_OF.values() else f"{field} is a {wanted}"
+        example = replace(source, steps=(("*", 0.001),))
+        raise InputError(
+            f"{source.column!r} is {what}: {there}; a unit or a factor to SI in the map takes its place, such as "
+            f"{field}={replace(source, unit=next(iter(OFFERED[wanted])))} or {field}={example}"
+        )
+    if to_si(unit) != 1.0:
         notes.append(f"{field} is in {unit}, as the file says of {source.column!r}")
     return replace(source, unit=unit)
 
@@ -91,13 +104,49 @@ def base_of(sources: Mapping[str, Source], found: Columns) -> str:
     return max(sorted(set(owners)), key=lambda clock: (owners.count(clock), len(found.series[clock])))
 
 
-def _times_of(clock: str, found: Columns, mapped: Source | None) -> FloatArray:
+def _times_of(clock: str, found: Columns, mapped: Source | None, notes: list[str]) -> FloatArray:
     """Times of a clock in s; what the map says of one holds for all of which the file states no unit."""
-    if mapped is not None and (clock == mapped.column or clock not in found.units):
+    if clock in found.broken:
+        raise InputError(found.broken[clock])
+    if mapped is not None and (clock == mapped.column or not found.unit(clock)):
         source = replace(mapped, column=clock)
     else:
-        source = Source(clock, unit=found.units.get(clock, "s"))
-    return source.of(found.series, found.constants, len(found.series.get(clock, ())))
+        source = _in_unit("time", Source(clock), found, [])
+    times = source.of(found.series, found.constants, len(found.series.get(clock, ())))
+    return _between_ticks(clock, times, notes)
+
+
+TICKS = 0.1
+"""Share of rows that repeat the time before from which a clock is one of coarse ticks."""
+
+
+def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArray:
+    """Times of rows that a clock of coarse ticks stamped: evenly apart, by counting them.
+
+    Raises InputError if their number from tick to tick says that rows are missing, so that no count tells when.
+    """
+    steps = np.diff(times)
+    if not np.isfinite(times).all() or np.any(steps < 0.0) or not TICKS < np.mean(steps == 0.0) < 1.0:
+        return times
+    first = np.flatnonzero(steps > 0.0) + 1
+    tick = float(np.median(np.diff(times[first]))) if len(first) > 1 else 0.0
+    if len(first) < 3 or tick == 0.0:
+        raise InputError(f"{clock!r} has {len(first)} steps in {len(times)} rows, too few to be the time: {COUNTED}")
+    fitted = float(np.polyfit(first, times[first], 1)[0])
+    tried = (float(f"{fitted:.{digits}g}") for digits in range(1, 5))
+    step = next((one for one in tried if np.ptp(times[first] - one * first) < 1.01 * one), fitted)
+    begin = float(np.median(times[first] - step * first))
+    even: FloatArray = begin + step * np.arange(len(times), dtype=np.float64)
+    if np.any(np.abs(even - times)[first] > 0.5 * tick + step):
+        raise InputError(
+            f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms, between which rows are missing, so that it does not "
+            f"say when each was taken: {COUNTED}"
+        )
+    notes.append(
+        f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms: its rows were placed {1e3 * step:.4g} ms apart, by "
+        "counting them"
+    )
+    return even
 
 
 def _moved(field: str, own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray | None:
@@ -185,11 +234,29 @@ def read_columns(path: Path) -> Columns:
 
 
 def _parquet(path: Path) -> Columns:
-    frame = pd.read_parquet(path)
-    numbers = {str(name): pd.to_numeric(frame[name], errors="coerce") for name in frame.columns}
-    kept = {name: values.to_numpy(dtype=np.float64) for name, values in numbers.items() if values.notna().any()}
-    units = {name: unit for name in kept if (unit := in_name(name))}
-    return Columns(kept, other=[name for name in numbers if name not in kept], units=units)
+    """Columns and index of a data frame; dates, durations and texts are read as those of a text table."""
+    frame, found = pd.read_parquet(path), Columns()
+    columns = [(str(name), cells) for name, cells in frame.items()]
+    if not isinstance(frame.index, pd.RangeIndex):
+        levels = (frame.index.get_level_values(k).to_series() for k in range(frame.index.nlevels))
+        columns = [(str(one.name or ("time" if one.dtype.kind in "fmM" else "index")), one) for one in levels] + columns
+    for name, cells in columns:
+        unit = split_unit(name)[1]
+        if cells.dtype.kind in "mM":
+            start = cells.iloc[0] if cells.dtype.kind == "M" else pd.Timedelta(0)
+            values, bad, unit = (cells - start).dt.total_seconds().to_numpy(dtype=np.float64), None, "s"
+        elif pd.api.types.is_numeric_dtype(cells):
+            values, bad = cells.to_numpy(dtype=np.float64, na_value=np.nan), None
+        else:
+            values, bad = numbers_of(cells.astype(object))
+        if bad is not None:
+            found.broken[name] = f"{cells.iloc[bad]!r} in row {bad + 1} of {name!r} is not a number as the others are"
+        elif np.isfinite(values).any():
+            found.add(name, values, unit)
+        else:
+            found.other.append(name)
+    tell_days(found)
+    return found
 
 
 def _mat(path: Path) -> Columns:
@@ -290,7 +357,7 @@ def from_bag(path: Path) -> RawTable:
 
 def _bag(path: Path, rows: int | None = None) -> Bag:
     try:
-        bag = read_bag(path, (STATE_TOPIC,), rows)
+        bag = read_bag(path, (STATE_TOPIC,), rows, salvages=True)
         empty = not len(bag.state)
     except RecordingError as error:
         raise InputError(str(error)) from None
@@ -299,15 +366,15 @@ def _bag(path: Path, rows: int | None = None) -> Bag:
     return bag
 
 
+ROW = "row"
+"""Name under which a map takes the number of a row, from 0, where the file has no column of it."""
+COUNTED = "where its rows are even, count them: --columns time=row*0.001,... at 1 kHz"
+
+
 def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
     """Read one recording of which the columns are known already. Raises InputError: as `read_table`."""
-    chosen = (columns or ColumnMap({})).completed(found.series)
+    chosen = (columns or ColumnMap({})).completed([*found.series, *found.broken])
     there = _some(found.series)
-    if "time" not in chosen.sources and not found.clocks:
-        raise InputError(
-            f"{path}: no column is the time: map one by --columns time=NAME,..., or let `inspect {path.name} --write "
-            f"map.yaml` propose a map; there are {there}"
-        )
     if not set(chosen.sources) - {"time"}:
         lacks, hint = "no column carries the name of a BenchState field", " (`inspect` proposes a map)"
         if columns is not None:
@@ -315,11 +382,23 @@ def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
         raise InputError(
             f"{path}: {lacks}: map them by --columns time=NAME,piston_position=NAME[mm],...{hint}; there are {there}"
         )
+    if "time" not in chosen.sources and not found.clocks:
+        steps = [name for name in found.constants if re.search(r"(^|[._])(dt|fs|ts|t_?s|f_?s)$", name, re.IGNORECASE)]
+        counted = (
+            f"{ROW}/{steps[0]}" if steps and steps[0][-2].lower() == "f" else f"{ROW}*{steps[0] if steps else 0.001}"
+        )
+        raise InputError(
+            f"{path}: no column is the time: name it by time=NAME in --columns, or count the rows where they are even: "
+            f'--columns "time={counted},{chosen}"{"" if steps else " at 1 kHz"}; there are {there}'
+        )
+    if any(source.column == ROW for source in chosen.sources.values()) and ROW not in found.series:
+        length = max(len(found.series.get(source.column, ())) for source in chosen.sources.values())
+        found = replace(found, series={**found.series, ROW: np.arange(length, dtype=np.float64)})
     try:
         time, fields, notes = fields_of(found, chosen)
+        units = {name: _in_unit(name, source, found, []).unit for name, source in chosen.sources.items()}
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    units = {name: _in_unit(name, source, found, []).unit for name, source in chosen.sources.items()}
     return RawTable(path.stem, time, None, fields, tuple(notes), {name: unit for name, unit in units.items() if unit})
 
 

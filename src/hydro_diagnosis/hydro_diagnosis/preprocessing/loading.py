@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.bags.location import is_bag, is_there
+from hydro_diagnosis.bench_numbers import refuse_unconnected
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, read_table
 from hydro_diagnosis.io.topics import has_states
@@ -55,6 +56,7 @@ def load_dataset(
     to_check, more_notes = _read(holdout, bench, columns, inspection, spare=True)
     _refuse_twice([*to_fit, *to_check])
     fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
+    refuse_unconnected(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
     _refuse_too_little(fitted, bench, notes)
     fitted = _informative(fitted, "fitted", bench, quality)
     return fitted, _informative(held, "checked on", bench, quality), quality

@@ -309,6 +309,8 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
             raise UnusableRecordingError(
                 f"{name}: the piston position does not change (by {span:.2g} m): nothing can be diagnosed"
             )
+        if knows(bench, "stroke"):
+            _refuse_outside(name, columns["piston_position"], bench.stroke)
     if "valve_current" in columns:
         limit = bench.valve_current_max * 0.999
         share = float(np.mean(np.abs(columns["valve_current"]) >= limit))
@@ -316,6 +318,28 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
             raise UnusableRecordingError(
                 f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples: {REMEDY}"
             )
+
+
+OUTSIDE = 0.2
+"""Share of samples beyond the stroke from which the position's zero or the stroke is another."""
+
+
+def _refuse_outside(name: str, position: FloatArray, stroke: float) -> None:
+    beyond = float(np.mean((position < -STOP_MARGIN) | (position > stroke + STOP_MARGIN)))
+    if beyond < OUTSIDE:
+        return
+    low, high = float(np.nanmin(position)), float(np.nanmax(position))
+    ranges = f"piston_position runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm"
+    if high - low > stroke:
+        raise UnusableRecordingError(
+            f"{name}: {ranges}, further than the stroke of the bench, {1e3 * stroke:.4g} mm: write the rig's own in "
+            "the bench file (--bench), or the column's unit in the map"
+        )
+    raise UnusableRecordingError(
+        f"{name}: {ranges}, the stroke of the bench from 0 to {1e3 * stroke:.4g} mm: its zero is elsewhere; add it in "
+        f"the map, as in --columns piston_position=piston_position{0.5 * (stroke - low - high):+.3g} (judged by the "
+        "middle of its travel)"
+    )
 
 
 def _stands(columns: dict[str, FloatArray]) -> bool:

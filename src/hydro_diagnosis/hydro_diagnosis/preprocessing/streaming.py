@@ -159,7 +159,7 @@ def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Itera
 def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
     """`STRETCH` samples at a time; what is left comes last."""
     parts: list[StateArray] = []
-    for block in stream_bag(path, notes=notes):
+    for block in stream_bag(path, notes=notes, salvages=True):
         parts.append(block)
         while sum(map(len, parts)) >= STRETCH:
             states = np.concatenate(parts)

@@ -41,7 +41,7 @@ def recording_entry(path: str | Path) -> dict[str, Any]:
     if not is_bag(path):
         return {"name": path.stem, "begin": None}
     try:
-        return {"name": path.name, "begin": float(next(stream_bag(path))["time"][0])}
+        return {"name": path.name, "begin": float(next(stream_bag(path, salvages=True))["time"][0])}
     except (RecordingError, StopIteration, IndexError):  # a bag of other topics
         return {"name": path.stem, "begin": None}
 

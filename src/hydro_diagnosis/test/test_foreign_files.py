@@ -1,0 +1,409 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What users of loggers ran into, one small file each with its right answer: read so, or refused in so many words."""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import struct
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat
+
+from hydro_diagnosis import inspect_command
+from hydro_diagnosis.column_proposal import proposed
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.columns import Columns
+from hydro_diagnosis.io.table import RawTable, columns_of, read_table, table_of
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.recording import InputError
+from hydro_sim.model.bench import Bench
+from tests.checks import ran, status_of
+
+N = 400
+K = np.arange(N)
+T = 1e-3 * K
+F = 900.0 * np.sin(0.02 * K) + 0.5
+"""N."""
+X = 40.0 + 12.0 * np.sin(0.02 * K)
+"""mm."""
+BENCH = Bench.nominal()
+Array = npt.NDArray[np.float64]
+
+
+def lines(head: str, *columns: Sequence[str] | Array, sign: str = ",", form: str = "{:.6f}") -> str:
+    """A text table: a header, then rows; numbers are written by `form`."""
+    cells = [[one if isinstance(one, str) else form.format(one) for one in column] for column in columns]
+    return "\n".join([*([head] if head else []), *(sign.join(row) for row in zip(*cells, strict=True))]) + "\n"
+
+
+def quoted(values: Array, form: str = "{:,.3f}", signs: str = ",.") -> list[str]:
+    """Numbers with thousands, by their signs for thousands and decimals."""
+    return [f'"{form.format(one).translate(str.maketrans(",.", signs))}"' for one in values]
+
+
+def german(values: Array, form: str = "{:,.3f}") -> list[str]:
+    return [form.format(one).translate(str.maketrans(",.", ".,")) for one in values]
+
+
+def clock(form: Callable[[float], str]) -> list[str]:
+    return [form(36000.0 + one) for one in T]
+
+
+def hms(at: float, sign: str) -> str:
+    ms = round(1e3 * at)
+    return f"{ms // 3600000:02d}:{ms // 60000 % 60:02d}:{ms // 1000 % 60:02d}{sign}{ms % 1000:03d}"
+
+
+HEAD, SEMICOLONS = "time,load_force,piston_position [mm]", "time;load_force;piston_position [mm]"
+BIG = 5.0 * F
+SERIAL = 45000.0 + (36000.0 + T) / 86400.0
+PLACE = {"piston_position": 1e-3 * X}
+TWO_MS = {"time": 2.0 * T, "load_force": F}
+
+
+def table(*columns: Sequence[str] | Array, head: str = HEAD) -> str:
+    """Time, force and position, of which the first are given."""
+    return lines(head, *columns, *(T, F, X)[len(columns) :])
+
+
+def europe(force: Sequence[str], times: Sequence[str] = ()) -> str:
+    """The same between semicolons and by decimal commas."""
+    return lines(SEMICOLONS, times or german(T), force, german(X), sign=";")
+
+
+TEXTS: dict[str, tuple[str, dict[str, Array]]] = {
+    # kind 4: thousands and decimal signs
+    "thousands, quoted": (table(T, quoted(BIG)), {"load_force": BIG}),
+    "thousands in the time": (table(quoted(999.8 + T)), {"time": 999.8 + T}),
+    "German thousands": (europe(german(BIG)), {"load_force": BIG}),
+    "Swiss thousands": (table(T, quoted(BIG, signs="'.")), {"load_force": BIG}),
+    "narrow spaces": (europe(quoted(BIG, signs="\u202f,")), {"load_force": BIG}),
+    "Indian groups": (table(T, [f'"1,23,{400 + k % 99}.5"' for k in K]), {"load_force": 123400.5 + K % 99}),
+    "whole thousands in a German file": (europe(german(np.round(BIG), "{:,.0f}")), {"load_force": np.round(BIG)}),
+    "points among decimal commas": (europe([f"{one:.6f}" for one in F]), {"load_force": F}),
+    "true minus signs": (table(T, [f"{one:.6f}".replace("-", "\u2212") for one in F]), {"load_force": F}),
+    "decimal commas between blanks": (
+        lines("# time load_force x_mm", *(german(one, "{:.6f}") for one in (T, F, X)), sign=" "),
+        {"load_force": F} | PLACE),
+    # kind 8: separators, times, names
+    "numpy.savetxt": (lines("", T, F, X, sign=" ", form="{:.18e}"), {"time": T, "load_force": F} | PLACE),
+    "blanks at both ends": (
+        "".join(f"  {a:.3f}   {b:.6f}  {c:.6f} \n" for a, b, c in zip(T, F, X, strict=True)), {"time": T} | PLACE),
+    "names between commas above blanks": (
+        lines("#time(s),Pos(in),Force(lbf)", T, X / 25.4, F / 4.4482216152605, sign="  ", form="{:.9f}"),
+        {"load_force": F} | PLACE),
+    "bars between the columns": (lines(HEAD.replace(",", "|"), T, F, X, sign="|"), {"load_force": F}),
+    "Excel serial days": (table([f"{one:.11f}" for one in SERIAL]), {"time": T}),
+    "Excel's clock alone": (table([f"{one % 1.0:.12f}" for one in SERIAL]), {"time": T}),
+    "MATLAB's datenum": (table([f"{one + 693960.0:.11f}" for one in SERIAL]), {"time": T}),
+    "milliseconds behind a colon": (table(clock(lambda at: hms(at, ":"))), {"time": T}),
+    "milliseconds behind a comma": (europe(german(F), clock(lambda at: hms(at, ","))), {"time": T}),
+    "dates with a colon": (table(clock(lambda at: f"2024-05-01 {hms(at, ':')}")), {"time": T}),
+    "ISO 8601 with a zone": (table(clock(lambda at: f"2024-05-01T{hms(at, '.')}+02:00")), {"time": T}),
+    "minutes and seconds": (table([hms(3599.8 + one, ".")[3:] for one in T]), {"time": T}),
+    "CamelCase": (
+        lines("Name,JibPaCyl,JibPbCyl,JibPistonPosition,JibXRef", 10.0 * K, X, 2.0 * X, 1e-3 * X, 1e-3 * X),
+        {"pressure_a": 1e5 * X, "pressure_b": 2e5 * X, "time": 10.0 * T} | PLACE),
+    "CamelCase with units": (
+        lines("RunTime [ms],CylinderForce [kN],RodPosition [mm]", K, 1e-3 * F, X),
+        {"time": T, "hydraulic_force": F} | PLACE),
+    "a column without a number": (
+        lines("time,load_force,Spare,piston_position [mm]", T, F, ["nan"] * N, X), {"load_force": F}),
+    # kind 5: what the header says of time
+    "a scope's increment": (
+        "X,F_load,x,Start,Increment,\nSequence,N,mm,0.0e+00,2.0e-03\n" + lines("", K, F, X, [""] * N, [""] * N),
+        TWO_MS),
+    "a sample rate": ("Sample rate [Hz];500\n" + lines("load_force;x [mm]", F, X, sign=";"), TWO_MS),
+    "a sample interval": ("Sample Interval,2 ms\n" + lines("load_force,x [mm]", F, X), TWO_MS),
+    "a count named time": ("dt,0.002\n" + table([str(k) for k in K]), TWO_MS),
+    "started again, with a header": (
+        lines(HEAD, T[:200], F[:200], X[:200]) + lines(HEAD, 5.0 + T[200:], F[200:], X[200:]),
+        {"time": np.r_[T[:200], 5.0 + T[200:]], "load_force": F}),
+    # kind 10: clocks of coarse ticks
+    "ticks of 15.6 ms": (table(np.floor(T / 0.015625) * 0.015625), {"time": T}),
+    "whole seconds": (table([hms(36000.0 + one // 0.1, ".")[:8] for one in T]), {"time": 10.0 * T}),
+    "ticks of 10 ms": (table(np.floor(100.0 * T) / 100.0), {"time": T}),
+    # kind 9: a stated unit is the unit
+    "kip": (lines("t,force (kip)", T, F / 4448.2216152605, form="{:.12f}"), {"load_force": F}),
+    "micronewton": (lines("t,load_force [uN]", T, 1e6 * F), {"load_force": F}),
+    "kilopond": (lines("t,Kraft [kp]", T, F / 9.80665, form="{:.9f}"), {"load_force": F}),
+    "kp/cm²": (lines("t,x [mm],pA [kp/cm²]", T, X, 2.0 * X), {"pressure_a": 98066.5 * 2.0 * X}),
+    "mm_s": (lines("t,pos_mm,vel_mm_s", T, X, F), {"piston_velocity": 1e-3 * F} | PLACE),
+    "current_A": (lines("t,pos_mm,current_A", T, X, F), {"valve_current": F}),
+    "in and strokes": (lines("Zeit in ms,Kraft in kN,Weg / mm", K, 1e-3 * F, X), {"load_force": F, "time": T} | PLACE),
+    "PSI in capitals": (lines("t,x [mm],PA [PSI]", T, X, 1e3 + X), {"pressure_a": 6894.757293168361 * (1e3 + X)}),
+}  # fmt: skip
+"""Text, and what its proposed map must read; times are compared from the first on."""
+
+
+def as_proposed(path: Path) -> RawTable:
+    found = columns_of(path)
+    return table_of(path, found, proposed(found, BENCH))
+
+
+def holds(table: RawTable, answer: Mapping[str, Array], within: float = 1e-5) -> None:
+    for field, values in answer.items():
+        read = table.time if field == "time" else table.columns[field]
+        wanted, read = (values - values[0], read - read[0]) if field == "time" else (values, read)
+        size = 1.0 if field == "time" else float(np.max(np.abs(values)))
+        np.testing.assert_allclose(read, wanted, rtol=0.0, atol=within * size, err_msg=field)
+
+
+@pytest.mark.parametrize("case", TEXTS)
+def test_a_text_is_read_as_a_person_reads_it(case: str, tmp_path: Path) -> None:
+    text, answer = TEXTS[case]
+    path = tmp_path / "run.csv"
+    path.write_text(text, encoding="utf-8")
+    unnamed = "time='column 0',load_force='column 1',piston_position='column 2'[mm]"
+    holds(
+        as_proposed(path) if "column 0" not in columns_of(path).series else read_table(path, ColumnMap.load(unnamed)),
+        answer,
+    )
+
+
+def spoilt(values: Array, at: int, cell: str) -> list[str]:
+    return [cell if k == at else f"{one:.3f}" for k, one in enumerate(values)]
+
+
+FORCE = "time=time,load_force="
+REFUSED: dict[str, tuple[str, str, str]] = {
+    # kind 4
+    "a word among numbers": (table(T, spoilt(F, 7, "OVL")), "", r"'OVL' in line 9 of 'load_force' is not a number"),
+    "a number with a unit in one row": (table(T, spoilt(F, 70, "12.5 N")), "", "'12.5 N' in line 72"),
+    "a time that is none": (table(spoilt(T, 30, "late")), "", "'late' in line 32 of 'time'"),
+    "two decimal signs in a column": (
+        europe([f"{one:.2f}".replace(".", ",."[k % 2]) for k, one in enumerate(F)]), "",
+        r"in line \d+ of 'load_force' is not a number"),
+    "thousands or decimals": (
+        lines("time\tload_force", [str(k) for k in K], [f"{1 + k % 9}.{100 + k}" for k in K], sign="\t"), "",
+        r"'1.100' in line 2 of 'load_force' is not a number as"),
+    "commas that are both": (
+        lines("time,load_force", [f"0,{k:03d}" for k in K], [f"1,{k}" for k in K]), "",
+        "line 2 has 4 cells under half as many names: its decimal commas separate columns"),
+    "a hole between blanks": (
+        lines("", T, F, X, sign=" ").replace(f" {X[50]:.6f}", "", 1), "", "line 51 has fewer numbers"),
+    # kind 9
+    "a force in V": (
+        lines("time,load_force [V]", T, F), FORCE + "'load_force [V]'",
+        r"'load_force \[V\]' is a voltage, in V.*load_force='load_force \[V\]'\*0.001"),
+    "a torque as a force": (lines("time,M [Nm]", T, F), FORCE + "'M [Nm]'", "is a torque, in N[*]m"),
+    "pounds": (
+        lines("time,Force (lbs)", T, F), FORCE + "'Force (lbs)'",
+        r"is a mass, in lbs.*load_force='Force \(lbs\)'\[N\]"),
+    "rad": (lines("time,angle_rad", T, F), "time=time,piston_position=angle_rad", "is a ratio or angle, in rad"),
+    "a unit nobody knows": (lines("time,F [digits]", T, F), FORCE + "'F [digits]'", "'digits', which is no unit that"),
+    "bar for a force": (table(), FORCE + "load_force[bar]", "bar is a unit of pressure: give a factor"),
+    # kind 10
+    "ticks that miss rows": (
+        lines(HEAD, np.floor(np.r_[T[:100], T[180:]] / 0.02) * 0.02, F[:320], X[:320]), "",
+        r"ticks of 20 ms, between which rows are missing.*time=row\*0.001"),
+    "no time": (
+        lines("load_force,piston_position [mm]", F, X), "load_force=load_force",
+        r"count the rows where they are even: --columns \"time=row\*0.001"),
+}  # fmt: skip
+"""Text, map, and the sentence."""
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_read_is_refused_with_the_cell_or_the_step_that_helps(case: str, tmp_path: Path) -> None:
+    text, given, said = REFUSED[case]
+    (tmp_path / "run.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=said) as raised:
+        read_table(tmp_path / "run.csv", ColumnMap.load(given or None))
+    assert "\n" not in str(raised.value)
+
+
+def mdf(path: Path) -> dict[str, Array]:
+    """Every seventh force is marked as invalid; the second group was recorded after a pause."""
+    from asammdf import MDF, Signal
+
+    invalid = K % 7 == 3
+    file = MDF(version="4.10")
+    for begin, part in ((0.0, slice(0, 250)), (3.0, slice(250, N))):
+        times = begin + T[part] - T[part][0]
+        bad = np.where(invalid[part], 1e6, F[part])
+        file.append([Signal(bad, times, name="F_load", unit="N", invalidation_bits=invalid[part]),
+                     Signal(X[part], times, name="x", unit="mm")])  # fmt: skip
+    file.save(path, overwrite=True)
+    file.close()
+    return {
+        "time": np.r_[T[:250], 3.0 + T[:150]],
+        "load_force": np.where(invalid, np.nan, F),
+        "piston_position": 1e-3 * X,
+    }
+
+
+def tdms(path: Path, starts: Mapping[str, float], again: float = 0.0) -> None:
+    """Channels with starts of their own [s]; where `again`, acquisition begins anew at that time."""
+    numbers = {"F_load": (F, "N"), "x": (X, "mm")}
+    base = np.datetime64("2024-05-01T10:00:00", "us")
+
+    def channels(part: slice, at: float) -> list[ChannelObject]:
+        def properties(name: str, unit: str) -> dict[str, object]:
+            start = base + np.timedelta64(round(1e6 * (at + starts[name])), "us")
+            return {"wf_start_time": start, "wf_increment": 1e-3, "wf_start_offset": 0.0, "unit_string": unit}
+
+        return [ChannelObject("card", name, values[part], properties=properties(name, unit))
+                for name, (values, unit) in numbers.items()]  # fmt: skip
+
+    with TdmsWriter(path) as writer:
+        if again:
+            writer.write_segment(channels(slice(0, 250), 0.0))
+            writer.write_segment(channels(slice(250, N), again))
+        else:
+            writer.write_segment(channels(slice(0, N), 0.0))
+
+
+def test_an_mdf_file_says_which_samples_are_invalid_and_that_it_was_started_again(tmp_path: Path) -> None:
+    answer = mdf(tmp_path / "run.mf4")
+    found = as_proposed(tmp_path / "run.mf4")
+    holds(found, answer)
+    assert any("samples of 'F_load' are marked as invalid" in note for note in found.notes)
+    assert any("stopped and started again" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("late", "again"), [(0.012, 0.0), (0.0, 5.0), (0.0, 0.25), (0.0504, 0.0)])
+def test_tdms_channels_begin_when_they_say_so(late: float, again: float, tmp_path: Path) -> None:
+    """12 ms late, on a fraction of a sample late, stopped and started again 5 s later, and written in two segments."""
+    tdms(tmp_path / "run.tdms", {"F_load": late, "x": 0.0}, again)
+    found = columns_of(tmp_path / "run.tdms")
+    times = found.series[found.clocks["F_load"]] - found.series[found.clocks["x"]][0]
+    np.testing.assert_allclose(times, late + np.r_[T[:250], again + T[:150]] if again else late + T, atol=1e-9)
+
+
+def test_a_frame_of_pandas_is_read_with_its_index_dates_and_texts(tmp_path: Path) -> None:
+    stamps = pd.Timestamp("2024-05-01 10:00") + pd.to_timedelta(T, unit="s")
+    frames = {
+        "index": pd.DataFrame({"load_force": F}, index=pd.Index(T, name="t")),
+        "unnamed": pd.DataFrame({"load_force": F}, index=T),
+        "dates": pd.DataFrame({"load_force": F}, index=stamps),
+        "durations": pd.DataFrame({"load_force": F, "time": pd.to_timedelta(T, unit="s")}),
+        "zone": pd.DataFrame({"load_force": F, "timestamp": stamps.tz_localize("Europe/Berlin")}),
+        "texts": pd.DataFrame({"load_force": [f"{one:,.6f}" for one in F], "time": T}),
+        "nullable": pd.DataFrame({"load_force": pd.array(F, dtype="Float64"), "time": T}),
+    }
+    for name, frame in frames.items():
+        frame.to_parquet(tmp_path / f"{name}.parquet")
+        holds(as_proposed(tmp_path / f"{name}.parquet"), {"time": T, "load_force": F}, 1e-6)
+
+
+def test_a_step_among_the_attributes_makes_the_times(tmp_path: Path) -> None:
+    for key, value in (
+        ("dt", 0.002),
+        ("wf_increment", 0.002),
+        ("sample_rate", 500.0),
+        ("Sampling frequency [kHz]", 0.5),
+    ):
+        with h5py.File(tmp_path / "run.h5", "w") as file:
+            file["load_force"], file["x_mm"] = F, X
+            file.attrs[key] = value
+        holds(as_proposed(tmp_path / "run.h5"), {"time": 2.0 * T, "load_force": F, "piston_position": 1e-3 * X})
+
+
+def opaque(name: str) -> bytes:
+    """A .mat file of version 7 with one object of a MATLAB class, as MATLAB writes a timetable."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+    numbers = (
+        element(6, struct.pack("<II", 13, 0))
+        + element(5, struct.pack("<ii", 6, 1))
+        + element(1, b"")
+        + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
+    )
+    body = element(6, struct.pack("<II", 17, 0)) + element(1, name.encode()) + element(1, b"MCOS")
+    body += element(1, b"timetable") + element(14, numbers)
+    return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + element(14, body)
+
+
+def test_objects_of_matlab_are_called_so(tmp_path: Path) -> None:
+    (tmp_path / "v7.mat").write_bytes(opaque("TT"))
+    with h5py.File(tmp_path / "v73.mat", "w", userblock_size=512) as file:
+        item = file.create_dataset("TT", data=np.array([[0xDD000000, 2, 1, 1, 1, 1]], dtype=np.uint32))
+        item.attrs["MATLAB_class"], item.attrs["MATLAB_object_decode"] = np.bytes_("timetable"), np.int32(3)
+    for name in ("v7", "v73"):
+        with pytest.raises(InputError, match="timetable2table"):
+            columns_of(tmp_path / f"{name}.mat")
+    savemat(tmp_path / "rate.mat", {"fs": 500.0, "load_force": F})
+    with pytest.raises(InputError, match=r"time=row/fs") as raised:
+        read_table(tmp_path / "rate.mat")
+    holds(read_table(tmp_path / "rate.mat", ColumnMap.load(advised(str(raised.value)))), {"time": 2.0 * T})
+
+
+def advised(sentence: str) -> str:
+    """The map that a sentence advises."""
+    found = re.search(r'--columns "([^"]+)"', sentence)
+    assert found, sentence
+    return found[1]
+
+
+def test_inspect_writes_no_map_that_diagnose_refuses_and_its_advice_helps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, written = tmp_path / "run.csv", tmp_path / "map.yaml"
+    path.write_text(lines("F_load [N],x [mm]", F, X))
+    assert status_of(inspect_command.main, path, "--write", written) == 2 and not written.exists()
+    said = capsys.readouterr().err
+    assert "`inspect" not in said
+    assert status_of(inspect_command.main, path, "--columns", advised(said), "--write", written) == 0
+    holds(read_table(path, ColumnMap.load(written)), {"time": T, "load_force": F, "piston_position": 1e-3 * X})
+
+
+def test_what_is_printed_survives_a_terminal_of_latin_1(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(lines("time,Öl Δ [N],load_force", T, F, F), encoding="utf-8")
+    result = ran(sys.executable, "-m", "hydro_diagnosis.inspect_command", tmp_path / "run.csv",
+                 env={**os.environ, "PYTHONIOENCODING": "latin-1"}, encoding="latin-1")  # fmt: skip
+    assert result.returncode == 0 and "load_force" in result.stdout and "Traceback" not in result.stderr
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("suffix", ["tdms", "mf4"])
+def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes_or_one_sentence(
+    suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"run.{suffix}"
+    _ = mdf(path) if suffix == "mf4" else tdms(path, {"F_load": 0.0, "x": 0.0})
+    content = path.read_bytes()
+    for share in (0.05, 0.3, 0.9):
+        path.write_bytes(content[: int(share * len(content))])
+        try:
+            found = columns_of(path)
+            assert any("cut off" in note for note in found.notes)
+        except InputError as error:
+            assert "\n" not in str(error)
+    gc.collect()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_lone_force_is_the_springs_only_where_it_goes_with_the_position(tmp_path: Path) -> None:
+    spring = BENCH.spring_stiffness * (1e-3 * X - BENCH.spring_rest_position)
+    for force, field in ((spring, "load_force"), (400.0 * np.sign(np.cos(0.02 * K)), "hydraulic_force")):
+        found = proposed(Columns({"t [s]": T, "x [mm]": X, "Force [N]": force}), BENCH).sources
+        assert found[field].column == "Force [N]" and len(found) == 3
+
+
+def test_a_position_out_of_the_stroke_is_called_so(tmp_path: Path) -> None:
+    time = 1e-3 * np.arange(6000)
+    place = 0.13 * np.sin(2.0 * time)
+    table = RawTable(
+        "run", time, None, {"piston_position": place, "hydraulic_force": 900.0 * np.sign(np.cos(2.0 * time))}
+    )
+    with pytest.raises(InputError, match=r"piston_position runs from -130 to 130 mm.*stroke of the bench.*80 mm"):
+        checked(table, BENCH)
+    larger = replace(BENCH, stroke=0.4)
+    with pytest.raises(InputError, match=r"zero is elsewhere.*piston_position=piston_position\+0\.2"):
+        checked(table, larger)
+    moved = replace(table, columns={**table.columns, "piston_position": place + 0.2})
+    assert checked(moved, larger).segments
