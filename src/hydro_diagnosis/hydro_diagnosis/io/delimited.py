@@ -167,12 +167,13 @@ def header_of(lines: list[str], style: Style) -> Header:
         first = next((k for k in range(len(rows)) if _numbers_begin(rows, k, style.decimal)), None)
     if first is None:
         raise ValueError("there is no row of numbers in it")
-    led = rows[first] and rows[first][0] and not _is_number(rows[first][0], style.decimal) and _led(rows, first)
-    lead = 1 if led else 0
+    lead = _lead(rows, first, style.decimal)
     body = rows[first][lead:]
-    width = len(body) - (1 if len(body) > 2 and body[-1] == "" and _ends_empty(rows[first:]) else 0)
+    ends_empty = all(not row or row[-1] == "" for row in rows[first:])  # a separator behind which nothing stands
+    width = len(body) - (len(body) > 2 and ends_empty)
     above = _header_rows(lines[:first], rows[:first], width, style.separator)
-    if style[:2] == (",", ".") and any(width == 2 * len(row) and not any(map(_plain_number, row)) for row in above):
+    words = [row for row in above if not any(_is_number(cell, ".") for cell in row)]
+    if style[:2] == (",", ".") and any(width == 2 * len(row) for row in words):
         raise ValueError(
             f"line {first + 1} has {width} cells under half as many names: its decimal commas separate columns, too; "
             "write decimal points, or semicolons between the columns"
@@ -181,11 +182,10 @@ def header_of(lines: list[str], style: Style) -> Header:
     names, units = _keyed(grouped or above, width) if lead or grouped else _plain(above, width)
     apart = [split_unit(name)[1] for name in names]
     units = [stated(unit) or behind for unit, behind in zip(units, apart, strict=True)]
-    return Header(first, lead, _distinct(names), tuple(units), *stated_step(_properties(above)))
-
-
-def _plain_number(cell: str) -> bool:
-    return _is_number(cell, ".")
+    distinct: dict[str, None] = {}
+    for name in names:
+        distinct[unique(name, distinct)] = None
+    return Header(first, lead, tuple(distinct), tuple(units), *stated_step(_properties(above)))
 
 
 def _header_rows(lines: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
@@ -225,25 +225,20 @@ def _by_clock(above: list[list[str]]) -> list[list[str]]:
 def _numbers_begin(rows: list[list[str]], at: int, decimal: str) -> bool:
     """Return whether this row and those below are numbers; only its own first cell may be a key."""
     below = [row for row in rows[at + 1 : at + 1 + _FOLLOWING] if any(row)]
-    keyed = bool(rows[at]) and bool(rows[at][0]) and not _is_number(rows[at][0], decimal) and _led(rows, at)
-    here = rows[at][1:] if keyed else rows[at]
+    here = rows[at][_lead(rows, at, decimal) :]
     return _mostly_numbers(here, decimal) and all(_mostly_numbers(row, decimal) for row in below)
 
 
-def _led(rows: list[list[str]], at: int) -> bool:
-    """Return whether the rows below begin with an empty cell, the first of them at least."""
-    return at + 1 >= len(rows) or rows[at + 1][:1] == [""]
+def _lead(rows: list[list[str]], at: int, decimal: str) -> int:
+    """Return 1 where a row begins with a key and the next with an empty cell, else 0."""
+    keyed = any(rows[at][:1]) and not _is_number(rows[at][0], decimal)
+    return int(keyed and (at + 1 >= len(rows) or rows[at + 1][:1] == [""]))
 
 
 def _mostly_numbers(row: list[str], decimal: str) -> bool:
     cells = [cell for cell in row if cell]
     numbers = sum(_is_number(cell, decimal) for cell in cells)
     return len(row) > 1 and numbers > 0 and 2 * numbers > len(cells)
-
-
-def _ends_empty(rows: list[list[str]]) -> bool:
-    """Return whether rows end with a separator behind which nothing stands."""
-    return all(not row or row[-1] == "" for row in rows)
 
 
 def _keyed(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
@@ -266,24 +261,16 @@ def _plain(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
 def _are_units(row: list[str]) -> bool:
     """Return whether a row holds units: most are known, or all stand in brackets."""
     cells = [cell for cell in row if cell and cell not in ("-", "[-]") and not _is_number(cell, ",")]
-    bracketed = all(cell[0] in "[(" and cell[-1] in "])" for cell in cells)
-    return (
-        (not cells and not any(row))
-        or bool(cells and bracketed)
-        or 2 * sum(bool(known(cell)) for cell in cells) > len(cells)
+    if not cells:
+        return not any(row)
+    return all(cell[0] + cell[-1] in ("[]", "()") for cell in cells) or 2 * sum(map(bool, map(known, cells))) > len(
+        cells
     )
 
 
 def _filled_cells(names: list[str], width: int) -> list[str]:
     names = [*names, *[""] * (width - len(names))]
     return [name.lstrip("#% ") or f"column {k}" for k, name in enumerate(names)]
-
-
-def _distinct(names: list[str]) -> tuple[str, ...]:
-    found: dict[str, None] = {}
-    for name in names:
-        found[unique(name, found)] = None
-    return tuple(found)
 
 
 def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
@@ -296,12 +283,12 @@ def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
     header = header_of(list(islice(text(), 400)), style)
     try:
         with path.open(encoding=encoding, errors="replace") as file:
-            frame = _read(file, header, style)
-        if not _holds_headers(frame, style):
-            yield _columns(header, frame, style, lambda: islice(text(), header.length, None), header.length)
-            return
+            whole = _read(file, header, style)
     except (ValueError, pd.errors.ParserError):
-        pass
+        whole = None
+    if whole is not None and not _holds_headers(whole, style):
+        yield _columns(header, whole, style, lambda: islice(text(), header.length, None), header.length)
+        return
     rest, at, above = list(text()), 0, header
     while at < len(rest):
         try:
@@ -313,15 +300,13 @@ def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
         if header.names == tuple(_filled_cells([], len(above.names))):  # words, no header
             header = Header(header.length, above.lead, above.names, above.units, above.start, above.step)
         begin = at + header.length
-        ends = (k for k in range(begin + 1, len(rest)) if _is_words(rest[k], style))
-        end = next(ends, len(rest))
+        words = (k for k in range(begin + 1, len(rest)) if _TEXT.match(rest[k]))
+        end = next(
+            (k for k in words if not _mostly_numbers(_cells(rest[k], style.separator), style.decimal)), len(rest)
+        )
         frame = _read(StringIO("\n".join(rest[at:end])), header, style)
         yield _columns(header, frame, style, partial(iter, rest[begin:end]), begin)
         at, above = end, header
-
-
-def _is_words(line: str, style: Style) -> bool:
-    return bool(_TEXT.match(line)) and not _mostly_numbers(_cells(line, style.separator), style.decimal)
 
 
 def _holds_headers(frame: pd.DataFrame, style: Style) -> bool:
@@ -356,13 +341,14 @@ def _columns(
 ) -> Columns:
     """A block's columns. `lines`: those of its numbers, of which `begin` others stand above."""
     found, numbers = Columns(), []
-    body = ((begin + k + 1, line) for k, line in enumerate(lines()) if line.strip())
     if style.separator == BLANKS and frame.iloc[:-1, -1].isna().any():
-        short = next((k for k, line in body if len(line.split()) < frame.shape[1]), 0)
-        raise ValueError(
-            f"line {short} has fewer numbers than the others, and blanks do not say which is missing: write nan in its "
-            "place, or separate the columns by another sign"
-        )
+        widths = ((begin + k + 1, len(line.split())) for k, line in enumerate(lines()))
+        short = next((k for k, width in widths if 0 < width < frame.shape[1]), 0)
+        if short:
+            raise ValueError(
+                f"line {short} has fewer numbers than the others, and blanks do not say which is missing: write nan in "
+                "its place, or separate the columns by another sign"
+            )
     for k, name in enumerate(header.names):
         values, bad = numbers_of(frame[k], style.decimal, sure=style.sure)
         if bad is not None:

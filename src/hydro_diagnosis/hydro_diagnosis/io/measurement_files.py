@@ -17,6 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 from nptdms import TdmsFile
+from nptdms.log import log_manager
 from nptdms.reader import TdmsReader
 from scipy.io import loadmat
 from scipy.io.matlab import MatlabFunction, MatlabOpaque
@@ -34,41 +35,18 @@ from hydro_diagnosis.io.columns import (
 from hydro_diagnosis.io.units import known, stated
 from hydro_diagnosis.recording import InputError
 
+log_manager.set_level(logging.CRITICAL)  # npTDMS prints what a note says here
+
 
 @contextmanager
-def _read_as(kind: str, notes: list[str] | None = None) -> Iterator[None]:
-    """Raise ValueError for whatever a reader stumbles over in a damaged file, but OSError as it is.
-
-    Its warnings are not printed: a note takes their place.
-    """
-    heard = _Heard()
-    loggers = [logging.getLogger(name) for name in (*logging.root.manager.loggerDict,) if name.startswith(_READERS)]
-    kept = [(logger, logger.handlers, logger.propagate) for logger in loggers]
-    for logger in loggers:
-        logger.handlers, logger.propagate = [heard], False
+def _read_as(kind: str) -> Iterator[None]:
+    """Raise ValueError for whatever a reader stumbles over in a damaged file, but OSError as it is."""
     try:
         yield
     except OSError:
         raise
     except Exception as error:
         raise ValueError(f"not {kind} that can be read ({error})") from None
-    finally:
-        for logger, handlers, propagate in kept:
-            logger.handlers, logger.propagate = handlers, propagate
-    if heard.warned and notes is not None:
-        notes.append("the file was cut off: read up to where it ends")
-
-
-_READERS = ("nptdms", "asammdf")
-
-
-class _Heard(logging.Handler):
-    """Whether a reader has warned."""
-
-    warned = False
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.warned = self.warned or record.levelno >= logging.WARNING
 
 
 def matlab_columns(path: Path) -> Columns:
@@ -84,27 +62,21 @@ def matlab_columns(path: Path) -> Columns:
     captures = [value for value in variables.values() if _is_capture(value)]
     if len(captures) == 1 == len(variables):
         return _capture(captures[0])
-    found = leaves_as_columns((name, value, "", ()) for name, value in _leaves(variables))
-    return _without_objects(found, [name for name, value in _leaves(variables) if _is_opaque(value)])
-
-
-def _is_opaque(value: Any) -> bool:
-    return isinstance(value, (MatlabOpaque, MatlabFunction))
+    leaves = list(_leaves(variables))
+    objects = [name for name, value in leaves if isinstance(value, (MatlabOpaque, MatlabFunction))]
+    return _without_objects(leaves_as_columns((name, value, "", ()) for name, value in leaves), objects)
 
 
 def _without_objects(found: Columns, objects: list[str]) -> Columns:
     """The columns with a note on objects beside them; raises ValueError if there is nothing else."""
-    if not objects:
-        return found
-    named = ", ".join(name if name not in ("None", "") else "one" for name in objects)
-    said = (
-        f"{named}: timetables, tables, timeseries and other objects of MATLAB can be read by MATLAB only: save the "
-        "numbers, of a timetable T by `T = timetable2table(T); s.time = seconds(T{:,1} - T{1,1}); "
-        "s.data = T{:,2:end}; save('run.mat', '-struct', 's')`"
-    )
-    if not found.series:
-        raise ValueError(said)
-    found.notes.append(said)
+    if objects:
+        found.notes.append(
+            f"{', '.join(objects)}: timetables, tables, timeseries and other objects of MATLAB can be read by MATLAB "
+            "only: save the numbers, of a timetable T by `T = timetable2table(T); s.time = seconds(T{:,1} - T{1,1}); "
+            "s.data = T{:,2:end}; save('run.mat', '-struct', 's')`"
+        )
+    if objects and not found.series:
+        raise ValueError(found.notes[-1])
     return found
 
 
@@ -291,11 +263,9 @@ def _channels(file: Any) -> Columns:
         if samples.dtype.kind not in "fiub" or samples.ndim != 1 or len(samples) < 2:
             found.other.append(unique(str(signal.name), found.series))
             continue
-        values: FloatArray = samples.astype(np.float64)
-        invalid = np.zeros(len(values), dtype=bool)
-        if signal.invalidation_bits is not None:
-            invalid = np.asarray(signal.invalidation_bits, dtype=bool)
-            values[invalid] = np.nan
+        bits = signal.invalidation_bits
+        invalid = np.zeros(len(samples), dtype=bool) if bits is None else np.asarray(bits, dtype=bool)
+        values = np.where(invalid, np.nan, samples.astype(np.float64))
         name = found.add(str(signal.name), values, str(signal.unit))
         found.clocks[name] = _master(np.asarray(signal.timestamps, dtype=np.float64), found)
         if invalid.any():
@@ -303,18 +273,17 @@ def _channels(file: Any) -> Columns:
                 f"{int(invalid.sum())} of {len(values)} samples of {name!r} are marked as invalid: left out"
             )
     found = merged(parts.values())
-    if len(set(found.clocks.values())) > 1:  # groups sampled together share a clock
-        first: dict[bytes, str] = {}
-        same = {clock: first.setdefault(found.series[clock].tobytes(), clock) for clock in {*found.clocks.values()}}
-        found.clocks.update({name: same[clock] for name, clock in found.clocks.items()})
+    first: dict[bytes, str] = {}  # groups sampled together share a clock
+    same = {clock: first.setdefault(found.series[clock].tobytes(), clock) for clock in found.clocks.values()}
+    found.clocks.update({name: same[clock] for name, clock in found.clocks.items()})
     return found
 
 
-def _master(times: FloatArray, found: Columns) -> str:
-    """Name of the column that holds these times; groups sampled together share one."""
-    masters = dict.fromkeys(found.clocks.values())
-    same = (name for name in masters if np.array_equal(found.series[name], times))
-    return next(same, "") or found.add("time", times, "s")
+def _master(times: FloatArray, found: Columns, prefix: str = "") -> str:
+    """Name of the column that holds these times, which is added if there is none of the group."""
+    clocks = (clock for clock in dict.fromkeys(found.clocks.values()) if clock.startswith(prefix))
+    same = (clock for clock in clocks if np.array_equal(found.series[clock], times))
+    return next(same, "") or found.add(f"{prefix}time", times, "s")
 
 
 class _Starts(TdmsReader):
@@ -343,10 +312,12 @@ def tdms_columns(path: Path) -> Columns:
     Channels begin when they say so, and begin again where they say so. Raises ValueError, OSError if it cannot be read.
     """
     found = Columns()
-    with _read_as("a TDMS file", found.notes):
+    with _read_as("a TDMS file"):
         file, reader = TdmsFile.read(str(path)), _Starts(str(path))
         reader.read_metadata()
         reader.close()
+        if file.file_status.incomplete_final_segment:
+            found.notes.append("the file was cut off: read up to where it ends")
     series, groups = found.series, file.groups()
     earliest = min((one[0][1] for one in reader.starts.values()), default=np.datetime64(0, "ns"))
     unsaid: list[str] = []
@@ -362,7 +333,7 @@ def tdms_columns(path: Path) -> Columns:
                 unsaid += [name] * (not starts)
                 own = _waveform(starts, earliest, step, length)
                 own += float(channel.properties.get("wf_start_offset", 0.0))
-                found.clocks[name] = _clock(own, prefix, found)
+                found.clocks[name] = _master(own, found, prefix)
             elif same:
                 found.clocks[name] = same[0]
     if reader.starts and unsaid:
@@ -382,13 +353,6 @@ def _waveform(starts: list[tuple[int, np.datetime64]], earliest: np.datetime64, 
         if first < length and (first == 0 or abs(begin - times[first]) > 0.5 * step):
             times[first:] = begin + step * np.arange(length - first, dtype=np.float64)
     return times
-
-
-def _clock(times: FloatArray, prefix: str, found: Columns) -> str:
-    """Name of the column that holds these times, which is added if there is none of the group."""
-    clocks = (clock for clock in dict.fromkeys(found.clocks.values()) if clock.startswith(prefix))
-    same = (clock for clock in clocks if np.array_equal(found.series[clock], times))
-    return next(same, "") or found.add(f"{prefix}time", times, "s")
 
 
 def _numbers(group: Any, prefix: str, found: Columns) -> dict[str, Any]:

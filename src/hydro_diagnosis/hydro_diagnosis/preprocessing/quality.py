@@ -325,20 +325,18 @@ OUTSIDE = 0.2
 
 
 def _refuse_outside(name: str, position: FloatArray, stroke: float) -> None:
-    beyond = float(np.mean((position < -STOP_MARGIN) | (position > stroke + STOP_MARGIN)))
-    if beyond < OUTSIDE:
+    if np.mean((position < -STOP_MARGIN) | (position > stroke + STOP_MARGIN)) < OUTSIDE:
         return
     low, high = float(np.nanmin(position)), float(np.nanmax(position))
-    ranges = f"piston_position runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm"
-    if high - low > stroke:
-        raise UnusableRecordingError(
-            f"{name}: {ranges}, further than the stroke of the bench, {1e3 * stroke:.4g} mm: write the rig's own in "
-            "the bench file (--bench), or the column's unit in the map"
-        )
     raise UnusableRecordingError(
-        f"{name}: {ranges}, the stroke of the bench from 0 to {1e3 * stroke:.4g} mm: its zero is elsewhere; add it in "
-        f"the map, as in --columns piston_position=piston_position{0.5 * (stroke - low - high):+.3g} (judged by the "
-        "middle of its travel)"
+        f"{name}: piston_position runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm, the stroke of the bench from 0 to "
+        f"{1e3 * stroke:.4g} mm: "
+        + (
+            "write the rig's own in the bench file (--bench), or the column's unit in the map"
+            if high - low > stroke
+            else f"its zero is elsewhere; add it in the map, as in --columns piston_position=piston_position"
+            f"{0.5 * (stroke - low - high):+.3g} (judged by the middle of its travel)"
+        )
     )
 
 
