@@ -117,6 +117,7 @@ class Import:
     def _remarks(self, columns: ColumnMap) -> Mapping[str, list[str]]:
         """What looks wrong in the first recording with this map, and what the map leaves out."""
         doubts = improbable(*self._first, columns, self._bench) if self._first else []
+        doubts += self._first[1].broken.values() if self._first else []
         return {"doubts": doubts, "missing": missing(columns)}
 
     def _receive(self, upload: Upload) -> Path:

@@ -96,6 +96,10 @@ TEXTS: dict[str, tuple[str, dict[str, Array]]] = {
     "decimal commas between blanks": (
         lines("# time load_force x_mm", *(german(one, "{:.6f}") for one in (T, F, X)), sign=" "),
         {"load_force": F} | PLACE),
+    "three decimals and nothing else": (lines("time;load_force", K, 2000.0 + X, sign=";", form="{:.3f}"),
+                                        {"load_force": 2000.0 + X}),
+    "exponents of Fortran": (
+        lines("", T, F, X, sign=" ", form="{:.9E}").replace("E", "D"), {"load_force": F} | PLACE),
     # kind 8: separators, times, names
     "numpy.savetxt": (lines("", T, F, X, sign=" ", form="{:.18e}"), {"time": T, "load_force": F} | PLACE),
     "blanks at both ends": (
@@ -110,6 +114,7 @@ TEXTS: dict[str, tuple[str, dict[str, Array]]] = {
     "milliseconds behind a colon": (table(clock(lambda at: hms(at, ":"))), {"time": T}),
     "milliseconds behind a comma": (europe(german(F), clock(lambda at: hms(at, ","))), {"time": T}),
     "dates with a colon": (table(clock(lambda at: f"2024-05-01 {hms(at, ':')}")), {"time": T}),
+    "halves of days": (table([f"5/1/2024 10:00:{one:06.3f} AM" for one in T]), {"time": T}),
     "ISO 8601 with a zone": (table(clock(lambda at: f"2024-05-01T{hms(at, '.')}+02:00")), {"time": T}),
     "minutes and seconds": (table([hms(3599.8 + one, ".")[3:] for one in T]), {"time": T}),
     "CamelCase": (
@@ -126,6 +131,7 @@ TEXTS: dict[str, tuple[str, dict[str, Array]]] = {
         TWO_MS),
     "a sample rate": ("Sample rate [Hz];500\n" + lines("load_force;x [mm]", F, X, sign=";"), TWO_MS),
     "a sample interval": ("Sample Interval,2 ms\n" + lines("load_force,x [mm]", F, X), TWO_MS),
+    "a rate in words": ("Sampling rate: 500 Hz\n" + lines("load_force\tx [mm]", F, X, sign="\t"), TWO_MS),
     "a count named time": ("dt,0.002\n" + table([str(k) for k in K]), TWO_MS),
     "started again, with a header": (
         lines(HEAD, T[:200], F[:200], X[:200]) + lines(HEAD, 5.0 + T[200:], F[200:], X[200:]),
@@ -185,9 +191,12 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     "two decimal signs in a column": (
         europe([f"{one:.2f}".replace(".", ",."[k % 2]) for k, one in enumerate(F)]), "",
         r"in line \d+ of 'load_force' is not a number"),
+    "a column of texts": (table(T, [f"{one:.2f} N" for one in F]), FORCE + "load_force", "holds no numbers"),
     "thousands or decimals": (
-        lines("time\tload_force", [str(k) for k in K], [f"{1 + k % 9}.{100 + k}" for k in K], sign="\t"), "",
-        r"'1.100' in line 2 of 'load_force' is not a number as"),
+        lines("t\tload_force", [str(k) for k in K], [f"{k % 9}.{100 + k}" if k % 9 else "512" for k in K], sign="\t"),
+        "",
+        r"'1.101' in line 3 of 'load_force' is not a number as",
+    ),
     "commas that are both": (
         lines("time,load_force", [f"0,{k:03d}" for k in K], [f"1,{k}" for k in K]), "",
         "line 2 has 4 cells under half as many names: its decimal commas separate columns"),

@@ -207,7 +207,7 @@ def test_as_wired_tries_no_repair_and_a_map_that_repairs_is_enough(runs: list[Ch
     mapped = read(paths, columns=ColumnMap.load("load_force=load_force*-1"))
     assert mapped.wiring == ""
     metres = [written(scaled("piston_position", by=1e3)(one), tmp_path / f"mm{k}.csv") for k, one in enumerate(runs)]
-    with pytest.raises(InputError, match="end stop"):
+    with pytest.raises(InputError, match="the stroke of the bench from 0 to 80 mm"):
         read(metres, as_wired=True)
 
 

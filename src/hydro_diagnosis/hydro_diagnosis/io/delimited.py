@@ -50,7 +50,7 @@ MISSING = ["-", "--", "---", "?", "NaN.", "1.#R"]
 BLANKS = r"\s+"
 _SEPARATORS = (";", "\t", BLANKS, ",", "|")
 _THOUSANDS = ".,'’ \u00a0\u2009\u202f"
-_PLAIN = {sign: rf"[+-]?(?:\d+[{sign}]?\d*|[{sign}]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)" for sign in ".,"}
+_PLAIN = {sign: rf"[+-]?(?:\d+[{sign}]?\d*|[{sign}]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)" for sign in ".,"}
 _GROUPED = {
     sign: rf"[+-]?[1-9]\d{{0,2}}([{_THOUSANDS.replace(sign, '')}])(?:\d{{2,3}}\1)*\d{{3}}(?:[{sign}]\d*)?"
     for sign in ".,"
@@ -166,7 +166,7 @@ def header_of(lines: list[str], style: Style) -> Header:
     if first is None:
         first = next((k for k in range(len(rows)) if _numbers_begin(rows, k, style.decimal)), None)
     if first is None:
-        raise ValueError("there is no row of numbers in it")
+        raise ValueError("there is no row of two numbers or more in it")
     lead = _lead(rows, first, style.decimal)
     body = rows[first][lead:]
     ends_empty = all(not row or row[-1] == "" for row in rows[first:])  # a separator behind which nothing stands
@@ -208,10 +208,10 @@ def _properties(above: list[list[str]]) -> Iterator[tuple[str, str]]:
         for j, cell in enumerate(row):
             below = above[k + 1][j] if k + 1 < len(above) and len(above[k + 1]) > j else ""
             beside = next((one for one in row[j + 1 :] if one), "")
-            for value in (beside, below):
-                if cell and re.match(r"[+-]?[\d.,]", value):
-                    yield cell, value
-                    break
+            key, _, behind = cell.replace("=", ":").partition(":")
+            value = next((one for one in (behind.strip(), beside, below) if re.match(r"[+-]?[\d.,]", one)), "")
+            if cell and value:
+                yield key, value
 
 
 def _by_clock(above: list[list[str]]) -> list[list[str]]:
@@ -237,7 +237,7 @@ def _lead(rows: list[list[str]], at: int, decimal: str) -> int:
 
 def _mostly_numbers(row: list[str], decimal: str) -> bool:
     cells = [cell for cell in row if cell]
-    numbers = sum(_is_number(cell, decimal) for cell in cells)
+    numbers = sum(_is_number(cell, decimal) or bool(re.search(_CLOCK, cell)) for cell in cells)
     return len(row) > 1 and numbers > 0 and 2 * numbers > len(cells)
 
 
@@ -359,6 +359,14 @@ def _columns(
                 "measured"
             )
         numbers.append(values)
+        if style.sure or bad is not None or frame[k].dtype != object or found.notes:
+            continue
+        given = frame[k].dropna()
+        if len(given) and given.str.fullmatch(_GROUPED["," if style.decimal == "." else "."]).all():
+            first = str(given.iloc[0])
+            found.notes.append(
+                f"{style.decimal!r} was taken as the decimal sign: {first!r} as {values[given.index[0]]:g}"
+            )
     _take(header, numbers, found)
     return found
 
@@ -367,7 +375,7 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, sure: bool = True) -> tu
     """Numbers of a column, and the first cell that is none where others are; NaN throughout where none is.
 
     Signs are decided by all cells together: `decimal` with thousands, the other decimal sign, times of day. Unless it
-    is `sure`, a column that can be read by both signs is not read.
+    is `sure`, a column is not read in which some cells have a sign before three digits, the others none.
     """
     if cells.dtype != object:
         return cells.to_numpy(dtype=np.float64), None
@@ -377,11 +385,12 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, sure: bool = True) -> tu
     for sign in (decimal, "," if decimal == "." else "."):
         fits = text.str.fullmatch(_NUMBER[sign].pattern, case=False).to_numpy(dtype=bool)
         bare = text.where(fits, "nan").str.replace(f"[{_THOUSANDS.replace(sign, '')}]", "", regex=True)
-        read.append((fits, bare.str.replace(",", ".").to_numpy(dtype=np.float64)))
+        plain = bare.str.replace(",", ".").str.replace("d", "e", case=False)
+        read.append((fits, plain.to_numpy(dtype=np.float64)))
     (fits, values), (others_fit, others) = read
     if fits[given].all():
         unlike = others_fit & given & ~np.isclose(values, others, equal_nan=True)
-        if not sure and unlike.any() and others_fit[given].all():
+        if not sure and unlike.any() and not unlike[given].all() and others_fit[given].all():
             return np.full(len(text), np.nan), int(np.argmax(unlike))
         return values, None
     if others_fit[given].all():

@@ -42,7 +42,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
 
     Raises InputError if a column or a single number that the map names is not there, or no time belongs to the fields.
     """
-    notes = list(found.notes)
+    notes = [*found.notes, *(f"{name} holds no numbers and was left out" for name in found.other if name in MEASURED)]
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
     base = base_of(sources, found)
     times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
@@ -51,8 +51,8 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     for field, source in sources.items():
         if field == "time":
             continue
-        if source.column in found.broken:
-            raise InputError(found.broken[source.column])
+        if source.column in found.broken or source.column in found.other:
+            raise InputError(found.broken.get(source.column, f"{source.column!r} holds no numbers, or too few"))
         own = found.clocks.get(source.column, base) if source.column else base
         length = len(found.series[source.column]) if source.column in found.series else len(time)
         values = source.of(found.series, found.constants, length)
