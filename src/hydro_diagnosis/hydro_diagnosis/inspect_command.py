@@ -16,7 +16,7 @@ from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
 from hydro_diagnosis.column_proposal import as_yaml, proposed
-from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import Columns, is_time
 from hydro_diagnosis.io.table import columns_of, table_of
 from hydro_diagnosis.io.units import quantity, split_unit, to_si
@@ -182,15 +182,14 @@ def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> 
 def unlike(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
     """Return which columns have the name of a field that lacks, but a unit that is not the field's, a sentence each."""
     taken = {source.column for source in proposal.sources.values()}
-    bare = replace(found, units={}, series={
-        split_unit(name)[0]: values for name, values in found.series.items() if name not in taken
-    })  # fmt: skip
-    units = {split_unit(name)[0]: found.unit(name) for name in found.series}
+    left = {split_unit(name)[0]: name for name in found.series if name not in taken and found.unit(name)}
+    bare = replace(found, units={}, series={own: found.series[name] for own, name in left.items()})
+    likely = {field: left[source.column] for field, source in proposed(bare, bench).sources.items()} if left else {}
     return [
-        f"{source.column!r} may be the {field}, but is in {units[source.column]}: give a factor to SI, as in {field}="
-        f"{replace(source, unit='', steps=(('*', 0.001),))}"
-        for field, source in proposed(bare, bench).sources.items()
-        if field not in proposal.sources and units.get(source.column)
+        f"{name!r} may be the {field}, but is in {found.unit(name)}: give a factor to SI, as in "
+        f"{field}={Source(name, (('*', 0.001),))}"
+        for field, name in likely.items()
+        if field not in proposal.sources and field != "time"
     ]
 
 

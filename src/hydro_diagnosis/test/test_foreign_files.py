@@ -194,9 +194,7 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     "a column of texts": (table(T, [f"{one:.2f} N" for one in F]), FORCE + "load_force", "holds no numbers"),
     "thousands or decimals": (
         lines("t\tload_force", [str(k) for k in K], [f"{k % 9}.{100 + k}" if k % 9 else "512" for k in K], sign="\t"),
-        "",
-        r"'1.101' in line 3 of 'load_force' is not a number as",
-    ),
+        "time=t,load_force=load_force", r"'1.101' in line 3 of 'load_force' is not a number as"),
     "commas that are both": (
         lines("time,load_force", [f"0,{k:03d}" for k in K], [f"1,{k}" for k in K]), "",
         "line 2 has 4 cells under half as many names: its decimal commas separate columns"),
@@ -362,12 +360,16 @@ def test_inspect_writes_no_map_that_diagnose_refuses_and_its_advice_helps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, written = tmp_path / "run.csv", tmp_path / "map.yaml"
-    path.write_text(lines("F_load [N],x [mm]", F, X))
+    path.write_text(lines("F_load [N],x [mm],i_valve [V]", F, X, 2.0 * np.cos(K)))
     assert status_of(inspect_command.main, path, "--write", written) == 2 and not written.exists()
-    said = capsys.readouterr().err
+    shown, said = capsys.readouterr()
     assert "`inspect" not in said
-    assert status_of(inspect_command.main, path, "--columns", advised(said), "--write", written) == 0
-    holds(read_table(path, ColumnMap.load(written)), {"time": T, "load_force": F, "piston_position": 1e-3 * X})
+    assert "'i_valve [V]' may be the valve_current, but is in V" in shown
+    factor = re.search(r"as in (valve_current=\S+ \S+)", shown)
+    assert factor is not None
+    both = f"{advised(said)},{factor[1]}"
+    assert status_of(inspect_command.main, path, "--columns", both, "--write", written) == 0
+    holds(read_table(path, ColumnMap.load(written)), {"time": T, "load_force": F, "valve_current": 2e-3 * np.cos(K)})
 
 
 def test_what_is_printed_survives_a_terminal_of_latin_1(tmp_path: Path) -> None:
