@@ -20,7 +20,9 @@ from __future__ import annotations
 
 import csv
 import re
+from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from io import StringIO
@@ -121,11 +123,8 @@ def _encoding(head: bytes) -> str:
             return encoding
     if head[1::2].count(0) > len(head) // 4:
         return "utf-16-le"
-    for cut in range(4):  # a character may be cut in two where the head ends
-        try:
-            head[: len(head) - cut].decode("utf-8")
-        except UnicodeDecodeError:
-            continue
+    with suppress(UnicodeDecodeError):
+        getincrementaldecoder("utf-8")().decode(head)  # a character may be cut in two where the head ends
         return "utf-8"
     return "cp1252" if any(len(run) % 2 for run in re.findall(rb"[\x80-\xff]+", head[:-1])) else "cp949"
 

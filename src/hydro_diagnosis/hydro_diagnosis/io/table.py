@@ -129,18 +129,18 @@ def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArra
     if not np.isfinite(times).all() or np.any(steps < 0.0) or not TICKS < np.mean(steps == 0.0) < 1.0:
         return times
     first = np.flatnonzero(steps > 0.0) + 1
-    tick = float(np.median(np.diff(times[first]))) if len(first) > 1 else 0.0
-    if len(first) < 3 or tick == 0.0:
-        raise InputError(f"{clock!r} has {len(first)} steps in {len(times)} rows, too few to be the time: {COUNTED}")
-    fitted = float(np.polyfit(first, times[first], 1)[0])
+    tick = float(np.median(np.diff(times[first]))) if len(first) > 2 else 0.0
+    fitted = float(np.polyfit(first, times[first], 1)[0]) if tick else 0.0
     tried = (float(f"{fitted:.{digits}g}") for digits in range(1, 5))
     step = next((one for one in tried if np.ptp(times[first] - one * first) < 1.01 * one), fitted)
     begin = float(np.median(times[first] - step * first))
     even: FloatArray = begin + step * np.arange(len(times), dtype=np.float64)
-    if np.any(np.abs(even - times)[first] > 0.5 * tick + step):
+    if not tick or np.any(np.abs(even - times)[first] > 0.5 * tick + step):
         raise InputError(
             f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms, between which rows are missing, so that it does not "
             f"say when each was taken: {COUNTED}"
+            if tick
+            else f"{clock!r} has {len(first)} steps in {len(times)} rows, too few to be the time: {COUNTED}"
         )
     notes.append(
         f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms: its rows were placed {1e3 * step:.4g} ms apart, by "
