@@ -400,6 +400,15 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes_or_one_sentence(
     assert capfd.readouterr() == ("", "")
 
 
+def test_bags_of_other_formats_are_told_with_what_makes_them_readable(tmp_path: Path) -> None:
+    (tmp_path / "one.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "two.db3").write_bytes(b"SQLite format 3\0")
+    for name, said in (("one.bag", "a bag of ROS 1: rosbags-convert .*--dst-storage mcap"), ("two.db3", "name its folder"),
+                       ("", "without metadata.yaml: `ros2 bag reindex")):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            read_table(tmp_path / name)
+
+
 def test_a_lone_force_is_the_springs_only_where_it_goes_with_the_position(tmp_path: Path) -> None:
     spring = BENCH.spring_stiffness * (1e-3 * X - BENCH.spring_rest_position)
     for force, field in ((spring, "load_force"), (400.0 * np.sign(np.cos(0.02 * K)), "hydraulic_force")):

@@ -335,6 +335,8 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
         return Columns(series, units={"time": "s"}, notes=list(bag.notes), extents=extents)
     if path.suffix.lower() in SUFFIXES:
         return read_columns(path)
+    if path.suffix.lower() in (".bag", ".db3"):
+        _bag(path)  # says what makes it readable
     raise InputError(f"{path}: {unreadable(path)}")
 
 
