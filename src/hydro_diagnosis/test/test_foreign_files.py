@@ -403,8 +403,11 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes_or_one_sentence(
 def test_bags_of_other_formats_are_told_with_what_makes_them_readable(tmp_path: Path) -> None:
     (tmp_path / "one.bag").write_bytes(b"#ROSBAG V2.0\n")
     (tmp_path / "two.db3").write_bytes(b"SQLite format 3\0")
-    for name, said in (("one.bag", "a bag of ROS 1: rosbags-convert .*--dst-storage mcap"), ("two.db3", "name its folder"),
-                       ("", "without metadata.yaml: `ros2 bag reindex")):  # fmt: skip
+    answers = {
+        "one.bag": "a bag of ROS 1: rosbags-convert .*--dst-storage mcap", "two.db3": "name its folder",
+        "": "without metadata.yaml: `ros2 bag reindex",
+    }  # fmt: skip
+    for name, said in answers.items():
         with pytest.raises(InputError, match=said):
             read_table(tmp_path / name)
 
