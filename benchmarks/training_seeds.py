@@ -14,7 +14,7 @@ import torch
 
 from benchmarks._report import parser
 from hydro_core.cli.console import Table, command, progress
-from hydro_policy.envs.vector_env import Transitions
+from hydro_policy.envs.environment import Transitions
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.task.cases import EvaluationSettings

@@ -32,9 +32,9 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_core.signals import STATE_DTYPE
 from hydro_filter.metric import shipped as shipped_metric
 from hydro_msgs.msg import BoxInfo
+from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.nodes.evaluation import require_matching_agent, require_matching_policy
 from hydro_policy.nodes.startup.companions import requested_filter
-from hydro_policy.pretraining.run import SimulationSetup
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, with_provenance

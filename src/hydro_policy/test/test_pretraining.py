@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_policy.envs.randomisation import Randomisation, draw_bench
 from hydro_policy.pretraining.run import load_simulation_setup
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings, load_checkpoint, save_checkpoint
@@ -22,6 +21,7 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import dump
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
+from hydro_policy.task.mdp.events import Randomisation, draw_bench
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from tests.checks import ran

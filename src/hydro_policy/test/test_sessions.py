@@ -22,7 +22,7 @@ from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
-from hydro_policy.task.mdp import StepClock, TaskSettings
+from hydro_policy.task.mdp import StepClock, TaskSettings, rewards
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -86,9 +86,11 @@ def test_curves_and_losses_of_a_run_are_in_its_event_files(tmp_path: Path) -> No
 def test_reward_is_the_paper_s_with_the_page_s_units() -> None:
     error, rate = np.full(10, 30.0), np.full(10, 377.0)
     scaled = TaskSettings(force_rate_scale=3770.0)
-    assert scaled.reward(error, rate) == pytest.approx(-(100 * 0.1**2 + 4000 * 0.1**2))
+    assert rewards.tracking(scaled, error, rate) == pytest.approx(-(100 * 0.1**2 + 4000 * 0.1**2))
     assert TaskSettings().force_rate_scale == pytest.approx(300 * 2 * math.pi * 2)
-    assert scaled.reward(np.array([20.0, 40.0]), np.array([0.0, 754.0])) == pytest.approx(-41.0), "of the means"
+    assert rewards.tracking(scaled, np.array([20.0, 40.0]), np.array([0.0, 754.0])) == pytest.approx(-41.0), (
+        "of the means"
+    )
 
 
 def test_step_falls_on_every_tenth_sequence_number_and_a_gap_spoils_it() -> None:

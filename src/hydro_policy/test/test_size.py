@@ -21,13 +21,13 @@ from hydro_filter.validation.runs import Trial, run
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
-from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
+from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
 from hydro_sim.excitation import Range, schedule_from

@@ -13,8 +13,9 @@ from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
-from hydro_policy.envs.vector_env import Environment, VectorBench, fleet_filter, records
-from hydro_policy.task.mdp import GainRange, StepClock, TaskSettings, observe
+from hydro_policy.envs.environment import Environment
+from hydro_policy.envs.vector_env import VectorBench, fleet_filter, records
+from hydro_policy.task.mdp import GainRange, StepClock, TaskSettings, observe, rewards
 from hydro_sim.box.box import Box, BoxConfig, Integral
 from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
@@ -68,7 +69,7 @@ def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
         for sample in transitions.samples[1]:
             values = np.array([sample[name] for name in STATE_FIELDS])
             step = clock.add(int(sample["sequence"]), values, int(sample["flags"])) or step
-        assert transitions.reward[1] == pytest.approx(task.reward(step.error, step.error_rate), rel=1e-14)
+        assert transitions.reward[1] == pytest.approx(rewards.tracking(task, step.error, step.error_rate), rel=1e-14)
         kp, _ = task.gains.gains(transitions.action[1])
         assert transitions.samples[1]["proportional_gain"][-1] == 15.0 + kp
         before = transitions.action[1]

@@ -211,21 +211,23 @@ class Compensator:
         """Benches whose last step counted, shape (n,)."""
         self.frozen = np.zeros(count, bool)
         """Benches whose coefficients hold on request, shape (n,)."""
+        self._memory = _Memory(
+            found=np.empty((count, *NEUTRAL_TERMS.shape)),
+            states=np.empty((count, 4, ORDER)),
+            last=np.empty((count, 4)),
+            matrix=np.empty((count, *2 * NEUTRAL_TERMS.shape)),
+            vector=np.empty((count, *NEUTRAL_TERMS.shape)),
+            steps=np.empty(count, np.int64),
+            excitation=np.empty(count),
+        )
         self.reset()
 
-    def reset(self) -> None:
-        """Start again, at neutral coefficients."""
-        count = len(self.coefficients)
-        self.coefficients[:] = NEUTRAL
-        self._memory = _Memory(
-            found=np.tile(NEUTRAL_TERMS, (count, 1)),
-            states=np.zeros((count, 4, ORDER)),
-            last=np.zeros((count, 4)),
-            matrix=np.zeros((count, *2 * NEUTRAL_TERMS.shape)),
-            vector=np.zeros((count, *NEUTRAL_TERMS.shape)),
-            steps=np.zeros(count, np.int64),
-            excitation=np.zeros(count),
-        )
+    def reset(self, rows: int | slice = slice(None)) -> None:
+        """Start again with these benches, at neutral coefficients."""
+        self.coefficients[rows] = NEUTRAL
+        for array in self._memory:
+            array[rows] = 0
+        self._memory.found[rows] = NEUTRAL_TERMS
 
     @property
     def excitation(self) -> FloatArray:

@@ -15,15 +15,11 @@ Plants of one kind are rows of arrays: a NamedTuple with two compiled functions,
 on its type (numba's overloading). They are created and reset as usual; here only their memories are stacked. Filters
 likewise, with a compiled `correct`: none, or the contraction filter, from one sample to the next one's correction, as
 in the graph.
-
-`Environment` is the task on such a fleet, the counterpart of `TrainingSession` without the graph's interruptions:
-observation, reward, gains and penalty are computed by the same functions of `task`; each episode starts from rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +31,6 @@ from hydro_core.signals import (
     SAMPLE_PERIOD,
     SAMPLES_PER_STEP,
     STATE_DTYPE,
-    STATE_FIELDS,
     Command,
     Flag,
     FloatArray,
@@ -47,8 +42,9 @@ from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_decision import LoopParts, Workspace
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.loop import memories
+from hydro_policy.compensation.estimator import ADAPTS
+from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs import FilterName
-from hydro_policy.task.mdp import ACTIONS, TaskSettings, observe
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.box.firmware import COEFFICIENTS, VALVE_GAIN_SCALE, VELOCITY_COMPENSATION
@@ -278,6 +274,16 @@ class VectorBench:
         step(*box, self.filters, self.rows, self.links, *actions, noise, *outputs)
         return self.samples
 
+    def step_adapted(self, changes: FloatArray, adapted: AdaptedLaw | None) -> StateArray:
+        """Advance ten samples as `step`; a law that is given commands its coefficients and learns of the samples."""
+        if adapted is None:
+            return self.step(changes)
+        samples = self.step(changes, adapted.coefficients)
+        active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
+        force, rate = samples["load_force"], samples["reference_force_rate"]
+        adapted.step(self.compensated, force, active, rate, samples["reference_force"])
+        return samples
+
 
 @njit
 def _exchange(code, settings, box, command, filters, i, measurement, sample):
@@ -328,76 +334,3 @@ def _delayed(link, current):
 def records(samples: StateArray, fields: Sequence[str]) -> npt.NDArray[np.float64]:
     """Return fields of sample records, shape (..., len(fields))."""
     return np.stack([samples[name] for name in fields], axis=-1)
-
-
-@dataclass(frozen=True)
-class Transitions:
-    """Transitions of one step of all benches; first axis: bench."""
-
-    observation: FloatArray
-    """Observations acted upon, shape (n, 13)."""
-    action: FloatArray
-    """Shape (n, 2)."""
-    reward: FloatArray
-    """Shape (n,)."""
-    following: FloatArray
-    """Next observations, shape (n, 13)."""
-    terminated: npt.NDArray[np.bool_]
-    """Whether the box tripped and its bench was reset, shape (n,)."""
-    samples: StateArray
-    """The ten samples, shape (n, 10)."""
-
-    def rows(self) -> npt.NDArray[np.float32]:
-        """Return rows of the replay buffer, shape (n, width), without those that hold a non-finite value."""
-        last = np.stack((self.reward, self.terminated), axis=1)
-        rows = np.concatenate((self.observation, self.following, self.action, last), axis=1)
-        return rows[np.isfinite(rows).all(axis=1)].astype(np.float32)
-
-
-class Environment:
-    """A fleet of benches with observations and rewards.
-
-    `fleet`: the benches. `task`: observation, reward, gains.
-    """
-
-    def __init__(self, fleet: VectorBench, task: TaskSettings) -> None:
-        self.fleet, self.task = fleet, task
-        self.observation: FloatArray = np.zeros((len(fleet), 0))
-        self._references: list[ReferenceSignal] = []
-        self._seeds: npt.NDArray[np.int64] = np.zeros(len(fleet), np.int64)
-
-    def begin(self, references: Sequence[ReferenceSignal], seeds: Sequence[int]) -> FloatArray:
-        """Start a new episode on every bench, from rest; returns the observations, shape (n, 13)."""
-        self._references, self._seeds = list(references), np.array(seeds, np.int64)
-        for index, reference in enumerate(references):
-            self.fleet.begin(index, reference, int(seeds[index]))
-        self.observation = observe(self._last(), np.zeros((len(self.fleet), ACTIONS)), self.task.size)
-        return self.observation
-
-    def step(self, actions: FloatArray) -> Transitions:
-        """Advance ten samples under `actions`, shape (n, 2)."""
-        before = self.observation
-        samples = self.fleet.step(self.task.gains.changes(actions)).copy()
-        error = samples["reference_force"] - samples["load_force"]
-        error_rate = samples["reference_force_rate"] - samples["load_force_rate"]
-        tripped = (samples["flags"][:, -1] & Flag.TRIPPED) != 0
-        reward = np.where(tripped, -self.task.trip_penalty, self.task.reward(error, error_rate))
-        following = observe(self._last(), actions, self.task.size)
-        self.observation = following.copy()
-        if tripped.any():
-            self._begin_tripped(tripped, following)
-        return Transitions(before, actions, reward, following, tripped, samples)
-
-    def _begin_tripped(self, tripped: npt.NDArray[np.bool_], following: FloatArray) -> None:
-        """Reset the tripped benches; a terminal transition's next observation is unused, so any finite one will do."""
-        for index in np.flatnonzero(tripped):
-            self._seeds[index] += 1
-            self.fleet.begin(int(index), self._references[index], int(self._seeds[index]))
-            after = observe(self._last()[index], np.zeros(ACTIONS), self.task.size)
-            self.observation[index] = after
-            if not np.isfinite(following[index]).all():
-                following[index] = after
-
-    def _last(self) -> FloatArray:
-        """Return the last samples, shape (n, 14), in the order of `STATE_FIELDS`."""
-        return records(self.fleet.samples[:, -1], STATE_FIELDS)

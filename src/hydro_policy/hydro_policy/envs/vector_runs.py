@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law, StateArray
-from hydro_policy.compensation.estimator import ADAPTS, Compensator
+from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import AdaptedLaw, Residual
 from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.sac.policy import Policy
@@ -91,12 +91,6 @@ def run(
     first = round(settings.settle / SAMPLE_PERIOD)
     for start in range(1, int(ends.max()), SAMPLES_PER_STEP):
         changes = choose(records(fleet.samples[:, -1], STATE_FIELDS))
-        samples = fleet.step(changes, None if adapted is None else adapted.coefficients)
-        if adapted is not None:
-            active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
-            adapted.step(
-                fleet.compensated, samples["load_force"], active, samples["reference_force_rate"],
-                samples["reference_force"],
-            )  # fmt: skip
+        samples = fleet.step_adapted(changes, adapted)
         number = start + np.arange(SAMPLES_PER_STEP)
         yield Step(samples, (number >= first) & (number < ends[:, np.newaxis]))

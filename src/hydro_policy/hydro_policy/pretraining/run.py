@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,8 @@ from hydro_core.process import endings
 from hydro_core.settings import SettingsError, from_mapping, read_yaml
 from hydro_core.signals import FloatArray
 from hydro_core.size import resized
-from hydro_filter.controller.factory import FilterChoice
-from hydro_policy.envs import FilterName
-from hydro_policy.envs.randomisation import Randomisation
-from hydro_policy.envs.vector_env import Transitions
+from hydro_policy.envs.environment import Transitions
+from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
@@ -40,76 +38,23 @@ from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
-from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, raise_if_mismatched, with_provenance
-from hydro_sim.model.bench import NOMINAL, Bench
+from hydro_policy.task.mdp.events import Randomisation
+from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
+from hydro_sim.model.bench import NOMINAL
 from hydro_sim.plotting import BLUE, figure, legend
 
 SOURCE = "pretrain.yaml"
 """File name in a run's folder, beside config.yaml."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SimulationSetup:
-    """Simulated bench, model and filter; together with config.yaml all that `--resume` needs."""
-
-    model: str
-    """shipped, analytic (the nominal bench), or a bench file."""
-    box: str | None = None
-    """bench.yaml that the box believes in; None: the nominal bench."""
-    base_gains: list[float] | None = None
-    """K_p [1/s], K_i [1/s^2] of the box; None: the paper's."""
-    randomise: bool = False
-    filter: FilterName = "none"
-    benches: int = 8
-    integral: Integral = "bumpless"
-    """Form of the force law's integral, `BoxConfig.integral`."""
-
-    def simulated(self) -> Bench:
-        """The bench that is simulated."""
-        if self.model == "analytic":
-            return Bench.nominal()
-        return learned_bench.read(None if self.model == "shipped" else self.model)
-
-    def believed(self) -> Bench:
-        """Bench assumed by the box's force law."""
-        return Bench.load(self.box) if self.box else Bench.nominal()
-
-    def box_config(self) -> BoxConfig:
-        """Base gains and limits of the box."""
-        box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
-        return replace(box.of_bench(self.believed()), integral=self.integral)
-
-    def made_for(self) -> MadeFor:
-        """Box that its policies are made for: the simulated one, whatever the plant."""
-        box, model = self.box_config(), learned_bench.digest() if self.model == "shipped" else ""
-        return MadeFor(
-            box=self.believed().digest, model=model, base_kp=box.base_kp,
-            base_ki=box.base_ki, integral=box.integral, any_bench=self.randomise,
-        )  # fmt: skip
-
-    def trouble(self) -> str:
-        """Return why bench, model and filter do not belong together, in one sentence; empty if they do."""
-        box = BoxIdentity.of_file(self.box)
-        remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --model FILE --box FILE"
-        wrong = learned_bench.box_mismatch(None, box, remedy) if self.model == "shipped" else ""
-        if wrong or self.filter != "learned":
-            return wrong
-        return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
-
-    def pretraining(self, training: TrainingSettings) -> Pretraining:
-        """Return a new pretraining."""
-        randomisation = resized(Randomisation(), NOMINAL, training.task.size) if self.randomise else None
-        settings = PretrainSettings(
-            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter,
-            box=self.box_config(), evaluation=EvaluationSettings(amplitude=training.task.size.force),
-        )  # fmt: skip
-        return Pretraining(settings, self.simulated(), self.believed())
-
-    def save(self, folder: Path) -> None:
-        """Save into a run's folder, beside config.yaml."""
-        write_whole(folder / SOURCE, yaml.safe_dump(asdict(self), sort_keys=False).encode())
+def new_pretraining(source: SimulationSetup, training: TrainingSettings) -> Pretraining:
+    """Return a new pretraining."""
+    randomisation = resized(Randomisation(), NOMINAL, training.task.size) if source.randomise else None
+    settings = PretrainSettings(
+        training=training, benches=source.benches, randomisation=randomisation, filter=source.filter,
+        box=source.box_config(), evaluation=EvaluationSettings(amplitude=training.task.size.force),
+    )  # fmt: skip
+    return Pretraining(settings, source.simulated(), source.believed())
 
 
 def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
@@ -187,7 +132,7 @@ def pretrain(options: argparse.Namespace) -> int:
     if options.resume:
         settings, source = resumed(run, sys.argv[1:])
         raise_if_mismatched(source.trouble())
-        pretraining = source.pretraining(settings)
+        pretraining = new_pretraining(source, settings)
         if any(run.latest.glob("*")):  # else interrupted during the first round: it starts again
             best = run.path / AGENT
             pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
@@ -195,9 +140,9 @@ def pretrain(options: argparse.Namespace) -> int:
         source = simulation_setup(options)
         raise_if_mismatched(source.trouble())
         settings = training_settings(options, source)
-        pretraining = source.pretraining(settings)
+        pretraining = new_pretraining(source, settings)
         run.create().save_settings(settings)
-        source.save(run.path)
+        write_whole(run.path / SOURCE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
     began = time.monotonic()
     try:
         _train(run, pretraining, source)

@@ -23,10 +23,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from hydro_core.settings import check, quantity
-from hydro_core.signals import FloatArray, ReferenceSignal
+from hydro_core.signals import FloatArray
 from hydro_policy.envs import FilterName, vector_runs
-from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
-from hydro_policy.envs.vector_env import Environment, Transitions, VectorBench, fleet_filter
+from hydro_policy.envs.environment import Environment, Episodes, Transitions
+from hydro_policy.envs.vector_env import VectorBench, fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
 from hydro_policy.runs.run import Checkpoint, TrainingSettings
 from hydro_policy.sac.algorithm import Sac
@@ -34,11 +34,10 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.snapshot import dump, restore
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
+from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS, events
+from hydro_policy.task.mdp.events import Randomisation, RandomisedBench
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.model.sensors import Sensors
 
 REFERENCE_GAINS = (90.0, 15.0)
 """K_p, K_i of the paper's controller III, which scores are relative to."""
@@ -151,7 +150,8 @@ class Pretraining:
     """
 
     def __init__(self, settings: PretrainSettings, source: Bench, believed: Bench) -> None:
-        self.settings, self._source, self._believed = settings, source, believed
+        self.settings, self._believed = settings, believed
+        self._episodes = Episodes(source=source, believed=believed, randomisation=settings.randomisation)
         training = settings.training
         self.fleet = self._fleet(settings.benches)
         self.environment = Environment(self.fleet, training.task)
@@ -167,12 +167,12 @@ class Pretraining:
         self.best: bytes | None = None
         """Agent (`snapshot.dump`) with the best score so far; not part of `state`."""
         self._take_weights()
-        drawn = None if settings.randomisation is None else lambda number: self._draw(self._seed(number, 3))
+        draw = None if settings.randomisation is None else self._examined_bench
         self._exam = Examination(
             self._fleet,
             believed,
             settings.evaluation,
-            drawn,
+            draw,
             settings.examined,
             (settings.box.base_kp, settings.box.base_ki),
         )
@@ -188,8 +188,14 @@ class Pretraining:
         """Run one episode on every bench; returns the new entry of `history`."""
         training = self.settings.training
         count = min(len(self.fleet), training.episodes - self.episode)
-        references = [self._bench_of(index, self.episode + index) for index in range(len(self.fleet))]
-        seeds = [self._seed(self.episode + index, 1) for index in range(len(self.fleet))]
+        numbers = range(self.episode, self.episode + len(self.fleet))
+        references = [
+            self._episodes.install(
+                self.fleet, index, events.reference(training.task, number, training.seed), number, training.seed
+            )
+            for index, number in enumerate(numbers)
+        ]
+        seeds = [events.stream_seed(training.seed, number, events.NOISE) for number in numbers]
         observation = self.environment.begin(references, seeds)
         returns, trips = np.zeros(len(self.fleet)), 0
         for _ in range(training.task.steps_per_episode):
@@ -246,33 +252,12 @@ class Pretraining:
             }
         )  # fmt: skip
 
+    def _examined_bench(self, number: int) -> RandomisedBench:
+        assert self.settings.randomisation is not None
+        seed = events.stream_seed(self.settings.training.seed, number, events.EXAMINED)
+        return events.draw_bench(self.settings.randomisation, self._episodes.source, seed)
+
     def _fleet(self, count: int) -> VectorBench:
         filters = fleet_filter(self.settings.filter, self._believed, count)
-        plants = [self._plant() for _ in range(count)]
+        plants = [self._episodes.plant() for _ in range(count)]
         return VectorBench([self._believed] * count, plants, self.settings.box, filters)
-
-    def _plant(self) -> AnalyticPlant:
-        return AnalyticPlant(self._source, settings=Sensors.of_size(self._source.size))
-
-    def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
-        """Return the episode's reference; with randomisation, also install its bench."""
-        training, randomisation = self.settings.training, self.settings.randomisation
-        reference = training.task.reference(episode, training.seed)
-        if randomisation is None:
-            return reference
-        if self._rng(episode, 4).random() < randomisation.known_share:
-            self.fleet.replace(index, self._believed, self._plant())
-            return reference
-        drawn = self._draw(self._seed(episode, 2))
-        self.fleet.replace(index, self._believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
-        return drawn.within_reach(reference)
-
-    def _draw(self, seed: int) -> RandomisedBench:
-        assert self.settings.randomisation is not None
-        return draw_bench(self.settings.randomisation, self._source, seed)
-
-    def _rng(self, episode: int, stream: int) -> np.random.Generator:
-        return np.random.default_rng((self.settings.training.seed, episode, stream))
-
-    def _seed(self, episode: int, stream: int) -> int:
-        return int(self._rng(episode, stream).integers(2**62))

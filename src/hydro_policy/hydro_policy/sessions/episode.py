@@ -16,7 +16,7 @@ from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.supervision.plant_supervisor import Outputs
-from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, Step, observe
+from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, Step, observe, rewards
 
 SETTLING_STEPS = 50
 """Initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s."""
@@ -106,7 +106,7 @@ class Explorer:
             return None
         reward = math.nan
         if before is not None:
-            reward = float(self.task.reward(step.error, step.error_rate))
+            reward = float(rewards.tracking(self.task, step.error, step.error_rate))
             if step.whole:
                 self._remember(before, taken, reward, observation, terminated=False)
         self._tell(reward)
@@ -120,7 +120,7 @@ class Explorer:
         before, taken = self._observation, self._action
         reward = None
         if before is not None and step is not None:
-            reward = float(self.task.reward(step.error, step.error_rate))
+            reward = float(rewards.tracking(self.task, step.error, step.error_rate))
             after = observe(step.sample, taken, self.task.size)
             if step.whole and np.isfinite(after).all():
                 self._remember(before, taken, reward, after, terminated=False)
@@ -134,7 +134,7 @@ class Explorer:
         if self._observation is not None:
             after = observe(sample, self._action, self.task.size)
             after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
-            self._remember(self._observation, self._action, -self.task.trip_penalty, after, terminated=True)
+            self._remember(self._observation, self._action, rewards.trip(self.task), after, terminated=True)
         self.forget()
 
     def forget(self) -> None:

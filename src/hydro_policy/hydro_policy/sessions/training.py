@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from hydro_core.signals import FAULTS, Flag, FloatArray
+from hydro_core.signals import Flag, FloatArray
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
@@ -28,7 +28,7 @@ from hydro_policy.sessions.episode import EpisodeRecord, Explorer, Phase
 from hydro_policy.sessions.run_state import EXAMINED, LEAD, Progress, RunState, stop_reason
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
-from hydro_policy.task.mdp import Step, StepClock
+from hydro_policy.task.mdp import Step, StepClock, events, terminations
 
 UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
 
@@ -155,7 +155,7 @@ class TrainingSession:
     def _begin_episode(self) -> None:
         """Begin the episode after the finished ones, or restart it."""
         done = self.progress.episode
-        signal = self.settings.task.reference(done, self.settings.seed)
+        signal = events.reference(self.settings.task, done, self.settings.seed)
         self._outputs.reference(signal)
         self.current = EpisodeRecord(episode=done + 1, amplitude=signal.amplitude, frequency=signal.frequency)
         self.monitor.reset()
@@ -226,9 +226,9 @@ class TrainingSession:
     def _interrupt(self, sample: FloatArray, flags: int) -> None:
         """Handle a disarmed box. If the policy caused it, it learns the penalty and is rolled back."""
         where = self._where
-        if flags & FAULTS and self.override.active:
+        if terminations.tripped(flags) and self.override.active:
             self.watch.calm()
-        elif flags & FAULTS:
+        elif terminations.tripped(flags):
             self._stop(f"the box {self.watch.condition}", sample)
         if not self.finished:
             self._pause(self.watch.condition, where)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Domain randomisation: a different bench for every episode, drawn around the nominal one.
+"""Events at an episode's start: its reference, its bench and the seed of its noise, all by its number and a seed.
 
-Randomised are quantities that vary from day to day on a real bench (spring, supply pressure), poorly known ones (oil,
+Randomised are quantities of the bench that vary from day to day (spring, supply pressure), poorly known ones (oil,
 valve, friction, mass), sensor noise and transport delays. The box keeps assuming the bench it is configured for.
 """
 
@@ -10,15 +10,48 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from hydro_core.settings import check, quantity
-from hydro_core.signals import ReferenceSignal
+from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_policy.task.mdp.settings import TaskSettings
 from hydro_sim.model.bench import NOMINAL, Bench
-from hydro_sim.model.plant import AnalyticPlant
-from hydro_sim.model.sensors import Sensors
+
+if TYPE_CHECKING:
+    from hydro_sim.model.plant import AnalyticPlant
+
+NOISE, BENCH, EXAMINED, KNOWN = 1, 2, 3, 4
+"""Streams of random numbers of one episode: seed of its noise, its bench, the bench of that number in an examination,
+and whether its bench is drawn at all."""
+
+_R2: FloatArray = np.array((0.7548776662466927, 0.5698402909980532))  # 1 / p, 1 / p^2 with p^3 = p + 1
+
+
+def reference(task: TaskSettings, episode: int, seed: int) -> ReferenceSignal:
+    """Return the sine of an episode: amplitude and frequency spread evenly over their ranges, from a random start.
+
+    Independent draws leave corners of the ranges unvisited for dozens of episodes; this sequence (Roberts' R2, from the
+    plastic number) is also uniform, and any eight consecutive episodes cover the plane.
+    """
+    start = np.random.default_rng(seed).random(2)
+    amplitude, frequency = (start + episode * _R2) % 1.0
+    return ReferenceSignal(
+        waveform=Waveform.SINE,
+        amplitude=task.amplitude_min + float(amplitude) * (task.amplitude_max - task.amplitude_min),
+        frequency=task.frequency_min + float(frequency) * (task.frequency_max - task.frequency_min),
+    )
+
+
+def stream_seed(seed: int, episode: int, stream: int) -> int:
+    """Return the seed of a stream of an episode's random numbers, for a run's seed."""
+    return int(_stream(seed, episode, stream).integers(2**62))
+
+
+def _stream(seed: int, episode: int, stream: int) -> np.random.Generator:
+    return np.random.default_rng((seed, episode, stream))
+
 
 REACH = 0.8
 """Share of the spring's largest force within the stroke that a reference may demand."""
@@ -87,6 +120,9 @@ class RandomisedBench:
 
 def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedBench:
     """Draw a bench around `source`."""
+    from hydro_sim.model.plant import AnalyticPlant  # numba: not needed to draw a reference
+    from hydro_sim.model.sensors import Sensors
+
     rng = np.random.default_rng(seed)
     spring = math.exp(rng.uniform(math.log(settings.spring_min), math.log(settings.spring_max)))
     supply = rng.uniform(settings.supply_min, settings.supply_max)
@@ -119,3 +155,10 @@ def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping
         for name, value in effect["parameters"].items()
     }
     return {**effect, "parameters": parameters}
+
+
+def episode_bench(settings: Randomisation | None, source: Bench, episode: int, seed: int) -> RandomisedBench | None:
+    """Return the bench of an episode, drawn around `source`; None: the one that is known."""
+    if settings is None or _stream(seed, episode, KNOWN).random() < settings.known_share:
+        return None
+    return draw_bench(settings, source, stream_seed(seed, episode, BENCH))

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The task on a fleet of benches, the counterpart of `TrainingSession` without the graph's interruptions.
+
+Observation, reward, gains and penalty are computed by the same functions of `task.mdp`; each episode starts from rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_core.signals import STATE_FIELDS, FloatArray, Law, ReferenceSignal, StateArray
+from hydro_core.size import resized
+from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
+from hydro_policy.compensation.residual import AdaptedLaw
+from hydro_policy.envs.vector_env import VectorBench, records
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, TaskSettings, events, observe, rewards, terminations
+from hydro_sim.model.bench import NOMINAL, Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import Sensors
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episodes:
+    """What each episode runs on, by its number."""
+
+    source: Bench
+    """Simulated bench."""
+    believed: Bench
+    """Bench that the boxes assume."""
+    randomisation: events.Randomisation | None = None
+    """None: always the simulated bench."""
+
+    def plant(self) -> AnalyticPlant:
+        """Return a new plant of the simulated bench."""
+        return AnalyticPlant(self.source, settings=Sensors.of_size(self.source.size))
+
+    def install(
+        self, fleet: VectorBench, index: int, reference: ReferenceSignal, episode: int, seed: int
+    ) -> ReferenceSignal:
+        """Put an episode's bench at this place of the fleet; returns the reference, limited to what that bench bears.
+
+        `seed`: of the run, from which bench and `reference` were drawn.
+        """
+        if self.randomisation is None:
+            return reference
+        drawn = events.episode_bench(self.randomisation, self.source, episode, seed)
+        if drawn is None:
+            fleet.replace(index, self.believed, self.plant())
+            return reference
+        fleet.replace(index, self.believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
+        return drawn.within_reach(reference)
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """Transitions of one step of all benches; first axis: bench."""
+
+    observation: FloatArray
+    """Observations acted upon, shape (n, 13)."""
+    action: FloatArray
+    """Shape (n, 2)."""
+    reward: FloatArray
+    """Shape (n,)."""
+    following: FloatArray
+    """Next observations, shape (n, 13)."""
+    terminated: npt.NDArray[np.bool_]
+    """Whether the box tripped and its bench was reset, shape (n,)."""
+    samples: StateArray
+    """The ten samples, shape (n, 10)."""
+
+    def rows(self) -> npt.NDArray[np.float32]:
+        """Return rows of the replay buffer, shape (n, width), without those that hold a non-finite value."""
+        last = np.stack((self.reward, self.terminated), axis=1)
+        rows = np.concatenate((self.observation, self.following, self.action, last), axis=1)
+        return rows[np.isfinite(rows).all(axis=1)].astype(np.float32)
+
+
+class Environment:
+    """A fleet of benches with observations and rewards.
+
+    `fleet`: the benches. `task`: observation, reward, gains. `law`: force law of the boxes; the compensated one's
+    coefficients follow each bench.
+    """
+
+    def __init__(self, fleet: VectorBench, task: TaskSettings, law: Law = Law.PAPER) -> None:
+        self.fleet, self.task, self.law = fleet, task, law
+        self.observation: FloatArray = np.zeros((len(fleet), OBSERVATIONS))
+        """Observations to act upon, shape (n, 13)."""
+        self._references = [ReferenceSignal()] * len(fleet)
+        self._seeds: npt.NDArray[np.int64] = np.zeros(len(fleet), np.int64)
+        self._adapted: AdaptedLaw | None = None
+        if law is Law.COMPENSATED:
+            settings = resized(CompensatorSettings(), NOMINAL, task.size)
+            self._adapted = AdaptedLaw(Compensator(len(fleet), settings, fleet.config.compensated))
+
+    def begin(self, references: Sequence[ReferenceSignal], seeds: Sequence[int]) -> FloatArray:
+        """Start a new episode on every bench, from rest; returns the observations, shape (n, 13)."""
+        for index, (reference, seed) in enumerate(zip(references, seeds, strict=True)):
+            self.begin_one(index, reference, int(seed))
+        return self.observation
+
+    def begin_one(self, index: int, reference: ReferenceSignal, seed: int) -> None:
+        """Start a new episode on one bench."""
+        self._references[index], self._seeds[index] = reference, seed
+        self.fleet.begin(index, reference, seed, law=self.law)
+        if self._adapted is not None:
+            self._adapted.estimator.reset(index)
+        self.observation[index] = observe(self._last()[index], np.zeros(ACTIONS), self.task.size)
+
+    def step(self, actions: FloatArray, *, restart: bool = True) -> Transitions:
+        """Advance ten samples under `actions`, shape (n, 2); `restart`: tripped benches begin their episode anew."""
+        before = self.observation
+        samples = self.fleet.step_adapted(self.task.gains.changes(actions), self._adapted).copy()
+        error = samples["reference_force"] - samples["load_force"]
+        error_rate = samples["reference_force_rate"] - samples["load_force_rate"]
+        tripped = terminations.tripped(samples["flags"][:, -1])
+        reward = np.where(tripped, rewards.trip(self.task), rewards.tracking(self.task, error, error_rate))
+        following = observe(self._last(), actions, self.task.size)
+        unknown = tripped & ~np.isfinite(following).all(axis=1)
+        following[unknown] = before[unknown]  # terminal: its value is not used
+        self.observation = following.copy()
+        for index in np.flatnonzero(tripped) if restart else ():
+            self.begin_one(int(index), self._references[index], int(self._seeds[index]) + 1)
+        return Transitions(before, actions, reward, following, tripped, samples)
+
+    def _last(self) -> FloatArray:
+        """Return the last samples, shape (n, 14), in the order of `STATE_FIELDS`."""
+        return records(self.fleet.samples[:, -1], STATE_FIELDS)

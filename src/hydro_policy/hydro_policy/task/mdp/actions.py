@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Actions (eq. policy_action): 2 numbers in [-1, 1], linearly onto the changes of the gains [1/s], [1/s^2]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from hydro_core.settings import quantity
+from hydro_core.signals import FloatArray
+
+ACTIONS = 2
+
+BASE = (15.0, 5.0)
+"""Base gains K_p [1/s], K_i [1/s^2] of the paper's box (Table training_agent); a box reports its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainRange:
+    """Range of the gain changes: actions in [-1, 1] cover [min, max] (paper Table training_agent)."""
+
+    delta_kp_min: Annotated[float, quantity("1/s", -300.0, 300.0)] = 0.0
+    """Smallest change of K_p."""
+    delta_kp_max: Annotated[float, quantity("1/s", -300.0, 300.0)] = 75.0
+    """Largest change of K_p, above delta_kp_min; with the paper's base gain 15, 285 gives the wide authority K_p <=
+    300.
+    """
+    delta_ki_min: Annotated[float, quantity("1/s^2", -100.0, 100.0)] = 0.0
+    """Smallest change of K_i."""
+    delta_ki_max: Annotated[float, quantity("1/s^2", -100.0, 100.0)] = 10.0
+    """Largest change of K_i, above delta_ki_min."""
+
+    @classmethod
+    def enclosing(cls, *ranges: Any) -> GainRange:
+        """Return the smallest range that holds all of these: gain ranges, or what has their four limits."""
+        return cls(
+            delta_kp_min=min(one.delta_kp_min for one in ranges), delta_kp_max=max(one.delta_kp_max for one in ranges),
+            delta_ki_min=min(one.delta_ki_min for one in ranges), delta_ki_max=max(one.delta_ki_max for one in ranges),
+        )  # fmt: skip
+
+    def shifted(self, kp: float, ki: float) -> GainRange:
+        """Return the range shifted by these amounts: equal total gains on a box with base gains lower by as much."""
+        return GainRange(
+            delta_kp_min=self.delta_kp_min + kp, delta_kp_max=self.delta_kp_max + kp,
+            delta_ki_min=self.delta_ki_min + ki, delta_ki_max=self.delta_ki_max + ki,
+        )  # fmt: skip
+
+    def gains(self, action: FloatArray) -> tuple[float, float]:
+        """Return (delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
+        kp, ki = self.changes(action)
+        return float(kp), float(ki)
+
+    def changes(self, actions: FloatArray) -> FloatArray:
+        """Return `gains` of many actions, shape (..., 2) to (..., 2)."""
+        low = np.array((self.delta_kp_min, self.delta_ki_min))
+        high = np.array((self.delta_kp_max, self.delta_ki_max))
+        return np.asarray(low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (high - low))
+
+    def action(self, delta_kp: float, delta_ki: float) -> FloatArray:
+        """Return the action [2] for these gains; not clamped."""
+        low = np.array((self.delta_kp_min, self.delta_ki_min))
+        high = np.array((self.delta_kp_max, self.delta_ki_max))
+        return np.asarray(2.0 * (np.array((delta_kp, delta_ki)) - low) / (high - low) - 1.0)

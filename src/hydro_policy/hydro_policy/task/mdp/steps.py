@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Policy steps of 10 ms from samples of 1 ms, by their sequence numbers: the policy runs on the plant's clock.
+
+::
+
+    sequence   ... 19 | 20 21 22 23 24 25 26 27 28 29 | 30 ...
+                        ^ step: observe, act            ^ step: reward of that action = mean over samples 21 to 30
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydro_core.signals import SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray
+from hydro_policy.task.mdp.observations import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
+
+HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)
+"""Flags with which the box held base gains, so that the result is not due to the action: see `held`."""
+
+VALVE_CURRENT, KP, KI = map(STATE_FIELDS.index, ("valve_current", "proportional_gain", "integral_gain"))
+
+
+def held(flags: Any, k_p: Any, k_i: Any, base: tuple[float, float] | None) -> Any:
+    """Return the bits of `HELD` with which the box held base gains.
+
+    A plant that requires no filter (`guard.require_filter`) passes other gains with FILTER_STALE, too: they act.
+
+    `flags`, `k_p`, `k_i`: of one sample, or arrays of one shape; 1/s and 1/s^2. `base`: base gains K_p, K_i; None: each
+    flagged sample counts (MISMATCH, under which narrow gains act; another law).
+    """
+    bits = flags & HELD
+    if base is None:
+        return bits
+    acts = ~(np.isclose(k_p, base[0], rtol=1e-5) & np.isclose(k_i, base[1], rtol=1e-5))
+    return np.where(acts & (bits == Flag.FILTER_STALE), 0, bits)
+
+
+@dataclass(frozen=True)
+class Step:
+    """Policy step: the sample to act upon, and the results of the previous action."""
+
+    sample: FloatArray  # the step's own sample, order of STATE_FIELDS, shape (14,)
+    error: FloatArray  # e [N] of the samples since the last step, this one included, shape (n,)
+    error_rate: FloatArray  # e' [N/s], shape (n,)
+    current: FloatArray  # consecutive u [A] received by the valve: if samples are missing, only those after the gap
+    whole: bool  # every sample arrived, armed, and the box applied the gains it was given
+    held: int  # bits of HELD seen since the last step
+
+
+class StepClock:
+    """Collects samples; every tenth sequence number completes a step.
+
+    If that very sample is lost, the next one to arrive is the step: acting continues, but the step is not `whole`.
+    """
+
+    def __init__(self) -> None:
+        self._samples: list[FloatArray] = []  # since the last step
+        self._unbroken = 0  # place among them from which on none is missing
+        self._last = -1
+        self._held = 0
+        self._common = ~0
+        self._gap = True
+        self.lost = 0
+        """Sequence numbers that never arrived."""
+
+    def add(
+        self, sequence: int, sample: FloatArray, flags: int, base: tuple[float, float] | None = None
+    ) -> Step | None:
+        """Add a sample, which stays as it is from now on; returns the step that it completes, if any.
+
+        Repeated samples are ignored. `base`: of `held`.
+        """
+        if sequence == self._last:
+            return None
+        if sequence != self._last + 1:
+            self._gap, self._unbroken = True, len(self._samples)
+            self.lost += max(sequence - self._last - 1, 0) if self._last >= 0 else 0
+        block_changed = sequence // SAMPLES_PER_STEP != self._last // SAMPLES_PER_STEP
+        self._last = sequence
+        self._samples.append(sample)
+        if flags & HELD:
+            self._held |= int(held(flags, sample[KP], sample[KI], base))
+        self._common &= flags
+        return self._complete(sample) if block_changed else None
+
+    def _complete(self, sample: FloatArray) -> Step:
+        complete = not self._gap and len(self._samples) == SAMPLES_PER_STEP
+        whole = complete and not self._held and bool(self._common & Flag.ARMED)
+        rows = np.array(self._samples)
+        error, rate = rows[:, REFERENCE] - rows[:, LOAD_FORCE], rows[:, REFERENCE_RATE] - rows[:, LOAD_FORCE_RATE]
+        step = Step(sample, error, rate, rows[self._unbroken :, VALVE_CURRENT], whole, self._held)
+        self._samples, self._unbroken, self._held, self._common, self._gap = [], 0, 0, ~0, False
+        return step
