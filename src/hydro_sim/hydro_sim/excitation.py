@@ -26,18 +26,14 @@ WaveformName = Literal["hold", "sine", "multisine", "smooth_step"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segment:
-    """One segment of a schedule: one reference and one pair of total gains."""
+class Reference:
+    """A reference as plain data."""
 
-    seconds: Annotated[float, quantity("s", 1e-3, 36000.0)]
     waveform: WaveformName = "sine"
     amplitude: Annotated[float, quantity("N", 0.0, 1e8)] = 0.0
     offset: Annotated[float, quantity("N", -1e8, 1e8)] = 0.0
     frequency: Annotated[float, quantity("Hz", 1e-3, 100.0)] = 1.0
     phase: Annotated[float, quantity("rad", -100.0, 100.0)] = 0.0
-    kp: Annotated[float, quantity("1/s", -500.0, 500.0)] = 90.0
-    ki: Annotated[float, quantity("1/s^2", -500.0, 500.0)] = 15.0
-    delta_u: Annotated[float, quantity("A", -20.0, 20.0)] = 0.0
 
     @property
     def signal(self) -> ReferenceSignal:
@@ -49,6 +45,16 @@ class Segment:
             frequency=self.frequency,
             phase=self.phase,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment(Reference):
+    """One segment of a schedule: one reference and one pair of total gains."""
+
+    seconds: Annotated[float, quantity("s", 1e-3, 36000.0)]
+    kp: Annotated[float, quantity("1/s", -500.0, 500.0)] = 90.0
+    ki: Annotated[float, quantity("1/s^2", -500.0, 500.0)] = 15.0
+    delta_u: Annotated[float, quantity("A", -20.0, 20.0)] = 0.0
 
 
 def load_schedule(path: str | Path) -> list[Segment]:

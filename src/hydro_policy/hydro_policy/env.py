@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The task as a Gymnasium environment, for learners of other libraries; importing it registers `hydro/ForceControl-v0`.
+
+::
+
+    env = gymnasium.make("hydro/ForceControl-v0", law="wide", randomise=True)
+    envs = gymnasium.make_vec("hydro/ForceControl-v0", num_envs=8)          # one compiled loop over all benches
+    env.unwrapped.save_policy(model, "policy.safetensors")                  # to deploy what was learnt
+
+Observations, actions, rewards and terminations are those of trainer and pretraining (`task.mdp`), episodes begin from
+rest. A trip terminates; 1800 steps of 10 ms truncate. Needs gymnasium, which nothing else here imports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from hydro_core.settings import SettingsError, from_mapping
+from hydro_core.signals import Law
+from hydro_core.size import resized
+from hydro_policy.envs.environment import Environment, Episodes
+from hydro_policy.envs.simulation import SimulationSetup
+from hydro_policy.envs.vector_env import VectorBench
+from hydro_policy.pretraining.configurations import configuration
+from hydro_policy.sac.peers import policy_of
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange, TaskSettings, events
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.excitation import Reference
+from hydro_sim.model.bench import NOMINAL
+
+ID = "hydro/ForceControl-v0"
+
+LawName = Literal["paper", "wide", "compensated"]
+
+Values = npt.NDArray[np.float32]
+Marks = npt.NDArray[np.bool_]
+
+
+def task_of(law: LawName, config: BoxConfig, size: Any) -> TaskSettings:
+    """Return gains and rewards under a law: the two configurations of pretraining, or the box's compensated law.
+
+    The latter has the reward of `wide`, and the whole range of gains that the box allows under it.
+
+    Raises SettingsError: there is no such law.
+    """
+    if law not in get_args(LawName):
+        raise SettingsError(f"law is one of {', '.join(get_args(LawName))}, not {law!r}")
+    name = "paper" if law == "paper" else "wide"
+    task = configuration(name, base=(config.base_kp, config.base_ki), size=size).task
+    return task if law != "compensated" else replace(task, gains=GainRange.enclosing(config.compensated))
+
+
+class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[Any]]):
+    """Benches side by side, advanced by one compiled loop; bench i of seed s is `ForceControl` of seed s + i.
+
+    Parameters
+    ----------
+    num_envs
+        Number of benches.
+    bench
+        Bench file to simulate, a diagnosis' corrected.yaml for instance; `shipped`: the learned bench; None: the
+        nominal one.
+    box
+        Bench file that the boxes believe; None: the nominal one, whatever is simulated.
+    law
+        `paper` or `wide`: gains and reward of pretraining's configuration of that name. `compensated`: gains of the
+        compensated law, whose coefficients follow the bench, with the reward of `wide`.
+    reference
+        `random`: a sine of 2/3 to 1 of the bench's force and 0.5 to 2 Hz, another in every episode; or the fields of a
+        reference: waveform (hold, sine, multisine, smooth_step), amplitude [N], offset [N], frequency [Hz], phase
+        [rad].
+    randomise
+        Draw another bench around the simulated one for every episode.
+    max_episode_steps
+        Policy steps of 10 ms after which an episode is truncated; None: never.
+    autoreset_mode
+        When benches whose episode ended begin the next one; as gymnasium defines it.
+
+    Raises ValueError: a file or a setting cannot be used.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        bench: str | Path | None = None,
+        box: str | Path | None = None,
+        law: LawName = "paper",
+        reference: Literal["random"] | Mapping[str, Any] = "random",
+        randomise: bool = False,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        source = SimulationSetup(
+            model=str(bench or "analytic"), box=None if box is None else str(box), randomise=randomise
+        )
+        believed, config = source.believed(), source.box_config()
+        self.simulation, self.law, self.task = source, law, task_of(law, config, believed.size)
+        fixed = reference != "random"
+        self._reference = from_mapping(Reference, reference, "reference").signal if fixed else None
+        ranges = resized(events.Randomisation(), NOMINAL, believed.size) if randomise else None
+        self._episodes = Episodes(source=source.simulated(), believed=believed, randomisation=ranges)
+        fleet = VectorBench([believed] * num_envs, [self._episodes.plant() for _ in range(num_envs)], config)
+        self._environment = Environment(fleet, self.task, Law.COMPENSATED if law == "compensated" else Law.PAPER)
+        self.num_envs, self._limit = num_envs, max_episode_steps
+        self.single_observation_space = Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (ACTIONS,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._seeds = [int(seed) for seed in self.np_random.integers(2**31, size=num_envs)]
+        self._episode = np.zeros(num_envs, np.int64)
+        self._steps = np.zeros(num_envs, np.int64)
+        self._ended: Marks = np.zeros(num_envs, bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Values, dict[str, Any]]:
+        """Begin new episodes, of all benches or of those in `options["reset_mask"]`, shape (n,).
+
+        `seed`: of references, benches and noise, for bench i `seed` + i, or one for each; None: the next episode.
+        """
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
+        chosen = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        for index in np.flatnonzero(chosen):
+            if (new := seeds[index]) is not None:
+                self._seeds[index], self._episode[index] = new, 0
+            self._begin(int(index))
+        self._ended &= ~chosen
+        return self._environment.observation.astype(np.float32), {}
+
+    def step(self, actions: Values) -> tuple[Values, npt.NDArray[Any], Marks, Marks, dict[str, Any]]:
+        """Advance all benches by 10 ms; `actions`, shape (n, 2), are clamped to [-1, 1]."""
+        made = self._environment.step(np.clip(np.asarray(actions, np.float64), -1.0, 1.0), restart=False)
+        self._steps += 1
+        observation, reward, terminated = made.following.astype(np.float32), made.reward, made.terminated
+        truncated: Marks = self._steps >= (np.inf if self._limit is None else self._limit)
+        info: dict[str, Any] = {}
+        begins: Marks = np.zeros(self.num_envs, bool)
+        if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            begins = self._ended
+            reward, terminated, truncated = np.where(begins, 0.0, reward), terminated & ~begins, truncated & ~begins
+        elif self.autoreset_mode is AutoresetMode.SAME_STEP:
+            begins = terminated | truncated
+            for index in np.flatnonzero(begins):
+                info = self._add_info(info, {"final_obs": observation[index].copy(), "final_info": {}}, int(index))
+        for index in np.flatnonzero(begins):
+            self._begin(int(index))
+            observation[index] = self._environment.observation[index]
+        self._ended = terminated | truncated
+        return observation, reward, terminated, truncated, info
+
+    def save_policy(self, learner: Any, path: str | Path) -> None:
+        """Write what a learner of stable-baselines3 or skrl has learnt here to a file that `evaluate --policy` takes.
+
+        Raises ValueError: it cannot be deployed (`sac.peers.policy_of`), or not under this law.
+        """
+        if self.law == "compensated":
+            raise ValueError(
+                "a policy acts under the paper's law where it is deployed: train it with law paper or wide"
+            )
+        policy = policy_of(learner, self.task.size)
+        notes: dict[str, object] = {"learner": type(learner).__module__, "law": self.law}
+        policy.save(Path(path), self.task.gains, notes, self.simulation.made_for())
+
+    def _begin(self, index: int) -> None:
+        episode, seed = int(self._episode[index]), self._seeds[index]
+        reference = self._reference or events.reference(self.task, episode, seed)
+        environment = self._environment
+        reference = self._episodes.install(environment.fleet, index, reference, episode, seed)
+        environment.begin_one(index, reference, events.stream_seed(seed, episode, events.NOISE))
+        self._episode[index] += 1
+        self._steps[index] = 0
+
+
+class ForceControl(gymnasium.Env[Values, Values]):
+    """One bench; parameters as `ForceControlVector`."""
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(
+        self,
+        *,
+        bench: str | Path | None = None,
+        box: str | Path | None = None,
+        law: LawName = "paper",
+        reference: Literal["random"] | Mapping[str, Any] = "random",
+        randomise: bool = False,
+    ) -> None:
+        self.benches = ForceControlVector(
+            bench=bench, box=box, law=law, reference=reference, randomise=randomise,
+            autoreset_mode=AutoresetMode.DISABLED,
+        )  # fmt: skip
+        self.observation_space = self.benches.single_observation_space
+        self.action_space = self.benches.single_action_space
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, dict[str, Any]]:
+        """Begin a new episode: the first of `seed`, or the next one."""
+        super().reset(seed=seed)
+        return self.benches.reset(seed=seed)[0][0], {}
+
+    def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
+        """Advance by 10 ms; `action`, shape (2,), is clamped to [-1, 1]. Truncation is gymnasium's (`TimeLimit`)."""
+        observation, reward, terminated, truncated, info = self.benches.step(np.reshape(action, (1, ACTIONS)))
+        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def save_policy(self, learner: Any, path: str | Path) -> None:
+        """As `ForceControlVector.save_policy`."""
+        self.benches.save_policy(learner, path)
+
+
+gymnasium.register(
+    ID,
+    f"{__name__}:{ForceControl.__name__}",
+    vector_entry_point=f"{__name__}:{ForceControlVector.__name__}",
+    max_episode_steps=TaskSettings().steps_per_episode,
+)
