@@ -80,7 +80,7 @@ demo: setup  ## a policy, a bench that its simulation did not know, the diagnosi
 bench: setup  ## the measured speeds of the filter's call and of the whole graph
 	@$(SOURCED) .venv/bin/python -m benchmarks.filter_call && .venv/bin/python -m benchmarks.latency
 
-bench-peers: setup  ## peers of the learner in an environment of their own (.venv-bench), and the comparison
+bench-peers: test-setup  ## peers of the learner in an environment of their own (.venv-bench), and the comparison
 	@[ -x .venv-bench/bin/python ] || $(PYTHON) -m venv .venv-bench
 	@.venv/bin/python -c 'import site; print(site.getsitepackages()[0])' > $$(echo .venv-bench/lib/python3*/site-packages)/hydro.pth
 	@.venv-bench/bin/python -m pip install -q -r requirements-bench.txt

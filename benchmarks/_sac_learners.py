@@ -2,7 +2,7 @@
 """Four Soft Actor-Critics behind one face, with the paper's sizes and values: ours, stable-baselines3, SBX, skrl.
 
 `train`: so many environment steps, an update after each from `WARMUP` on; `update`: so many updates from what is in the
-buffer; `act`: the mean action. The task is a gymnasium environment: one bench on the learned model.
+buffer; `act`: the mean action. The task is `hydro_policy.env`: one bench on the learned model.
 """
 
 from __future__ import annotations
@@ -14,49 +14,24 @@ import numpy as np
 import torch
 from torch import nn
 
-from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_policy.envs.vector_env import Environment, VectorBench
+from hydro_core.signals import FloatArray
+from hydro_policy.env import ID
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, TaskSettings
-from hydro_sim.files.learned_bench import make_plant
-from hydro_sim.model.bench import Bench
 
 WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
 REWARD_SCALE = 0.02
 """As `SacSettings.reward_scale`; here in the environment, so that every learner sees the same rewards."""
 
 
-class HydroEnv(gymnasium.Env[FloatArray, FloatArray]):
-    """Episodes of the paper: a sine of 200 to 300 N and 0.5 to 2 Hz from rest; truncated at their end.
-
-    `seed`: of references and noise. `frequency`: Hz, the same always; None: as the task draws them.
-    """
-
-    def __init__(self, seed: int = 0, frequency: float | None = None, steps: int = 1800) -> None:
-        self.task = TaskSettings(steps_per_episode=steps)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
-        self._environment = Environment(VectorBench([Bench.nominal()], [make_plant()]), self.task)
-        self._seed, self._frequency, self._episode, self._steps = seed, frequency, 0, 0
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """A new episode."""
-        super().reset(seed=seed)
-        reference = self.task.reference(self._episode, self._seed)
-        if self._frequency is not None:
-            reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=self._frequency)
-        self._episode, self._steps = self._episode + 1, 0
-        return self._environment.begin([reference], [self._seed + self._episode])[0].astype(np.float32), {}
-
-    def step(self, action: FloatArray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Ten samples."""
-        made = self._environment.step(np.asarray(action, np.float64).reshape(1, ACTIONS))
-        self._steps += 1
-        terminated, over = bool(made.terminated[0]), self._steps >= self.task.steps_per_episode
-        return made.following[0].astype(np.float32), REWARD_SCALE * float(made.reward[0]), terminated, over, {}
+def force_control(seed: int = 0, **options: Any) -> gymnasium.Env[Any, Any]:
+    """Return the environment on the learned bench, at the first episode of a seed."""
+    made = gymnasium.make(ID, bench="shipped", **options)
+    scaled = gymnasium.wrappers.TransformReward(made, lambda reward: REWARD_SCALE * reward)
+    scaled.reset(seed=seed)
+    return scaled
 
 
 class Ours:

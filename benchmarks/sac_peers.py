@@ -66,7 +66,7 @@ def compare(table: Table, batch: int, steps: int, seed: int) -> None:
     import sbx
     import stable_baselines3
 
-    from benchmarks._sac_learners import Baselines, HydroEnv, Ours, Skrl
+    from benchmarks._sac_learners import Baselines, Ours, Skrl, force_control
 
     makers: dict[str, Callable[[], Any]] = {
         "ours": lambda: Ours(batch, seed),
@@ -77,16 +77,16 @@ def compare(table: Table, batch: int, steps: int, seed: int) -> None:
     learners = {name: make() for name, make in makers.items()}
     rates: dict[str, float] = {}
     for name in progress(list(learners), label=f"batch {batch}", unit="learner"):
-        learners[name].train(HydroEnv(seed), 2 * 500)  # compiles; counted by nobody
+        learners[name].train(force_control(seed), 2 * 500)  # compiles; counted by nobody
         learners[name] = makers[name]()
         begin = time.perf_counter()
-        learners[name].train(HydroEnv(seed), steps)
+        learners[name].train(force_control(seed), steps)
         rates[name] = steps / (time.perf_counter() - begin)
     timed = updates_per_second(learners)
     for name, learner in learners.items():
         table.add(
             batch=batch, learner=name, updates_per_second=round(timed[name]), steps_per_second=round(rates[name]),
-            ours_over_it=timed["ours"] / timed[name], final_return=examine(learner, HydroEnv),
+            ours_over_it=timed["ours"] / timed[name], final_return=examine(learner, force_control),
         )  # fmt: skip
 
 
@@ -106,8 +106,8 @@ def examine(learner: Any, make: Callable[..., Any]) -> float:
     """Return of the mean action over the four sines."""
     total = 0.0
     for frequency in FREQUENCIES:
-        environment = make(seed=0, frequency=frequency, steps=EXAM)
-        observation, _ = environment.reset()
+        environment = make(reference={"amplitude": 300.0, "frequency": frequency}, max_episode_steps=EXAM)
+        observation, _ = environment.reset(seed=0)
         over = terminated = False
         while not (over or terminated):
             action = learner.act(observation)

@@ -26,14 +26,14 @@ KEYS = {name: f"python3-{name}" for name in (
 )} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
 WITHOUT_KEY = {
-    "asammdf", "dask", "distributed", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pint", "pyarrow",
-    "ruptures", "safetensors", "tensorboardX", "threadpoolctl",
+    "asammdf", "dask", "distributed", "gymnasium", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pint", "pyarrow",
+    "ruptures", "safetensors", "skrl", "stable_baselines3", "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}
 """pip's names where they are not the module's."""
-NOT_ASKED_FOR = {"asammdf", "cycler", "llvmlite"}
-"""Only for MDF files; come with matplotlib and numba."""
+NOT_ASKED_FOR = {"asammdf", "cycler", "gymnasium", "llvmlite"}
+"""Only for MDF files and for other learners; come with matplotlib and numba."""
 
 
 def modules_imported(files: Iterable[Path]) -> set[str]:
@@ -114,19 +114,11 @@ def helped(preloaded: str, *modules: str) -> dict[str, tuple[bool, bool]]:
     return {module: (torch == "True", numba == "True") for module, torch, numba in found}
 
 
-PEERS = {"gymnasium"}
-"""Of an environment of its own, imported at the top."""
-
-
 def test_every_benchmark_and_the_demo_import() -> None:
     found = [*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("demo/*.py")]
     modules = [path.relative_to(ROOT).with_suffix("") for path in found]
 
     def check(module: Path) -> None:
-        try:
-            importlib.import_module(".".join(module.parts))
-        except ModuleNotFoundError as error:
-            if error.name not in PEERS:
-                raise
+        importlib.import_module(".".join(module.parts))
 
     each([module for module in modules if "test" not in module.parts], check)

@@ -32,7 +32,7 @@ setup(
         "torch",
         "tqdm",
     ],
-    extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
+    extras_require={"gym": ["gymnasium"], "test": ["pytest"]},  # by the latter colcon test knows to call pytest
     entry_points={
         "console_scripts": [
             "pretrain = hydro_core.process.start:main_of.hydro_policy.pretraining.pretrain",
