@@ -29,7 +29,7 @@ REWARD_SCALE = 0.02
 def force_control(seed: int = 0, **options: Any) -> gymnasium.Env[Any, Any]:
     """Return the environment on the learned bench, at the first episode of a seed."""
     made = gymnasium.make(ID, bench="shipped", **options)
-    scaled = gymnasium.wrappers.TransformReward(made, lambda reward: REWARD_SCALE * reward)
+    scaled = gymnasium.wrappers.TransformReward(made, lambda reward: REWARD_SCALE * float(reward))
     scaled.reset(seed=seed)
     return scaled
 
@@ -48,7 +48,7 @@ class Ours:
         for step in range(steps):
             action = self.policy.act(observation, self.rng)
             following, reward, terminated, over, _ = environment.step(action)
-            row = np.concatenate((observation, following, action, (reward, float(terminated))))
+            row: FloatArray = np.concatenate((observation, following, action, (reward, float(terminated))))
             self.replay.extend(row[np.newaxis].astype(np.float32))
             observation = environment.reset()[0] if terminated or over else following
             if step >= WARMUP:

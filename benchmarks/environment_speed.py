@@ -45,7 +45,7 @@ def gymnasium_step(count: int, mode: str) -> Callable[[], Any]:
     else:
         environment = gymnasium.make_vec(ID, num_envs=count, vectorization_mode=mode)
     environment.reset(seed=0)
-    actions = np.zeros(environment.action_space.shape, np.float32)
+    actions = 0.0 * environment.action_space.sample()
     return lambda: environment.step(actions)
 
 
