@@ -96,7 +96,7 @@ def deployed(name: str, steps: int, folder: Path, monkeypatch: pytest.MonkeyPatc
 def test_policy_of_another_library_is_trained_and_deployed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deployed(name, 700, tmp_path, monkeypatch)
+    deployed(name, 600, tmp_path, monkeypatch)
 
 
 @pytest.mark.study
