@@ -185,23 +185,12 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
 
 
 class ForceControl(gymnasium.Env[Values, Values]):
-    """One bench; parameters as `ForceControlVector`."""
+    """One bench; `options` as `ForceControlVector`."""
 
     metadata = {"render_modes": []}  # noqa: RUF012
 
-    def __init__(
-        self,
-        *,
-        bench: str | Path | None = None,
-        box: str | Path | None = None,
-        law: LawName = "paper",
-        reference: Literal["random"] | Mapping[str, Any] = "random",
-        randomise: bool = False,
-    ) -> None:
-        self.benches = ForceControlVector(
-            bench=bench, box=box, law=law, reference=reference, randomise=randomise,
-            autoreset_mode=AutoresetMode.DISABLED,
-        )  # fmt: skip
+    def __init__(self, **options: Any) -> None:
+        self.benches = ForceControlVector(autoreset_mode=AutoresetMode.DISABLED, **options)
         self.observation_space = self.benches.single_observation_space
         self.action_space = self.benches.single_action_space
 
