@@ -15,7 +15,6 @@ FORMER = {"export_c": "ros2 run hydro_sim export --box FILE.h", "collect": "ros2
 @command()
 def main() -> None:
     """Entry point."""
-    name = Path(sys.argv[0]).stem
-    now = FORMER[name]
-    argparse.ArgumentParser(prog=name, description=f"Refused: it is now `{now}`.").parse_known_args()
-    raise UserError(f"{name} is now `{now}`")
+    told = {name: f"{name} is now `{now}`" for name, now in FORMER.items()}
+    argparse.ArgumentParser(description=f"Refused: {'; '.join(told.values())}.").parse_known_args()
+    raise UserError(told[Path(sys.argv[0]).stem])
