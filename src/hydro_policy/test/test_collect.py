@@ -27,7 +27,7 @@ from hydro_core.signals import Flag
 from hydro_policy.nodes.collect import SchedulePlan
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
-from tests.checks import ran
+from tests.checks import ran, wait
 from tests.graph_probe import Probe
 
 
@@ -168,4 +168,15 @@ def test_a_bench_file_that_is_not_the_boxs_is_refused(plant: Callable[..., None]
     refused = ran(executable_path("hydro_policy", "collect"), *words, timeout=60)
     assert refused.returncode == 2
     assert f"the box believes {own.digest}" in refused.stderr.splitlines()[-1]
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.graph
+def test_interrupted_before_anything_is_played_it_leaves_no_folder(plant: Callable[..., None], tmp_path: Path) -> None:
+    plant()
+    output = io.StringIO()
+    collect = Companion("hydro_policy", "collect", _collect(tmp_path, [HOLD]), output=output.write)
+    wait(lambda: (tmp_path / "bag").exists(), 60.0)
+    assert collect.stop(30.0) == 2
+    assert collect.last_line == "error: interrupted: nothing was played"
     assert not (tmp_path / "bag").exists()

@@ -187,13 +187,14 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         if not rearm:
             node.listen_for_enter()
         try:
-            finished = node.run_session(runner, tick)
+            if not node.run_session(runner, tick):
+                begun = node.timing.response.count > 0
+                kept = f"{options.out} holds what was played so far" if begun else "nothing was played"
+                raise UserError(f"interrupted: {kept}")
         except (NotReadyError, CompanionError, UserError):
-            if not node.timing.response.count and recorder.running:  # what is refused leaves no folder
-                quiet.callback(rmtree, options.out)  # once the recorder has ended
+            if not node.timing.response.count and recorder.running:  # nothing played: no folder
+                quiet.callback(rmtree, options.out, ignore_errors=True)  # once the recorder has ended, if it made one
             raise
-        if not finished:
-            raise UserError(f"interrupted: {options.out} holds what was played so far")
     return plan
 
 
