@@ -224,6 +224,13 @@ def test_its_sources_compile_elsewhere(fmus: dict[str, Path], name: str, tmp_pat
     assert set(libraries) <= {"libm.so.6", "libc.so.6"}
 
 
+def test_a_name_that_c_refuses_and_a_folder_that_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of(command.main, "--simulink", tmp_path / "bänk.c") == 2
+    assert "made of letters, digits and _" in capsys.readouterr().err
+    assert status_of(command.main, "--c", tmp_path / "none" / "bench.c") == 2
+    assert capsys.readouterr().err == f"error: {tmp_path}/none/bench.c: No such file or directory\n"
+
+
 def numbers(array: FloatArray) -> Any:
     return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 

@@ -36,7 +36,7 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError as error:
         with suppress(OSError):
             partial.unlink()
-        if error.filename is None:  # the error of a full disk names no file
+        if error.filename in (None, str(partial)):  # the error of a full disk names no file
             error.filename = str(path)
         raise
     flush_folder(path.parent)

@@ -57,7 +57,7 @@ def main() -> None:
         raise UserError(f"{out}: a file of --{kind} ends in {FORMATS[kind][0]}")
     if kind != "box" and (options.name, options.integral) != (NAME, "bumpless"):
         raise UserError(f"--name and --integral go with --box, not with --{kind}")
-    name = re.sub(r"\W|^(?=\d)", "_", out.stem)
+    name = re.sub(r"\W|^(?=\d)", "_", out.stem, flags=re.ASCII)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     exported = Exported(bench, intervals_beside(options.bench) if options.bench else ())
     content: str | bytes
