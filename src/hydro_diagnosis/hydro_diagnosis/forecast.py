@@ -112,7 +112,7 @@ def forecasts(
     """One forecast a recording of `held`, or None with the reason; `paths`: of the recordings that were diagnosed."""
     if not can_simulate(problem.bench):
         return None, "the bench file does not hold all numbers that a simulation needs"
-    where = {name: Path(path) for path in paths for name in (Path(path).name, Path(path).stem)}
+    where = {name: Path(path) for path in paths for name in (Path(path).name, Path(path).stem, str(Path(path)))}
     found, reasons = [], []
     for name in dict.fromkeys(segment.recording for segment in held):
         longest = max((one for one in held if one.recording == name), key=len)

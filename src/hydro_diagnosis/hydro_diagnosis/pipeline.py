@@ -19,7 +19,7 @@ from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
 from hydro_diagnosis.selection.search import NAMES, Search, SearchSettings
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
-from hydro_diagnosis.stages.reading import Progress, Question
+from hydro_diagnosis.stages.reading import Case, Progress, Question
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
 from hydro_diagnosis.twin import compared
 from hydro_sim.model.bench import Bench
@@ -86,24 +86,35 @@ def diagnose(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
         estimate=estimate, as_wired=as_wired, budget=Budget(seconds),
     )  # fmt: skip
-    found = _answered(question, settings or NAMES, progress)
+    settings = settings or NAMES
     if not simulated:
-        return found
-    question = replace(
+        return _answered(_read(question, progress), settings, progress)
+
+    def told(text: str) -> None:
+        progress(f"simulator: {text}")
+
+    beside = replace(
         question, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)
     )
+    simulator = _read(beside, told)  # both before any search: what cannot be read is refused at once
+    found = _answered(_read(question, progress), settings, progress)
     try:
-        other = _answered(question, settings or NAMES, lambda text: progress(f"simulator: {text}"))
+        other = _answered(simulator, settings, told)
     except DiagnosisInterrupted as interrupted:
         unfinished = replace(found.report, verdict=INTERRUPTED)
         raise DiagnosisInterrupted(unfinished, interrupted.status) from None
     return replace(found, report=compared(found.report, other.report))
 
 
-def _answered(question: Question, settings: SearchSettings, progress: Progress) -> Diagnosis:
+def _read(question: Question, progress: Progress) -> tuple[Case, float]:
+    """The case, and how long it took to read [s]."""
     begun = time.monotonic()
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
-        case = read_repaired(question, progress)
+        return read_repaired(question, progress), time.monotonic() - begun
+
+
+def _answered(read: tuple[Case, float], settings: SearchSettings, progress: Progress) -> Diagnosis:
+    case, begun = read[0], time.monotonic() - read[1]
     given = None not in case.numbers.values()
     search = Search(case.problem, case.candidates, settings, progress, given=given)
     try:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,6 +16,12 @@ from hydro_core.signals import FloatArray
 TEXTS = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
 SUFFIXES = (*TEXTS, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
 SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
+
+
+def named_in_full(paths: Sequence[str | Path]) -> set[Path]:
+    """Recordings whose names are their paths, since another one has the same file name: most bags are called `bag`."""
+    stems = Counter(Path(path).stem for path in paths)
+    return {Path(path) for path in paths if stems[Path(path).stem] > 1}
 
 
 def unreadable(path: Path) -> str:
@@ -113,6 +120,10 @@ class Recording:
     segments: tuple[Segment, ...]
     quality: tuple[str, ...] = field(default=())
     """Faults that were found and repaired, one sentence each."""
+
+    def renamed(self, name: str) -> Recording:
+        """The same by another name."""
+        return replace(self, name=name, segments=tuple(replace(one, recording=name) for one in self.segments))
 
     @property
     def seconds(self) -> float:

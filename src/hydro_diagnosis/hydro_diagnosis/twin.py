@@ -2,7 +2,8 @@
 """Bench and simulator: two diagnoses against the same bench file, compared by cause and number.
 
 A cause that both have differs where the 95 % interval of a number's difference, the two intervals' half-widths added in
-quadrature, leaves 0 out. What is left is what the bench has that the simulator has not, or the other way round.
+quadrature, leaves 0 out. What is left is what the bench has that the simulator has not, or the other way round; not
+where one side's cause would explain the other's recordings as well as the cause that was named there.
 """
 
 from __future__ import annotations
@@ -25,19 +26,29 @@ def compared(bench: Report, simulator: Report) -> Report:
         note += (
             f"; not all is explained on the {' and in the '.join(doubtful)}: a cause may be there that was not found"
         )
+    alike = [
+        f"{one.id} on the bench and {two.id} in the simulator are not compared: one in place of the other would "
+        "explain these recordings as well"
+        for one, two in indistinct(bench.effects, simulator.effects)
+    ]
+    if unnamed := [name for name, one in open_.items() if one.closures]:
+        alike.append(f"terms without a name were found on the {' and in the '.join(unnamed)}: they are not compared")
     return replace(
         bench,
         simulated=differences(bench.effects, simulator.effects),
-        data_quality=[*bench.data_quality, note, *(f"simulator: {one}" for one in simulator.data_quality)],
+        data_quality=[*bench.data_quality, note, *alike, *(f"simulator: {one}" for one in simulator.data_quality)],
         seconds=bench.seconds + simulator.seconds,
     )
 
 
 def differences(real: Sequence[EffectReport], simulated: Sequence[EffectReport]) -> list[Difference]:
     """Causes that one of the two lacks, then those whose numbers differ; none that cannot be told apart."""
-    own, other = ({_place(effect): effect for effect in effects} for effects in (real, simulated))
+    own, other = _by_place(real), _by_place(simulated)
+    pairs = {_place(effect) for pair in indistinct(real, simulated) for effect in pair}
     found = []
     for place, effect in (other | own).items():
+        if place in pairs:
+            continue
         one, two = (side[place].parameters if place in side else {} for side in (own, other))
         numbers = {name: _number(one.get(name), two.get(name)) for name in one | two}
         only_in = "real" if not two else "simulated" if not one else None
@@ -45,6 +56,24 @@ def differences(real: Sequence[EffectReport], simulated: Sequence[EffectReport])
             place_of = {"id": effect.id, "equation": effect.equation, "options": effect.options}
             found.append(Difference(**place_of, parameters=numbers, only_in=only_in))  # type: ignore[arg-type]
     return sorted(found, key=lambda difference: difference.only_in or "s")  # real, both, simulated
+
+
+def indistinct(
+    real: Sequence[EffectReport], simulated: Sequence[EffectReport]
+) -> list[tuple[EffectReport, EffectReport]]:
+    """Causes of the bench alone and of the simulator alone, one of which is a rival of the other that fits as well."""
+
+    def rivals(effect: EffectReport) -> set[str]:
+        return {rival.id for rival in effect.rivals if not rival.distinguishable}
+
+    own, other = _by_place(real), _by_place(simulated)
+    alone = [effect for place, effect in own.items() if place not in other]
+    beside = [effect for place, effect in other.items() if place not in own]
+    return [(one, two) for one in alone for two in beside if two.id in rivals(one) or one.id in rivals(two)]
+
+
+def _by_place(effects: Sequence[EffectReport]) -> dict[tuple[str, ...], EffectReport]:
+    return {_place(effect): effect for effect in effects}
 
 
 def _place(effect: EffectReport) -> tuple[str, ...]:

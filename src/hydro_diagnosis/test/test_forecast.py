@@ -14,6 +14,7 @@ from hydro_bridge.ros.messages import LAW_STATES
 from hydro_core.signals import Law, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.forecast import LAW_STATE_TOPIC, MISSED, NoForecastError, forecasts, recorded_loop
+from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -91,3 +92,14 @@ def test_compensated_law_is_that_of_the_recording(worn: Problem, tmp_path: Path)
     (found,), why = forecasts(worn, CAUSES, [segment(states, "bag")], [tmp_path / "bag"])
     assert found.law == "compensated" and not why
     assert found.rmse_corrected == pytest.approx(found.rmse_recorded, rel=0.03)
+
+
+def test_recordings_of_one_file_name_are_told_apart(worn: Problem, held: StateArray, tmp_path: Path) -> None:
+    """Every run has its `bag`: each has a forecast of its own, by its own path."""
+    paths = [tmp_path / folder / "bag" for folder in ("fitted", "one", "two")]
+    for path, states in zip(paths, (record(TRUTH, 20, seconds=6.0), held, record(TRUTH, 29, seconds=5.0)), strict=True):
+        with BagWriter(path) as bag:
+            bag.write_states(states)
+    _, segments, _ = load_dataset(paths[:1], paths[1:], Bench.nominal())
+    found, why = forecasts(worn, CAUSES, segments, paths)
+    assert not why and [one.recording for one in found or ()] == [str(path) for path in paths[1:]]

@@ -12,8 +12,11 @@ from typing import Any
 import pytest
 
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.report_json import EffectReport, ParameterEstimate
-from hydro_diagnosis.twin import differences, sentences
+from hydro_diagnosis.pipeline import diagnose
+from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.report_json import EffectReport, ParameterEstimate, Rival
+from hydro_diagnosis.stage_bar import SEARCHING
+from hydro_diagnosis.twin import differences, indistinct, sentences
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment
@@ -57,6 +60,10 @@ def test_concealed_simulator_is_told_from_the_bench(tmp_path: Path, valid: Calla
         assert number["simulated"] == pytest.approx(SIMULATOR[name][key], rel=0.05)
         assert number["ci95"][0] <= REAL[name][key] - SIMULATOR[name][key] <= number["ci95"][1]
     page = (out / "report.html").read_text()
+    said: list[str] = []
+    with pytest.raises(InputError, match=r"none\.csv: there is no such recording"):
+        diagnose(bench, simulated=["none.csv"], progress=said.append)
+    assert SEARCHING not in said, "before anything is searched for"
     assert "Bench and simulator" in page and "the bench has, the simulator has not: valve_offset" in page
 
 
@@ -78,3 +85,16 @@ def test_numbers_within_each_other_s_doubt_are_no_difference() -> None:
     number = found[1].parameters["force"]
     assert number.difference == pytest.approx(-0.5) and number.ci95 == pytest.approx([-0.924, -0.076], abs=1e-3)
     assert "force is 10 N on the bench and 10.5 N in the simulator, -0.5 N" in sentences(found)[1]
+
+
+def test_causes_that_explain_each_other_s_recordings_are_no_difference() -> None:
+    """A lag and a dead time on a sine: what the one recording is said to have, the other may have as well."""
+    same = effect("friction_coulomb", 10.0, 0.3)
+    lag, delay = effect("valve_lag", 120.0, 3.0), effect("transport_delay", 2e-3, 1e-5)
+    as_well = Rival(id="valve_lag", delta_bic=0.3, distinguishable=False, why="x")
+    worse = replace(as_well, delta_bic=900.0, distinguishable=True)
+    real, simulated = [lag, same], [replace(delay, rivals=[as_well]), same]
+    assert differences(real, simulated) == [] and [(a.id, b.id) for a, b in indistinct(real, simulated)] == [
+        ("valve_lag", "transport_delay")
+    ]
+    assert len(differences(real, [replace(delay, rivals=[worse]), same])) == 2

@@ -26,7 +26,7 @@ from hydro_diagnosis.preprocessing.streaming import (
     select_informative_windows,
     table_within,
 )
-from hydro_diagnosis.recording import MEASURED, Recording, Segment
+from hydro_diagnosis.recording import MEASURED, Recording, Segment, named_in_full
 from hydro_diagnosis.wiring import Inspection, inspect_table
 from hydro_sim.model.bench import Bench
 
@@ -52,8 +52,9 @@ def load_dataset(
     Raises InputError if none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
     """
     inspection = Inspection() if inspection is None else inspection
-    to_fit, notes = _read(recordings, bench, columns, inspection)
-    to_check, more_notes = _read(holdout, bench, columns, inspection, spare=True)
+    in_full = named_in_full([*recordings, *holdout])
+    to_fit, notes = _read(recordings, bench, columns, inspection, in_full)
+    to_check, more_notes = _read(holdout, bench, columns, inspection, in_full, spare=True)
     _refuse_twice([*to_fit, *to_check])
     fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
     refuse_unconnected(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
@@ -116,27 +117,34 @@ def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
 
 
 def _read(
-    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, inspection: Inspection, *, spare: bool = False
+    paths: Sequence[str | Path],
+    bench: Bench,
+    columns: ColumnMap | None,
+    inspection: Inspection,
+    in_full: set[Path],
+    *,
+    spare: bool = False,
 ) -> tuple[list[Recording], list[str]]:
     """Recordings with information, and a note on each without.
 
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
     """
-    looked = [_look(path, bench, columns) for path in paths]
-    for _, found in looked:
+    recordings, refused = list[Recording](), list[UnusableRecordingError]()
+    for path in map(Path, paths):
+        one, found = _look(path, bench, columns)
         inspection.add(found)
-    recordings = [one for one, _ in looked if isinstance(one, Recording)]
-    refused = [one for one, _ in looked if not isinstance(one, Recording)]
+        if isinstance(one, Recording):
+            recordings.append(one.renamed(str(path)) if path in in_full else one)
+        else:
+            refused.append(one)
     if refused and not recordings and not spare:
         raise refused[0]
     notes = [f"{error}; it was left out" for error in refused]
     return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
 
 
-def _look(
-    path: str | Path, bench: Bench, columns: ColumnMap | None
-) -> tuple[Recording | UnusableRecordingError, Inspection]:
-    path, found = Path(path), Inspection()
+def _look(path: Path, bench: Bench, columns: ColumnMap | None) -> tuple[Recording | UnusableRecordingError, Inspection]:
+    found = Inspection()
 
     def inspected(table: RawTable) -> RawTable:
         found.add(inspect_table(table, bench))

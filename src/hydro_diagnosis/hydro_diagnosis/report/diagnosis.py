@@ -80,7 +80,10 @@ class Diagnosis:
                 value = f"{estimate.value * factor:.5g} {unit}".strip()
                 lines.append(f"    {name} = {value} ({interval(estimate.ci95, factor)})")
         if report.simulated is not None:
-            lines.append("bench and simulator: " + ("by these they differ" if report.simulated else "no difference"))
+            lines.append(
+                "bench and simulator: "
+                + ("by these they differ" if report.simulated else "no difference that these recordings tell")
+            )
             lines += [f"  {sentence}" for sentence in sentences(report.simulated)]
         lines += [f"  {number.sentence}" for number in report.estimated]
         for closure in report.closures:

@@ -180,7 +180,10 @@ def rendered(found: Diagnosis) -> str:
         used=found.used,
         verdict=_VERDICTS[report.verdict],
         checked=[f"{name}: {_CHECKED[name]}" for name in report.checked],
-        not_checked=[f"{name}: {_CHECKED[name]}" if name in _CHECKED else name for name in report.not_checked],
+        not_checked=[
+            f"{name}: {_CHECKED[name]}, for lack of channels" if name in _CHECKED else name
+            for name in report.not_checked
+        ],
         differences=sentences(report.simulated or ()),
         effects=[(effect, _picture(found, effect)) for effect in report.effects],
         comparison=comparison,

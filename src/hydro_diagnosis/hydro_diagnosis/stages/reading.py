@@ -28,16 +28,20 @@ from hydro_diagnosis.estimation.problem import Budget, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.preprocessing.loading import load_dataset
-from hydro_diagnosis.recording import InputError, Segment
+from hydro_diagnosis.recording import InputError, Segment, named_in_full
 from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.wiring import Inspection
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
 
 
-def recording_entry(path: str | Path) -> dict[str, Any]:
-    """`name`, and `begin` [s since 1970] of a bag with /hydro/state; None for files of other loggers."""
-    path = Path(path)
+def recording_entries(paths: Sequence[str | Path]) -> list[dict[str, Any]]:
+    """Name of each recording, and `begin` [s since 1970] of a bag with /hydro/state; None for other loggers' files."""
+    in_full = named_in_full(paths)
+    return [{**_entry(path), **({"name": str(path)} if path in in_full else {})} for path in map(Path, paths)]
+
+
+def _entry(path: Path) -> dict[str, Any]:
     if not is_bag(path):
         return {"name": path.stem, "begin": None}
     try:
@@ -158,7 +162,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     facts = {
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
-        "recordings": [recording_entry(path) for path in (*question.recordings, *question.holdout)],
+        "recordings": recording_entries([*question.recordings, *question.holdout]),
         "data_quality": [*untried, *left_out(channels, believed), *quality, *_ringing(problem)],
         "baseline": {"bench": given.to_mapping(), "model": origin},
         "versions": {"hydro_diagnosis": _version()},
