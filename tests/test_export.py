@@ -224,6 +224,13 @@ def test_its_sources_compile_elsewhere(fmus: dict[str, Path], name: str, tmp_pat
     assert set(libraries) <= {"libm.so.6", "libc.so.6"}
 
 
+def test_the_same_effect_twice_has_names_of_its_own(tmp_path: Path) -> None:
+    file = tmp_path / "bench.fmu"
+    file.write_bytes(Exported(replace(NOMINAL, effects=(LAGS[0], LAGS[0]))).fmu(file.stem))
+    names = [one.name for one in fmpy.read_model_description(str(file)).modelVariables]
+    assert len(set(names)) == len(names) and {"valve_lag.damping[2]", "state.valve_lag.spool[2]"} <= set(names)
+
+
 def test_a_name_that_c_refuses_and_a_folder_that_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of(command.main, "--simulink", tmp_path / "bänk.c") == 2
     assert "made of letters, digits and _" in capsys.readouterr().err

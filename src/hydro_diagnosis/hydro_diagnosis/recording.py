@@ -20,8 +20,9 @@ SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 
 def named_in_full(paths: Sequence[str | Path]) -> set[Path]:
     """Recordings whose names are their paths, since another one has the same file name: most bags are called `bag`."""
-    stems = Counter(Path(path).stem for path in paths)
-    return {Path(path) for path in paths if stems[Path(path).stem] > 1}
+    different = {Path(path) for path in paths}
+    stems = Counter(path.stem for path in different)
+    return {path for path in different if stems[path.stem] > 1}
 
 
 def unreadable(path: Path) -> str:

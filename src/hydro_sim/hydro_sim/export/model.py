@@ -110,10 +110,11 @@ class Exported:
         rest = hydraulics.rest_state(self.bench.constants()[0]).tolist()
         terms = [(catalogue.label(entry), catalogue.kind_of(entry)[0].effect.states) for entry in self.bench.terms]
         labels = [*("" for _ in rest), *(f"{label}." for label, states in terms for _ in states)]
+        names = unique(f"{label}{one.name}" for label, one in zip(labels, self.model.states, strict=False))
         first = FIRST + len(self.model.parameters)
         states = [
-            {"name": f"{label}{one.name}", "unit": one.unit, "reference": first + i, "derivative": first + count + i}
-            for i, (label, one) in enumerate(zip(labels, self.model.states, strict=False))
+            {"name": name, "unit": one.unit, "reference": first + i, "derivative": first + count + i}
+            for i, (name, one) in enumerate(zip(names, self.model.states, strict=False))
         ][: None if exchange else 4]
         sliding = first + 2 * count if exchange and self.model.symbols().dry_friction else None
         unknown = [one["reference"] for one in states[4:]] + [one["derivative"] for one in states if exchange]
@@ -130,13 +131,14 @@ class Exported:
     @cached_property
     def _parameters(self) -> list[dict[str, Any]]:
         """Parameters in the model's order, by unique names."""
-        numbers, seen, listed = self.bench.quantities(), Counter[str](), list[dict[str, Any]]()
+        numbers, listed = self.bench.quantities(), list[dict[str, Any]]()
+        names = unique(
+            f"bench.{one.name}" if i < len(numbers) else one.name for i, one in enumerate(self.model.parameters)
+        )
         room = max(self.model.structure.past - 2, 0) * SAMPLE_PERIOD - catalogue.delay(self.bench.effects)
         for i, (one, value) in enumerate(zip(self.model.parameters, self.model.values.tolist(), strict=True)):
-            name = f"bench.{one.name}" if i < len(numbers) else one.name
-            seen[name] += 1
             listed.append({
-                "name": name if seen[name] == 1 else f"{name}[{seen[name]}]", "unit": one.unit, "value": value,
+                "name": names[i], "unit": one.unit, "value": value,
                 "low": one.low, "high": value + room if one.name == DEAD_TIME else one.high, "reference": FIRST + i,
                 "meaning": numbers[one.name].meaning if i < len(numbers) else "",
                 "ci95": self._intervals.get((one.name.rpartition(".")[2], value)),
@@ -150,3 +152,12 @@ class Exported:
             parameters=self._parameters, forces=FORCES, dry_friction=int(symbols.dry_friction),
             ideal_cell=int(symbols.ideal_cell), step=SAMPLE_PERIOD / self.model.substeps, **values,
         )  # fmt: skip
+
+
+def unique(names: Iterable[str]) -> list[str]:
+    """The names, the second of the same with [2] behind it."""
+    seen, found = Counter[str](), list[str]()
+    for name in names:
+        seen[name] += 1
+        found.append(name if seen[name] == 1 else f"{name}[{seen[name]}]")
+    return found
