@@ -78,6 +78,10 @@ REFUSED: tuple[tuple[dict[str, object], str], ...] = (
     ({"moving_mass": nan}, "bench.moving_mass must be a number in kg, not nan"),
     ({"supply_pressure": 1e5, "tank_pressure": 2e5}, "is not below supply_pressure 100000 Pa"),
     ({"effects": [{"id": "gremlin"}]}, "effect 'gremlin' is not known"),
+    (
+        {"closures": [{"equation": "motion", "form": "quadratic drg"}]},
+        "is not known; there is closure equation=motion form=quadratic drag, ",
+    ),
     ({"effects": [{"id": "backlash"}]}, "effect backlash lacks its parameter width [m]"),
     ({"effects": [{"id": "backlash", "parameters": {"width": "wide"}}]}, "width = 'wide' is not a number in [0, 0.1]"),
 )
@@ -91,6 +95,7 @@ def test_a_file_that_is_no_bench_is_refused_in_one_sentence_with_its_name_and_ke
         with pytest.raises(ValueError) as refusal:
             Bench.load(path)
         assert str(refusal.value).startswith(f"{path}: ") and sentence in str(refusal.value)
+        assert len(str(refusal.value)) < 600
     for broken in (b"", b"- 1\n- 2\n", b"a: [1\n", b"\xff\xfe\x00"):
         path.write_bytes(broken)
         with pytest.raises(ValueError, match=re.escape(str(path))) as refusal:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -71,6 +72,10 @@ KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
 """Effects and closures."""
 
 
+MANY = 5
+"""Names that a sentence lists at most; there are hundreds of closures."""
+
+
 def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
     """Kind and parameters of an entry.
 
@@ -80,6 +85,8 @@ def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
     name, parameters = label(effect), effect.get("parameters") or {}
     if name not in KINDS:
         known = [other for other in KINDS if other.split()[0] == str(effect["id"])]
+        if len(known) > MANY:
+            known = get_close_matches(name, known, MANY)
         raise ValueError(f"effect {name!r} is not known" + (f"; there is {', '.join(known)}" if known else ""))
     if not isinstance(parameters, Mapping):
         raise ValueError(f"effect {name}: 'parameters' is a mapping of names to numbers")
