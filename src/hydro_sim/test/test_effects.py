@@ -79,7 +79,7 @@ REFUSED: tuple[tuple[dict[str, object], str], ...] = (
     ({"supply_pressure": 1e5, "tank_pressure": 2e5}, "is not below supply_pressure 100000 Pa"),
     ({"effects": [{"id": "gremlin"}]}, "effect 'gremlin' is not known"),
     (
-        {"closures": [{"equation": "motion", "form": "quadratic drg"}]},
+        {"closures": [{"equation": "motion", "form": "quadratic drg", "parameters": {}}]},
         "is not known; there is closure equation=motion form=quadratic drag, ",
     ),
     ({"effects": [{"id": "backlash"}]}, "effect backlash lacks its parameter width [m]"),
