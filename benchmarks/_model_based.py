@@ -90,8 +90,9 @@ class Fixed(Compensator):
     """
 
     def __init__(self, cases: Sequence[Case], found: Compensator) -> None:
-        super().__init__(len(cases), law=BoxLaw())
-        self._memory = found._memory
+        law = BoxLaw()
+        super().__init__(len(cases), law=law)
+        self._memory, self._low, self._high = found._memory, law.coefficient_min[3], law.coefficient_max[3]
         self.frozen[:] = True
         times = np.arange(LONGEST * SAMPLES_PER_STEP) * SAMPLE_PERIOD
         self.wanted: FloatArray = np.array([reference_force(case.signal, times)[0] for case in cases])
@@ -103,13 +104,13 @@ class Fixed(Compensator):
 
     def step(
         self, commanded: FloatArray, measured: FloatArray, active: npt.NDArray[np.bool_],
-        reference_rate: FloatArray | None = None,
+        reference_rate: FloatArray | None = None, reference: FloatArray | None = None,
     ) -> FloatArray:  # fmt: skip
         """See `Compensator.step`."""
-        super().step(commanded, measured, active, reference_rate)
+        super().step(commanded, measured, active, reference_rate, reference)
         self.steps += 1
         self.added = self.correction(commanded, measured, active)
-        self.coefficients[:, 3] = np.clip(self.coefficients[:, 3] + self.added, self._low[3], self._high[3])
+        self.coefficients[:, 3] = np.clip(self.coefficients[:, 3] + self.added, self._low, self._high)
         return self.coefficients.copy()
 
     def correction(self, commanded: FloatArray, measured: FloatArray, active: npt.NDArray[np.bool_]) -> FloatArray:
@@ -317,7 +318,7 @@ class Predictive(Fixed):
 
     def _first(self, error: FloatArray, level: float, added: float) -> float:
         """The correction with the first move of the best plan."""
-        low, high = (np.repeat((limit[3] - level - added, side * self._rate), STEPS)
+        low, high = (np.repeat((limit - level - added, side * self._rate), STEPS)
                      for limit, side in ((self._low, -1.0), (self._high, 1.0)))  # fmt: skip
         self._program.update(q=-self._moves.T @ error, l=np.minimum(low, 0.0), u=np.maximum(high, 0.0))
         return added + float(self._program.solve().x[0])

@@ -7,19 +7,23 @@ the closed loop from f_c to the measured force f is nearly the inverse of such a
     f_c = a_0 f + a_1 f' + a_2 f'' + a_3
 
 so the a of a least-squares fit of the f_c that acted on [f, f', f'', 1] make f follow f_r, whatever the bench is.
-Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Two terms more are the valve's,
+Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Four terms more are
 
-    b_0 tanh(f_r' / r) + b_1 |f_r'|     its overlap, which wants a step of the current where the force turns, and
-                                        its gain where it differs between the directions
+    b_0 tanh(f_r' / r)           the valve's overlap, which wants a step of the current where the force turns
+    b_1 |f_r'|                   a_1 where it differs between the directions, a lopsided valve
+    b_2 f_r f_r', b_3 f_r |f_r'| and along the force: the chambers' volumes, and the valve's gain, which goes with the
+                                 square root of what the load leaves of the supply on its own side
 
-and go out as part of a_3, for the f_r' of the middle of the policy step in which they act. Here::
+and go out as part of a_3, for the f_r and f_r' of the middle of the policy step in which they act. Here::
 
     f_c, f, terms (1 kHz) --the same state-variable filter--> F_c, phi            aligned to the sample
     100 Hz    A <- (1 - w) A + phi phi^T,  b <- (1 - w) b + phi F_c               w = dt / memory, by excitation
-              fit = argmin sum (F_c - phi^T a)^2 + weight |a - neutral|^2         within the law's limits
-              a <- a + (fit - a) dt / settling
+              a = argmin sum (F_c - phi^T a)^2 + weight |a - start|^2             within the law's limits
 
 All channels run through one filter: a derivative half a sample beside the rest is 5 % of a_1.
+
+The box is told `BOX_SHARE` of a_2. The rest of a_2 f_r'' goes out within a_3, smoothed: where f_r itself depends on f,
+as in a hybrid simulation, the whole a_2 takes the damping of a resonance above the reference's frequencies.
 
 Where the fit misses F_c by more than `surprise` the bench has changed: what was before is forgotten sooner.
 
@@ -44,7 +48,7 @@ import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.settings import SettingsError, check, quantity
-from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -60,8 +64,18 @@ SETTLED = 0.2
 LEAD = 0.01
 """Time [s] from the last sample to that whose f_r' the valve's terms take."""
 
-NEUTRAL_TERMS = np.array((*NEUTRAL, 0.0, 0.0))
-"""a_0 to a_3, b_0, b_1 that change nothing."""
+START = np.array((1.0, 0.02, 1e-4, 0.0, 0.0, 0.0, 0.0, 0.0))
+"""a_0 to a_3 and b_0 to b_3 to begin with: half of the usual lag, so wrong by no more than that on either side."""
+
+BOX_SHARE = 0.75
+"""Of a_2, see `benchmarks.hybrid_simulation`: with 0.85 two of 20 perturbed plants are unstable."""
+
+PAST = 40
+"""Samples of f_r' to which a cubic is fitted."""
+
+_CUBIC = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - PAST, 1), 4, increasing=True))
+SECOND: FloatArray = _CUBIC[1] + 2.0 * LEAD * _CUBIC[2]
+"""Weights of these samples in the f_r'' of `LEAD` behind the last one, shape (`PAST`,)."""
 
 ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
 """Flags of which ARMED alone must be set for samples to count."""
@@ -71,16 +85,16 @@ ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.S
 class CompensatorSettings:
     """Settings of the estimator."""
 
-    bandwidth: Annotated[float, quantity("Hz", 1.0, 50.0)] = 10.0
+    bandwidth: Annotated[float, quantity("Hz", 1.0, 50.0)] = 15.0
     """Of each pole of the filter that force and command run through."""
     memory: Annotated[float, quantity("s", 0.1, 60.0)] = 2.0
     """Time constant of forgetting under good excitation."""
     settling: Annotated[float, quantity("s", 0.01, 10.0)] = 0.3
-    """Time constant with which the coefficients follow the fit."""
+    """Time constant with which a_0 and a_3 return to 1 and 0 where nothing is learnt."""
     weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-4
-    """Of neutral coefficients in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
+    """Of `START` in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
     valve_weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-2
-    """Of the absence of the valve's terms: smooth steps tell them badly from f'."""
+    """Of the absence of the terms of b: smooth steps tell them badly from f'."""
     force_scale: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
     """Usual amplitude of the force."""
     good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
@@ -89,7 +103,7 @@ class CompensatorSettings:
     """Residual of the fit over `force_scale` at which forgetting is twice as fast."""
     haste: Annotated[float, quantity("-", 1.0, 100.0)] = 8.0
     """Forgetting is never faster than so many times."""
-    reversal: Annotated[float, quantity("N/s", 1e-4, 1e7)] = NOMINAL.force / 5.0
+    reversal: Annotated[float, quantity("N/s", 1e-4, 1e7)] = NOMINAL.force / 10.0
     """r, the force rate over which the valve counts as turning."""
     least_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
     """Excitation below which nothing is learnt."""
@@ -138,26 +152,28 @@ class _Constants(NamedTuple):
     regressors: FloatArray
     """From the filtered force and its derivatives to regressors, shape (3, `ORDER`)."""
     scale: FloatArray
-    """Of each regressor, shape (6,)."""
+    """Of each regressor, shape (8,)."""
     weights: FloatArray
-    """Of neutral coefficients, shape (6,)."""
+    """Of `START`, shape (8,)."""
     least: FloatArray
     most: FloatArray
-    """Bounds of the fit, shape (6,)."""
+    """Bounds of the fit, shape (8,)."""
 
 
 class _Memory(NamedTuple):
     """What is known of n benches."""
 
     found: FloatArray
-    """a_0 to a_3, b_0 [N], b_1 [s], shape (n, 6)."""
+    """a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], shape (n, 8)."""
     states: FloatArray
-    """f_c, f and the valve's terms, filtered, with their derivatives, shape (n, 4, `ORDER`)."""
+    """f_c, f and the terms of b, filtered, with their derivatives, shape (n, 6, `ORDER`)."""
     last: FloatArray
-    """The same four of the last sample, shape (n, 4)."""
+    """The same six of the last sample, shape (n, 6)."""
+    rates: FloatArray
+    """Last f_r' [N/s], the newest last, shape (n, `PAST`); NaN: none yet."""
     matrix: FloatArray
     vector: FloatArray
-    """Of the fit, shapes (n, 6, 6) and (n, 6)."""
+    """Of the fit, shapes (n, 8, 8) and (n, 8)."""
     steps: npt.NDArray[np.int64]
     """Since the last gap, shape (n,)."""
     excitation: FloatArray
@@ -192,42 +208,43 @@ class Compensator:
         from hydro_policy.compensation import kernel  # numba: not needed to read the settings
 
         self._take = kernel.take
-        self.settings, limits = settings or CompensatorSettings(), law or BoxLaw()
-        self._low, self._high = np.array(limits.coefficient_min), np.array(limits.coefficient_max)
-        omega, level = 2.0 * math.pi, 1.0 / self.settings.force_scale  # 1 Hz
-        scale = np.array((1.0, omega, omega * omega, level, level, omega))
+        self.settings, self.law = settings or CompensatorSettings(), law or BoxLaw()
+        omega, force = 2.0 * math.pi, self.settings.force_scale  # 1 Hz
+        scale = np.array((1.0, omega, omega**2, 1.0 / force, 1.0 / force, omega, omega * force, omega * force))
+        least, most, share = self.law.coefficient_min, self.law.coefficient_max, -self.law.coefficient_min[1]
         self._constants = _Constants(
             *_filter(self.settings.bandwidth),
-            regressors=_regressors(cell) / scale[:3, np.newaxis] / self.settings.force_scale,
+            regressors=_regressors(cell) / scale[:3, np.newaxis] / force,
             scale=scale,
-            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * 2),
-            least=np.array((*limits.coefficient_min, limits.coefficient_min[3], limits.coefficient_min[1])),
-            most=np.array((*limits.coefficient_max, limits.coefficient_max[3], -limits.coefficient_min[1])),
+            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * 4),
+            least=np.array((*least, least[3], -share, -share / force, -share / force)),
+            most=np.array((*most, most[3], share, share / force, share / force)),
         )
         self._numbers = np.array([astuple(self.settings)], _SETTINGS)
         self.coefficients: FloatArray = np.empty((count, 4))
-        """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, the valve's terms in a_3, shape (n, 4)."""
+        """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, a_3 with all that it carries, shape (n, 4)."""
         self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)
         """Benches whose last step counted, shape (n,)."""
         self.frozen = np.zeros(count, bool)
         """Benches whose coefficients hold on request, shape (n,)."""
         self._memory = _Memory(
-            found=np.empty((count, *NEUTRAL_TERMS.shape)),
-            states=np.empty((count, 4, ORDER)),
-            last=np.empty((count, 4)),
-            matrix=np.empty((count, *2 * NEUTRAL_TERMS.shape)),
-            vector=np.empty((count, *NEUTRAL_TERMS.shape)),
+            found=np.empty((count, *START.shape)),
+            states=np.empty((count, 6, ORDER)),
+            last=np.empty((count, 6)),
+            rates=np.empty((count, PAST)),
+            matrix=np.empty((count, *2 * START.shape)),
+            vector=np.empty((count, *START.shape)),
             steps=np.empty(count, np.int64),
             excitation=np.empty(count),
         )
         self.reset()
 
     def reset(self, rows: int | slice = slice(None)) -> None:
-        """Start again with these benches, at neutral coefficients."""
-        self.coefficients[rows] = NEUTRAL
+        """Start again with these benches, at `START`."""
+        self.coefficients[rows] = START[:4] * (1.0, 1.0, BOX_SHARE, 1.0)
         for array in self._memory:
             array[rows] = 0
-        self._memory.found[rows] = NEUTRAL_TERMS
+        self._memory.found[rows], self._memory.rates[rows] = START, np.nan
 
     @property
     def excitation(self) -> FloatArray:
@@ -236,8 +253,11 @@ class Compensator:
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
-        """Benches with a coefficient at a limit of the law, shape (n,)."""
-        return np.any((self.coefficients <= self._low) | (self.coefficients >= self._high), axis=1)
+        """Benches with a coefficient at a limit, shape (n,)."""
+        low, high = self._constants.least, self._constants.most
+        found, level = self._memory.found, self.coefficients[:, 3:]
+        at = ((found <= low) | (found >= high), (level <= low[3]) | (level >= high[3]))
+        return np.any(np.concatenate(at, axis=1), axis=1)
 
     def step(
         self,
@@ -245,6 +265,7 @@ class Compensator:
         measured: FloatArray,
         active: npt.NDArray[np.bool_],
         reference_rate: FloatArray | None = None,
+        reference: FloatArray | None = None,
     ) -> FloatArray:
         """Take the samples of a policy step; return a copy of `coefficients`.
 
@@ -255,22 +276,17 @@ class Compensator:
         active
             Benches whose samples count, shape (n,). False while disarmed, saturated, tripped, or where samples are
             missing: the coefficients hold, and the filter starts again behind it.
-        reference_rate
-            f_r' [N/s], shape (n, 10); absent: the valve has no terms.
+        reference_rate, reference
+            f_r' [N/s] and f_r [N], shape (n, 10); absent: 0.
 
         A load cell that is stuck or jumps, and a load out of contact, count as samples missing do.
         """
-        rate = np.zeros_like(measured) if reference_rate is None else reference_rate
-        signals = np.empty((len(self.coefficients), 4, SAMPLES_PER_STEP))
-        signals[:, 0], signals[:, 1] = commanded, measured
-        signals[:, 2], signals[:, 3] = np.tanh(rate / self.settings.reversal), np.abs(rate)
-        self.counted = np.empty(len(signals), np.bool_)
-        self._take(self._numbers, self._constants, self._memory, signals, active, self.frozen, self.counted)
-        found, ahead = self._memory.found, rate[:, -1] + (rate[:, -1] - rate[:, 0]) * LEAD / (STEP - SAMPLE_PERIOD)
-        level = found[:, 3] + found[:, 4] * np.tanh(ahead / self.settings.reversal) + found[:, 5] * np.abs(ahead)
-        self.coefficients[:, :3] = found[:, :3]
-        self.coefficients[:, 3] = np.where(np.isfinite(level), level, self.coefficients[:, 3])
-        np.clip(self.coefficients, self._low, self._high, out=self.coefficients)
+        absent = np.zeros_like(measured)
+        rate, value = (absent if x is None else x for x in (reference_rate, reference))
+        samples = np.stack((commanded, measured, rate, value), axis=1)
+        self.counted = np.empty(len(samples), np.bool_)
+        self._take(self._numbers, self._constants, self._memory, samples, active, self.frozen, self.counted,
+                   self.coefficients)  # fmt: skip
         return self.coefficients.copy()
 
 

@@ -8,31 +8,65 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_core.signals import SAMPLES_PER_STEP
-from hydro_policy.compensation.estimator import NEUTRAL_TERMS, SETTLED, STEP
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
+from hydro_policy.compensation.estimator import BOX_SHARE, LEAD, SECOND, SETTLED, START, STEP
 from hydro_sim.jit import njit
 
 
 @njit
-def take(settings, constants, memory, signals, active, frozen, counted):
-    """Take the four signals of a policy step, shape (n, 4, 10); learn on the benches that count."""
-    for i in range(len(signals)):
-        counted[i] = active[i] and np.isfinite(signals[i]).all() and _plausible(settings[0], memory, signals, i)
-        if not counted[i]:
-            memory.steps[i] = 0
-            continue
-        for channel in range(4):
-            state, now = memory.states[i, channel], signals[i, channel]
-            if memory.steps[i] == 0:
-                state[:], memory.last[i, channel] = 0.0, now[0]
-                state[0] = now[0]
-            state[:] = constants.transition @ state + constants.inputs[0] * memory.last[i, channel]
+def take(settings, constants, memory, samples, active, frozen, counted, coefficients):
+    """Take f_c, f, f_r' and f_r of a policy step, shape (n, 4, 10); learn on the benches that count."""
+    signals = np.empty((memory.last.shape[1], SAMPLES_PER_STEP))
+    for i in range(len(samples)):
+        counted[i] = active[i] and np.isfinite(samples[i]).all() and _plausible(settings[0], memory, samples, i)
+        if counted[i]:
+            signals[:2] = samples[i, :2]
             for k in range(SAMPLES_PER_STEP):
-                state += constants.inputs[k + 1] * now[k]
-            memory.last[i, channel] = now[-1]
-        memory.steps[i] += 1
-        if memory.steps[i] * STEP > SETTLED and not frozen[i]:
-            _learn(settings[0], constants, memory, i)
+                _terms(settings[0], samples[i, 3, k], samples[i, 2, k], signals[2:, k])
+            _run_filter(constants, memory, signals, i)
+            memory.steps[i] += 1
+            if memory.steps[i] * STEP > SETTLED and not frozen[i]:
+                _learn(settings[0], constants, memory, i)
+        else:
+            memory.steps[i] = 0
+        _command(settings[0], constants, memory, samples[i, 2], samples[i, 3, -1], coefficients[i], i)
+
+
+@njit
+def _terms(settings, reference, rate, into):
+    """What b_0 to b_3 multiply."""
+    into[0], into[1] = np.tanh(rate / settings.reversal), abs(rate)
+    into[2], into[3] = reference * rate, reference * abs(rate)
+
+
+@njit
+def _run_filter(constants, memory, signals, i):
+    for channel in range(len(signals)):
+        state, now = memory.states[i, channel], signals[channel]
+        if memory.steps[i] == 0:
+            state[:], memory.last[i, channel] = 0.0, now[0]
+            state[0] = now[0]
+        state[:] = constants.transition @ state + constants.inputs[0] * memory.last[i, channel]
+        for k in range(SAMPLES_PER_STEP):
+            state += constants.inputs[k + 1] * now[k]
+        memory.last[i, channel] = now[-1]
+
+
+@njit
+def _command(settings, constants, memory, rate, reference, coefficients, i):
+    """Coefficients for the next policy step; a_3 holds where f_r' is missing."""
+    found, past, b = memory.found[i], memory.rates[i], np.empty(len(START) - 4)
+    if np.isnan(past).any():
+        past[:] = rate[0]
+    past[:-SAMPLES_PER_STEP], past[-SAMPLES_PER_STEP:] = past[SAMPLES_PER_STEP:].copy(), rate
+    ahead = rate[-1] + (rate[-1] - rate[0]) * LEAD / (STEP - SAMPLE_PERIOD)
+    _terms(settings, reference + LEAD * ahead, ahead, b)
+    level = found[3] + np.sum(found[4:] * b) + (1.0 - BOX_SHARE) * found[2] * np.sum(SECOND * past)
+    coefficients[:3] = found[:3]
+    coefficients[2] *= BOX_SHARE
+    if np.isfinite(level):
+        coefficients[3] = level
+    coefficients[:] = np.minimum(np.maximum(coefficients, constants.least[:4]), constants.most[:4])
 
 
 @njit
@@ -55,7 +89,7 @@ def _plausible(settings, memory, signals, i):
 def _learn(settings, constants, memory, i):
     """Update fit and coefficients."""
     share, states, found = STEP / settings.memory, memory.states[i], memory.found[i]
-    phi = np.ones(len(NEUTRAL_TERMS))
+    phi = np.ones(len(START))
     phi[:3] = constants.regressors @ states[1]
     phi[4:] = states[2:, 0] / constants.scale[4:] / settings.force_scale
     target = states[0, 0] / settings.force_scale
@@ -68,9 +102,8 @@ def _learn(settings, constants, memory, i):
     memory.vector[i] = kept * memory.vector[i] + STEP * phi * target
     if excitation >= settings.least_excitation:
         matrix = memory.matrix[i] + np.diag(constants.weights)
-        fit = np.linalg.solve(matrix, memory.vector[i] + constants.weights * NEUTRAL_TERMS) / constants.scale
-        fit = np.minimum(np.maximum(fit, constants.least), constants.most)
+        fit = np.linalg.solve(matrix, memory.vector[i] + constants.weights * START * constants.scale) / constants.scale
+        found[:] = np.minimum(np.maximum(fit, constants.least), constants.most)
     else:
-        fit = found.copy()
-        fit[0], fit[3] = 1.0, 0.0
-    found += (fit - found) * STEP / settings.settling
+        found[0] += (1.0 - found[0]) * STEP / settings.settling
+        found[3] -= found[3] * STEP / settings.settling

@@ -61,7 +61,7 @@ class LiveCompensation:
         """Policy steps whose samples did not count."""
         self._estimator = Compensator(1, settings, law, cell)
         self._residual = Residual(1, network, self._estimator.settings.force_scale)
-        self._adapted = AdaptedLaw(self._estimator, self._residual, law)
+        self._adapted = AdaptedLaw(self._estimator, self._residual)
         self._adapted.learned = False
         self._safe = safe_command(law)
         self._steps: dict[int, _Step] = {}

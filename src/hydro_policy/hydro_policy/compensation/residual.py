@@ -40,7 +40,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_sim.files import weights
@@ -389,12 +388,12 @@ class Residual:
 class AdaptedLaw:
     """Coefficients to command to n benches: the estimator's, with what the residual adds to a_3.
 
-    `estimator`: of the n benches. `residual`: of the same; None: the compensated law alone. `law`: limits of a_3.
+    `estimator`: of the n benches. `residual`: of the same; None: the compensated law alone.
     """
 
-    def __init__(self, estimator: Compensator, residual: Residual | None = None, law: BoxLaw | None = None) -> None:
-        self.estimator, self.residual, limits = estimator, residual, law or BoxLaw()
-        self._low, self._high = limits.coefficient_min[3], limits.coefficient_max[3]
+    def __init__(self, estimator: Compensator, residual: Residual | None = None) -> None:
+        self.estimator, self.residual = estimator, residual
+        self._low, self._high = estimator.law.coefficient_min[3], estimator.law.coefficient_max[3]
         self.learned = residual is not None
         """Whether the residual acts."""
         self.added: FloatArray = np.zeros(len(estimator.coefficients))
@@ -425,7 +424,7 @@ class AdaptedLaw:
         reference: FloatArray,
     ) -> None:
         """Take the samples of a policy step, f_r [N] last (shape (n, 10)); the others as `Compensator.step` does."""
-        a = self.estimator.step(commanded, measured, active, reference_rate)
+        a = self.estimator.step(commanded, measured, active, reference_rate, reference)
         if self.residual is None or not self.learned:
             self.added[:] = 0.0
             return
