@@ -68,7 +68,7 @@ START = np.array((1.0, 0.02, 1e-4, 0.0, 0.0, 0.0, 0.0, 0.0))
 """a_0 to a_3 and b_0 to b_3 to begin with: half of the usual lag, so wrong by no more than that on either side."""
 
 BOX_SHARE = 0.75
-"""Of a_2, see `benchmarks.hybrid_simulation`: with 0.85 two of 20 perturbed plants are unstable."""
+"""Of a_2: with 1 two of 20 perturbed plants of `benchmarks.hybrid_simulation` are unstable, with 0.85 nearly so."""
 
 PAST = 40
 """Samples of f_r' to which a cubic is fitted."""
