@@ -41,6 +41,10 @@ def arguments() -> argparse.Namespace:
     )  # fmt: skip
     result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
     result.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
+    result.add_argument(
+        "--region", action="store_true",
+        help="prove a region of states and gains over which the loop contracts, too, and write METRIC.region.json",
+    )  # fmt: skip
     add_json_argument(result)
     asked = result.parse_args()
     if asked.seed < 0:

@@ -310,6 +310,10 @@ def learn(options: argparse.Namespace) -> None:
             missing.append(f"C_1 = {metric.velocity_compensation:g}: {reason}; {kept}")
     for sentence in missing:
         _say(sentence)
+    if options.region:
+        from hydro_filter.training import region_learning  # with Clarabel: not for a metric alone
+
+        region_learning.write(out, model, bench, [law.compensated for law in laws])
 
 
 def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) -> list[DataSettings]:

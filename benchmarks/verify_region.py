@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prove a METRIC.region.json again, with numpy alone: python -m benchmarks.verify_region FILE; status 1: not proved.
+
+Written from the bench's equations (physics.md) and the force law, not from the package. Coordinates: f_h, z = g s, z',
+f_l, f_l', x, x', x' of the box, currents within a dead time; s: opening, g: N/s per A as the sample begins. Numbers are
+intervals, rounded outward; matrices are C + sum s_i G_i + E, |s_i| <= 1, |E| <= R; the sample is the series of
+time-ordered products. The inequality is convex in the matrix: it is asked at every vertex, with room for E.
+"""
+
+# ruff: noqa
+# mypy: ignore-errors
+# fmt: off
+import json
+import math
+import sys
+from itertools import pairwise, product
+
+import numpy as np
+
+EPS, TERMS, SYMBOLS = 2.0**-52, 34, 14
+C_LAW, ZETA, CHI, GAIN, FLOW, FLOW_ERROR, ETA, ETA_LAW, MEAN, DRIFT, SPRING, SPOOL, DELAY, SHARE = range(SYMBOLS)
+down, up = lambda v: float(np.nextafter(v, -np.inf)), lambda v: float(np.nextafter(v, np.inf))
+
+class I:  # noqa: E742, an interval
+    def __init__(self, low, high=None):
+        self.low, self.high = float(low), float(low if high is None else high)
+
+    def __add__(self, other):
+        other = other if isinstance(other, I) else I(other)
+        return I(down(self.low + other.low), up(self.high + other.high))
+
+    def __mul__(self, other):
+        found = [i * j for i in (self.low, self.high) for j in ((other.low, other.high) if isinstance(other, I) else (other,))]
+        return I(down(min(found)), up(max(found)))
+
+    def __rtruediv__(self, other):
+        if self.low <= 0.0 <= self.high:
+            raise ValueError("a divisor of the bench's equations can be 0")
+        return I(down(1.0 / self.high), up(1.0 / self.low)) * other
+
+    __radd__, __rmul__, size = __add__, __mul__, property(lambda self: max(abs(self.low), abs(self.high)))
+    __neg__, __sub__, __rsub__ = lambda self: I(-self.high, -self.low), lambda s, o: s + (-o), lambda s, o: o + (-s)
+    __truediv__ = lambda self, other: self * (1.0 / other if isinstance(other, I) else 1.0 / I(other))
+    root = lambda self: I(max(down(math.sqrt(self.low)), 0.0), up(math.sqrt(self.high)))
+
+hull = lambda *all_of: I(min(i.low for i in all_of), max(i.high for i in all_of))
+
+class M:  # a set of matrices: s holds C, then G of each symbol; r: R
+    def __init__(self, rows, columns, s=None, r=None):
+        self.s = np.zeros((1 + SYMBOLS, rows, columns)) if s is None else s
+        self.r = np.zeros((rows, columns)) if r is None else r
+
+    size = property(lambda self: np.abs(self.s).sum(0) * (1 + 1e-12) + self.r)
+
+    def __add__(self, o):
+        return M(0, 0, self.s + o.s, (self.r + o.r + 20 * EPS * (self.size + o.size)) * (1 + 1e-12))
+
+    def __matmul__(self, o):
+        s = self.s @ o.s[0]
+        s[1:] += self.s[0] @ o.s[1:]
+        r = self.size @ o.r + self.r @ np.abs(o.s).sum(0) + np.abs(self.s[1:]).sum(0) @ np.abs(o.s[1:]).sum(0)
+        return M(0, 0, s, (r + 100 * EPS * self.size @ o.size) * (1 + 1e-12))
+
+    def __mul__(self, k):
+        return M(0, 0, self.s * k, (self.r + 4 * EPS * self.size) * abs(k))
+
+    def cut(self, rows, columns):
+        return M(0, 0, self.s[:, rows][:, :, columns], self.r[rows][:, columns])
+
+    def put(self, i, j, o):
+        at = slice(i, i + o.r.shape[0]), slice(j, j + o.r.shape[1])
+        self.s[:, at[0], at[1]], self.r[at] = o.s, o.r
+
+def num(x, symbol=None):  # a number whose range is a symbol's, or a radius
+    x, out = x if isinstance(x, I) else I(x), M(1, 1)
+    out.s[0, 0, 0] = middle = 0.5 * (x.low + x.high)
+    half = 0.0 if x.low == x.high else max(x.high - middle, middle - x.low) * (1 + 1e-14) + 4 * EPS * abs(middle)
+    (out.r if symbol is None else out.s[1 + symbol])[0, 0] = half
+    return out
+
+def series(rates, apart, reach, whole):  # transitions by rates within `apart` of their mean, over a part of T
+    n, spread = len(apart), M(*apart.shape)
+    for i in range(n):
+        spread.put(i, i, reach)
+    rates, apart, total, term, single = rates @ spread, apart * reach.size[0, 0], M(n, n), M(n, n), 0.0 * apart
+    size, total.s[0], term.s[0], plain, every = rates.size, *[np.eye(n)] * 4
+    for k in range(1, TERMS + 1):
+        term, single = (term @ rates) * (1 / k), (single @ size + plain @ apart) / k
+        plain, every, total = plain @ size / k, every @ (size + apart) / k, total + term
+        # with mean 0 and a slope of 2 |E|/T a term with one E counts (k - 1)/(k + 1) of its size
+        total.r += (1 + 1e-9) * ((k - 1) / (k + 1) if whole else 1) * single
+        total.r += np.maximum(every - plain - single, 0) + 1e-14 * every
+    norm = (size + apart).sum(1).max()
+    total.r += 1.01 * norm ** (TERMS + 1) / math.factorial(TERMS + 1) / (1 - norm / (TERMS + 2))
+    return total
+
+def sample(D, tolerances, side, gain):  # [F + G K, disturbances], of the file D
+    T, b, law, w, S, AB = D["period"], D["bench"], D["believed"], D["disturbances"], D["scale"], (0, 1)
+    st, t = ({k: I(*v) for k, v in one.items()} for one in (D["states"], tolerances))
+    area, x, v = (b["piston_area"], b["piston_area"] * b["area_ratio"]), st["position"], st["velocity"]
+    dead, travel = [f"dead_volume_{c}" for c in "ab"], (x, b["stroke"] - x)
+    v_law, own = [law[dead[j]] + area[j] * travel[j] for j in AB], [t[dead[j]] * b[dead[j]] for j in AB]
+    vol, beta = [own[j] + area[j] * travel[j] for j in AB], t["bulk_modulus"] * b["bulk_modulus"]
+    kv, ps, fed = t["valve_gain"] * b["valve_gain"], t["supply_pressure"] * b["supply_pressure"], 0 if side > 0 else 1
+    p, tank, ps_law = (st["pressure_a"], st["pressure_b"]), b["tank_pressure"], law["supply_pressure"]
+    drop, known = ([s - p[j] if j == fed else p[j] - tank for j in AB] for s in (ps, ps_law))
+    q = [(1 + (ps - ps_law) / known[j]).root() if j == fed else I(1) for j in AB]  # roots of drops over the law's
+    more = [1 + (law[dead[j]] - own[j]) / vol[j] for j in AB]
+    ratio, kappa = (t[name] * (b[name] / law[name]) for name in ("bulk_modulus", "valve_gain"))
+    rho, mu = [ratio * m for m in more], more[1] / more[0]
+    c, c_law = [beta * area[j] ** 2 / vol[j] for j in AB], [law["bulk_modulus"] * area[j] ** 2 / v_law[j] for j in AB]
+    alpha = area[1] / area[0]
+    sigma, sigma_law = (1 / (1 + alpha**2 * (u[0] / u[1])) for u in (vol, v_law))
+    phi, chis = 1 / (1 + alpha * ((known[1] / known[0]).root() * (v_law[0] / v_law[1]))), []
+    for f, i, j, s, m in product(*((one.low, one.high) for one in (phi, *q, sigma_law, mu))):
+        chis.append((I(f) * i + (1 - I(f)) * (I(j) * m)) / (I(s) + (1 - I(s)) * m))  # monotone in each
+    swept = T * v.size * max((area[j] / vol[j]).high for j in AB)
+    chi, zeta = kappa * hull(*chis) * I(1 - swept, 1 + swept), rho[0] * (1 + (1 - sigma_law) * (mu - 1))
+    a, same = kappa * hull(*(rho[j] * q[j] for j in AB)), hull(*(more[j] * q[j] for j in AB)) * hull(*(q[j] / more[j] for j in AB))
+    error, share, late = st["opening_error"].size, I(*D["velocity_compensation"]), st["velocity_error"]
+    most, wrong = max(st["opening"].high if side > 0 else -st["opening"].low, 0.0), I(-error, error)
+    slope, leak = [beta / vol[j] * kv / (2 * drop[j].root()) for j in AB], [beta / vol[j] * b["leakage"] for j in AB]
+    per = slope[0] * sigma + slope[1] * (1 - sigma)
+    leaks = (leak[0] + leak[1] * alpha) * sigma + (leak[1] + leak[0] / alpha) * (1 - sigma)
+    rate, across = (area[0] * st["pressure_a_rate"], area[1] * st["pressure_b_rate"]), b["leakage"] * (p[0] - p[1])
+    told, g = I(0), [beta * area[j] / vol[j] * kv * drop[j].root() for j in AB]
+    for j, s in ((0, 1), (1, -1)):  # what the law takes for the chamber's share of f_h', by x
+        i = 1 / (kappa * rho[j] * q[j])
+        one = i * (rate[j] + s * (beta * area[j] / vol[j] * across) + g[j] * wrong)
+        told += area[j] / v_law[j] * (one + s * (c[j] * v * (i - share / rho[j]) - share * c_law[j] * late))
+    eta, drift = area[0] / vol[0] * rate[0] + area[1] / vol[1] * rate[1], T * st["gain_drift"]
+    drift = hull(I(0), I(math.expm1(drift.low) * (1 + 1e-9), math.expm1(drift.high) * (1 + 1e-9)))
+    one, stiff, spring = num(1), num(c_law[0] + c_law[1], C_LAW) @ num(zeta, ZETA), t["spring_stiffness"]
+    k, om = num(spring * b["spring_stiffness"], SPRING), t["spool_bandwidth"] * (2 * math.pi * b["spool_bandwidth"])
+    om, flow, grown, later = num(om, SPOOL), num(per * I(0, most), FLOW), one + num(0.5005 * drift, MEAN), one + num(drift, DRIFT)
+    m, wc, n, unit, width = b["moving_mass"], 2 * math.pi * b["cell_bandwidth"], len(S), [*S[:7], S[1], 1, S[1]], len(S) + 4
+    far_nu, rates, apart = per.high * (0.5 * T * st["opening_rate"].size + drift.size * most), M(10, 10), np.zeros((10, 10))
+    for i, j, entry, far in (  # seven states; the current, a force, an opening
+        (0, 0, (flow + num(leaks)) * -1, far_nu), (0, 1, grown, 0.51 * drift.size), (0, 5, num(eta, ETA) * -1, 4 * eta.size),
+        (0, 6, stiff * -1, (c[0] + c[1]).high * swept), (0, 9, grown, 0), (1, 2, one, 0), (2, 1, om @ om * -1, 0),
+        (2, 2, om * (-2 * b["spool_damping"]), 0), (2, 7, om @ om, 0), (3, 4, one, 0), (4, 3, one * -(wc**2), 0),
+        (4, 4, one * (-2 * b["cell_damping"] * wc), 0), (4, 5, k * wc**2, 0), (5, 6, one, 0), (6, 0, one * (1 / m), 0),
+        (6, 5, k * (-1 / m), 0), (6, 6, one * (-b["viscous_friction"] / m), 0), (6, 8, one * (1 / m), 0),
+    ):
+        rates.put(i, j, entry * (T * unit[j] / unit[i]))
+        apart[i, j] = far * T * unit[j] / unit[i]
+    full, K, out, body, ways = series(rates, apart, one, True), M(1, width), M(n, width), M(7, width), n - 8
+    K.put(0, 0, (num(same) @ flow + num(same * (per * wrong + I(-far_nu, far_nu)), FLOW_ERROR)) * (S[0] / S[1]))
+    K.put(0, 3, num(chi, CHI) @ num(zeta, ZETA) @ num(gain, GAIN) * (-S[3] / S[1]))
+    K.put(0, 5, num(a * told, ETA_LAW) * (S[5] / S[1]))
+    K.put(0, 7, num(share, SHARE) @ num(chi, CHI) @ stiff * (S[7] / S[1]))
+    noise = a * (gain.size * w["force_noise"]) + (most + error * same) * per * (2 * w["pressure_noise"] * area[0])
+    K.put(0, n + 1, num(noise.size / S[1]))
+    rows = [K, *(M(1, width) for _ in range(ways))]
+    body.put(0, 0, full.cut(range(7), range(7)))
+    for i in range(ways):
+        rows[i + 1].s[0, 0, 8 + i] = 1
+    drive, pushed = full.cut(range(7), [7]) @ rows[0], full.cut(range(7), [7])
+    if ways:
+        fresh = series(rates, apart, num((T * ways - t["dead_time"]) / T, DELAY), False).cut(range(7), [7])
+        drive = fresh @ rows[ways - 1] + (pushed + fresh * -1) @ rows[ways]
+    body = body + drive
+    body.put(0, n, full.cut(range(7), [8]) * w["friction"])
+    body.put(0, n + 3, full.cut(range(7), [9]) * ((g[0] + g[1]).high * w["overlap"] / S[1]))
+    still, memory = M(1, width), b["velocity_memory"]
+    out.put(0, 0, body)
+    still.s[0, 0, 5] = -1
+    seen = (body.cut([5], range(width)) + still) * ((1 - memory) / T * S[5] / S[7])
+    seen.s[0, 0, 7], seen.s[0, 0, n + 2] = memory, w["velocity_noise"] / S[7]
+    for i, row in ((7, seen), *((i, later @ body.cut([i], range(width))) for i in (1, 2))):
+        out.put(i, 0, row)
+    for i in range(ways):
+        out.put(8 + i, 0, later @ rows[i])
+    return out
+
+def holds(D, before, after, H):  # whether the norm of M+^1/2 (H + E) D^-1/2 is below 1 at every vertex
+    n, decay, used = len(before), math.exp(-2 * D["tube_rate"] * D["period"]), [i for i in range(4) if D["weights"][i] > 0]
+    bound = np.diag([0.0] * n + [(1 - decay) * D["weights"][i] * (1 - 1e-9) for i in used])
+    bound[:n, :n] = before * decay * (1 - 1e-14)
+    left, right = np.linalg.cholesky(after).T, np.linalg.inv(np.linalg.cholesky(bound).T)
+    H = H.cut(range(n), [*range(n), *(n + i for i in used)])
+    kept = np.abs(H.s[1:]).sum((1, 2)) > 1e-7
+    radius, slopes, norm = H.r + np.abs(H.s[1:][~kept]).sum(0), list(H.s[1:][kept]), np.linalg.norm
+    for _ in range(2):  # the largest entries of R become symbols
+        i, j = np.unravel_index(radius[:, :n].argmax(), (n, n))
+        slopes.append(np.zeros_like(radius))
+        slopes[-1][i, j], radius[i, j] = radius[i, j], 0
+    lost, big = norm(abs(left) @ radius @ abs(right)), abs(right.T) @ H.size.T
+    rounding = abs(right.T) @ abs(bound) @ abs(right), big @ (abs(after) + abs(left.T) @ abs(left)) @ big.T
+    lost += 200 * EPS * (norm(rounding[0]) + norm(rounding[1]))
+    signs = np.array(list(product((-1.0, 1.0), repeat=len(slopes))))
+    whole = left @ (H.s[0] @ right + np.tensordot(signs, np.array(slopes) @ right, 1))
+    try:  # a factor of what is left, less 1e-8 for its own rounding and that of plain numbers: it is definite
+        np.linalg.cholesky(((1 - lost) ** 2 - 1e-8) * np.eye(len(bound)) - whole.transpose(0, 2, 1) @ whole)
+    except np.linalg.LinAlgError:
+        return False
+    return lost < 1
+
+def verify(D, parts=6):
+    """Return why the statement of a file's content is not proved, in a sentence; empty: it is."""
+    tol, cells = D["tolerances"], D["cells"]
+    edges = {k: sorted({e for one in cells for e in one["tolerances"][k]}) for k in tol}
+    for middle in product(*([0.5 * (i + j) for i, j in pairwise(e)] or e for e in edges.values())):
+        of = [(one["tolerances"][k], q) for one in cells for k, q in zip(tol, middle, strict=True)]
+        covers = [low <= q <= high for (low, high), q in of]
+        if not any(map(all, np.reshape(covers, (len(cells), -1)))):
+            return "a part of the tolerances has no metric"
+    if any([e[0], e[-1]] != list(tol[k]) for k, e in edges.items()) or sum(D["weights"]) > 1:
+        return "the tolerances or the disturbances' weights are not those of the metrics"
+    if not 0 < D["contraction_rate"] <= D["tube_rate"]:
+        return "lambda is not above 0, and not more than the rate of the proof"
+    for one in cells:
+        gains, step = one["gains"], D["gain_rate"] * D["period"]
+        table = [0.5 * (np.array(m) + np.array(m).T) for m in one["matrices"]]
+        if [gains[0], gains[-1]] != list(D["proportional_gain"]) or sorted(set(gains)) != list(gains):
+            return "the metric's gains are not those of the statement"
+        if D["tube"] < D["scale"][3] * math.sqrt(max(np.linalg.inv(m)[3, 3] for m in table)) * (1 - 1e-9):
+            return "the tube is narrower than what is proved"
+        hats, cuts = np.eye(len(gains)), [pairwise(np.linspace(*ends, parts + 1)) for ends in pairwise(gains)]
+        M_at = lambda k: np.tensordot([np.interp(k, gains, hat) for hat in hats], table, 1)
+        for g, h in (ends for cut in cuts for ends in cut):
+            slope, moves = (M_at(h) - M_at(g)) / (h - g), (step, -step) if step else (0.0,)
+            pairs = [(M_at(k), other) for k in (g, h) for s in moves for other in (M_at(k) + s * slope, M_at(k + s))]
+            for side in (1, -1):
+                H = sample(D, one["tolerances"], side, I(g, h))
+                if not all(holds(D, *pair, H) for pair in pairs):
+                    return f"the metric is not proved to decay at K_p = {g:g} to {h:g} 1/s"
+    return ""
+
+if __name__ == "__main__":
+    with open(sys.argv[1], encoding="utf-8") as file:
+        reason = verify(json.load(file))
+    print(reason or "proved")
+    sys.exit(bool(reason))

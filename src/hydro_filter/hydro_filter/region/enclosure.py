@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Enclosure of one sample of the closed loop, F + G K and the disturbances' directions, over a box of states and benches.
+
+The Jacobian depends on states and bench through few numbers. With P_a = A p_a, P_b = alpha A p_b, f_h = P_a - P_b and
+z = g s, s the valve's opening and g the force rate per ampere at the sample's begin::
+
+    f_h' = -c x' + (1 + m) z - nu f_h - eta x + ...           c     stiffness of the oil, beta A^2/V_a + ...
+    z''  = w^2 (g u - z) - 2 d w z'                           nu    what pressures take of the flows, by |s|, and leaks
+    x''  = (f_h - b x' - k x) / M                             eta   what the position does to beta/V, by p_a', p_b'
+    f_l''= w_c^2 (k x - f_l) - 2 d_c w_c f_l'                 m     mean change of g within the sample
+
+    g u  = a nu^ f_h - a K_p f_l + a eta^ x + C_1 chi c x'_box        a = g/g^ = chi zeta, zeta = c/c^; ^: the law's
+
+chi is 1 for a bench that the law knows: its velocity compensation is right to that ratio. Both ratios are weighted
+means of the chambers' ratios, so that their bounds are those at the ends. Each number but the smallest is a symbol of
+an affine set; the sample is the Taylor series of the state's transition, entries may vary within it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.region.interval import Affine, Interval, interval, symmetric
+from hydro_filter.region.statement import Pair, Statement
+
+T = SAMPLE_PERIOD
+TERMS = 34
+"""Of the Taylor series: T A is some 6 in units of the coordinates, and 6^35/35! is 2e-13."""
+
+SYMBOLS = (
+    "c_law", "zeta", "chi", "gain", "flow", "flow_error", "eta", "eta_law", "mean", "drift", "spring", "spool",
+    "dead_time", "share",
+)  # fmt: skip
+F, Z, ZR, L, LR, X, V, BOX_VELOCITY = range(8)
+"""Coordinates; all but the last are states within a sample."""
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Intervals of what the Jacobian depends on, SI units; as in the module."""
+
+    c_law: Interval
+    zeta: Interval
+    chi: Interval
+    flow: Interval
+    """nu without leaks [1/s]."""
+    flow_error: Interval
+    """Further part of a nu^ by u_nom - s [1/s]."""
+    flow_apart: float
+    """How far nu may be from its mean within a sample."""
+    flow_ratio: Interval
+    """a nu^ over nu of the same opening."""
+    leak: Interval
+    eta: Interval
+    eta_law: Interval
+    """a eta^ [N/s/m]."""
+    mean: Interval
+    drift: Interval
+    """Change of g over a sample, over g."""
+    spring: Interval
+    spool: Interval
+    """rad/s."""
+    dead_time: Interval
+    share: Interval
+    """C_1."""
+    c_apart: float
+    """How far c may be from its mean within a sample."""
+    gain_ratio: Interval
+    """a."""
+    g: Interval
+    """N/s/A."""
+
+
+def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers:
+    """Bounds of the numbers over all states with the spool on one side (1, -1) and all benches of `tolerances`."""
+    bench, law = of.bench, of.believed
+    at = {name: interval(pair) for name, pair in of.states.items()}
+    tol = {name: interval(pair) for name, pair in tolerances.items()}
+    area, alpha, supply = bench["piston_area"], bench["area_ratio"], tol["supply_pressure"] * bench["supply_pressure"]
+    x, p_a, p_b, v = (at[name] for name in ("position", "pressure_a", "pressure_b", "velocity"))
+    volume_a = tol["dead_volume_a"] * bench["dead_volume_a"] + area * x
+    room = bench["stroke"] - x
+    volume_b = tol["dead_volume_b"] * bench["dead_volume_b"] + alpha * area * room
+    law_a, law_b = law["dead_volume_a"] + area * x, law["dead_volume_b"] + alpha * area * room
+    modulus = tol["bulk_modulus"] * (bench["bulk_modulus"] / law["bulk_modulus"])
+    # V^/V, without x on both sides of the division
+    bulge_a = 1.0 + (law["dead_volume_a"] - tol["dead_volume_a"] * bench["dead_volume_a"]) / volume_a
+    bulge_b = 1.0 + (law["dead_volume_b"] - tol["dead_volume_b"] * bench["dead_volume_b"]) / volume_b
+    rho_a, rho_b, mu = modulus * bulge_a, modulus * bulge_b, bulge_b / bulge_a
+    c_law_a, c_law_b = law["bulk_modulus"] * area**2 / law_a, law["bulk_modulus"] * (alpha * area) ** 2 / law_b
+    c_law = c_law_a + c_law_b
+    sigma_law = 1.0 / (1.0 + alpha**2 * (law_a / law_b))
+    zeta = rho_a * (1.0 + (1.0 - sigma_law) * (mu - 1.0))
+    # pressure drops of the open edges: the bench's, and what the law takes them for
+    tank = bench["tank_pressure"]
+    if side > 0:
+        drop_a, drop_b = supply - p_a, p_b - tank
+        known_a, known_b = law["supply_pressure"] - p_a, drop_b
+        wrong_a, wrong_b = supply - law["supply_pressure"], interval(0.0)
+    else:
+        drop_a, drop_b = p_a - tank, supply - p_b
+        known_a, known_b = drop_a, law["supply_pressure"] - p_b
+        wrong_a, wrong_b = interval(0.0), supply - law["supply_pressure"]
+    root_a, root_b = ((1.0 + w / k).root() for w, k in ((wrong_a, known_a), (wrong_b, known_b)))
+    phi = 1.0 / (1.0 + alpha * (known_b / known_a).root() * (law_a / law_b))
+    kappa = tol["valve_gain"] * (bench["valve_gain"] / law["valve_gain"])
+    chi = kappa * _weighted(phi, root_a, root_b, sigma_law, mu)
+    # within a sample c moves by the velocity
+    swept = T * v.size * max((area / volume_a).high, (alpha * area / volume_b).high)
+    chi = chi * interval((1.0 - swept, 1.0 + swept))
+    gain_ratio = kappa * (rho_a * root_a).hull(rho_b * root_b)
+    opening, error = at["opening"], at["opening_error"].size
+    largest = max(opening.high, 0.0) if side > 0 else max(-opening.low, 0.0)
+    stiff_a, stiff_b = (tol["bulk_modulus"] * bench["bulk_modulus"] / volume for volume in (volume_a, volume_b))
+    valve = tol["valve_gain"] * bench["valve_gain"]
+    slope_a, slope_b = stiff_a * valve / (2.0 * drop_a.root()), stiff_b * valve / (2.0 * drop_b.root())
+    c_a, c_b = stiff_a * area**2, stiff_b * (alpha * area) ** 2
+    sigma = 1.0 / (1.0 + alpha**2 * (volume_a / volume_b))
+    per_opening = slope_a * sigma + slope_b * (1.0 - sigma)
+    # of valve gain and bulk modulus nothing is left in it
+    flow_ratio = (bulge_a * root_a).hull(bulge_b * root_b) * (root_a / bulge_a).hull(root_b / bulge_b)
+    leak_a, leak_b = stiff_a * bench["leakage"], stiff_b * bench["leakage"]
+    leak = leak_a * sigma + leak_b * (1.0 - sigma) + leak_a / alpha * (1.0 - sigma) + alpha * leak_b * sigma
+    rate_a, rate_b = area * at["pressure_a_rate"], alpha * area * at["pressure_b_rate"]
+    bend_a, bend_b = area / volume_a, alpha * area / volume_b
+    eta = bend_a * rate_a + bend_b * rate_b
+    compensation = interval(of.velocity_compensation)
+    # what the law takes for P_a', P_b': the flow that the bench has, wrong by its ratio, u_nom's share and x'_box
+    late, across = at["velocity_error"], bench["leakage"] * (p_a - p_b)
+    g_a, g_b = (stiff_a * area * valve * drop_a.root(), stiff_b * alpha * area * valve * drop_b.root())
+    right_a, right_b = 1.0 / (kappa * rho_a * root_a), 1.0 / (kappa * rho_b * root_b)
+    left_a, left_b = c_a * v * (right_a - compensation / rho_a), c_b * v * (right_b - compensation / rho_b)
+    told_a = right_a * (rate_a + stiff_a * area * across + g_a * symmetric(error)) + left_a
+    told_b = right_b * (rate_b - stiff_b * alpha * area * across + g_b * symmetric(error)) - left_b
+    told_a, told_b = told_a - compensation * c_law_a * late, told_b + compensation * c_law_b * late
+    eta_law = gain_ratio * (area / law_a * told_a + alpha * area / law_b * told_b)
+    slope = at["gain_drift"]
+    drift = Interval(math.expm1(T * slope.low) * (1.0 + 1e-9), math.expm1(T * slope.high) * (1.0 + 1e-9))
+    drift = drift.hull(interval(0.0))
+    flow_apart = per_opening.high * (0.5 * T * at["opening_rate"].size + drift.size * largest)
+    return Numbers(
+        c_law=c_law, zeta=zeta, chi=chi, flow=per_opening * Interval(0.0, largest),
+        flow_apart=flow_apart,
+        flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_apart)), flow_ratio=flow_ratio, leak=leak, eta=eta,
+        eta_law=eta_law, mean=0.5005 * drift,  # the mean of an exponential is within a thousandth of half its end
+ drift=drift,
+        spring=tol["spring_stiffness"] * bench["spring_stiffness"],
+        spool=tol["spool_bandwidth"] * (2.0 * math.pi * bench["spool_bandwidth"]),
+        dead_time=tol["dead_time"], share=compensation,
+        c_apart=(c_a + c_b).high * swept, gain_ratio=gain_ratio, g=g_a + g_b,
+    )  # fmt: skip
+
+
+def _weighted(phi: Interval, root_a: Interval, root_b: Interval, sigma: Interval, mu: Interval) -> Interval:
+    """(phi r_a + (1 - phi) r_b mu) / (sigma + (1 - sigma) mu): monotone in each of them, so the extremes are at ends."""
+    ends = []
+    for p, a, b, s, m in product(*((one.low, one.high) for one in (phi, root_a, root_b, sigma, mu))):
+        above = interval(p) * a + (1.0 - interval(p)) * (interval(b) * m)
+        ends.append(above / (interval(s) + (1.0 - interval(s)) * m))
+    return Interval(min(one.low for one in ends), max(one.high for one in ends))
+
+
+def symbol(name: str, of: Interval) -> Affine:
+    """Number of an interval, as a symbol."""
+    number = bounded(Interval(of.middle, of.middle))
+    number.slopes[SYMBOLS.index(name), 0, 0] = of.radius
+    return number
+
+
+def bounded(of: Interval | float) -> Affine:
+    """Number of an interval, as a radius."""
+    of = interval(of)
+    number = zeros(1, 1)
+    number.center[0, 0], number.radius[0, 0] = of.middle, of.radius if of.low < of.high else 0.0
+    return number
+
+
+def zeros(rows: int, columns: int) -> Affine:
+    """The matrix 0."""
+    return Affine(np.zeros((rows, columns)), np.zeros((len(SYMBOLS), rows, columns)), np.zeros((rows, columns)))
+
+
+def write(into: Affine, row: int, column: int, number: Affine) -> None:
+    """Write a number, or a block that begins there."""
+    rows, columns = number.center.shape
+    at = slice(row, row + rows), slice(column, column + columns)
+    into.center[at], into.radius[at] = number.center, number.radius
+    into.slopes[:, at[0], at[1]] = number.slopes
+
+
+DIRECTIONS = ("friction", "current", "velocity", "overlap")
+"""Columns of the disturbances."""
+
+
+def coordinates(of: Statement) -> int:
+    """Number of coordinates: eight, and one for each begun millisecond of dead time."""
+    return 8 + math.ceil(of.tolerances["dead_time"][1] / T - 1e-9)
+
+
+def loop(of: Statement, tolerances: Mapping[str, Pair], side: int, gain: Interval) -> Affine:
+    """[F + G K, D] in units of the coordinates, shape (n, n + 4): a sample, and what each disturbance adds to it."""
+    n, bench, count = numbers(of, tolerances, side), of.bench, coordinates(of)
+    ways, scale = count - 8, np.array(of.scale)
+    unit = scale[:7]
+    one, c = bounded(1.0), symbol("c_law", n.c_law) @ symbol("zeta", n.zeta)
+    chi, zeta, k, omega = (
+        symbol("chi", n.chi),
+        symbol("zeta", n.zeta),
+        symbol("spring", n.spring),
+        symbol("spool", n.spool),
+    )
+    flow, grown, later = symbol("flow", n.flow), one + symbol("mean", n.mean), one + symbol("drift", n.drift)
+    omega_c, mass = 2.0 * math.pi * bench["cell_bandwidth"], bench["moving_mass"]
+    entries = {
+        (F, F): (flow + bounded(n.leak)) * -1.0, (F, Z): grown, (F, X): symbol("eta", n.eta) * -1.0, (F, V): c * -1.0,
+        (Z, ZR): one, (ZR, Z): (omega @ omega) * -1.0, (ZR, ZR): omega * (-2.0 * bench["spool_damping"]),
+        (L, LR): one, (LR, X): k * omega_c**2, (LR, L): one * -(omega_c**2),
+        (LR, LR): one * (-2.0 * bench["cell_damping"] * omega_c), (X, V): one, (V, F): one * (1.0 / mass),
+        (V, X): k * (-1.0 / mass), (V, V): one * (-bench["viscous_friction"] / mass),
+    }  # fmt: skip
+    # how far entries of the mean transition may be from their mean within a sample
+    apart = {(F, F): n.flow_apart, (F, Z): 0.51 * n.drift.size, (F, X): 4.0 * n.eta.size, (F, V): n.c_apart}
+    rates, varies = zeros(7, 7), np.zeros((7, 7))
+    for (row, column), entry in entries.items():
+        factor = T * unit[column] / unit[row]
+        write(rates, row, column, entry * factor)
+        varies[row, column] = apart.get((row, column), 0.0) * factor
+    inputs = zeros(7, 3)  # the current, a force on the mass, an opening
+    write(inputs, ZR, 0, omega @ omega * (T * scale[Z] / unit[ZR]))
+    write(inputs, V, 1, one * (T / mass / unit[V]))
+    write(inputs, F, 2, grown * (T * scale[Z] / unit[F]))
+    moved, pushed = transition(rates, varies, inputs, one, whole=True)
+    # the law's current, as the opening that it will be, by the coordinates; then the sample's rows
+    law, out = zeros(1, count + len(DIRECTIONS)), zeros(count, count + len(DIRECTIONS))
+    write(law, 0, F, (bounded(n.flow_ratio) @ flow + symbol("flow_error", n.flow_error)) * (scale[F] / scale[Z]))
+    write(law, 0, L, chi @ zeta @ symbol("gain", gain) * (-scale[L] / scale[Z]))
+    write(law, 0, X, symbol("eta_law", n.eta_law) * (scale[X] / scale[Z]))
+    write(law, 0, BOX_VELOCITY, symbol("share", n.share) @ chi @ c * (scale[BOX_VELOCITY] / scale[Z]))
+    wrong = of.disturbances
+    noise = n.gain_ratio * (gain.size * wrong["force_noise"]) + (n.flow + n.flow_error.size) * (
+        2.0 * wrong["pressure_noise"] * bench["piston_area"]
+    )
+    write(law, 0, count + 1, bounded(noise.high / scale[Z]))
+    write(out, 0, 0, moved)
+    fresh = pushed
+    if ways:
+        late = symbol("dead_time", ((ways - 1.0) * T + T - n.dead_time) / T)
+        fresh = transition(rates, varies, inputs, late, whole=False)[1]
+    newest = fresh.part(range(7), [0]) @ (law if ways < 2 else _picked(count + ways - 2, law))
+    if ways:
+        oldest = (pushed.part(range(7), [0]) + fresh.part(range(7), [0]) * -1.0) @ _picked(8 + ways - 1, law)
+        newest = newest + oldest
+    out = out + _rows(newest, count)
+    write(out, 0, count, pushed.part(range(7), [1]) * wrong["friction"])
+    write(out, 0, count + 3, pushed.part(range(7), [2]) * (n.g.high * wrong["overlap"] / scale[Z]))
+    memory = bench["velocity_memory"]
+    step = out.part([X], range(count + len(DIRECTIONS)))
+    still = zeros(1, count + len(DIRECTIONS))
+    write(still, 0, X, one * -1.0)
+    shown = (step + still) * ((1.0 - memory) / T * scale[X] / scale[BOX_VELOCITY])
+    own = zeros(1, count + len(DIRECTIONS))
+    write(own, 0, BOX_VELOCITY, one * memory)
+    write(own, 0, count + 2, one * (wrong["velocity_noise"] / scale[BOX_VELOCITY]))
+    write(out, BOX_VELOCITY, 0, shown + own)
+    for row in (Z, ZR):
+        write(out, row, 0, later @ out.part([row], range(count + len(DIRECTIONS))))
+    for way in range(ways):
+        write(out, 8 + way, 0, later @ (law if way == 0 else _picked(8 + way - 1, law)))
+    return out
+
+
+def _picked(column: int, like: Affine) -> Affine:
+    """The row that is 1 in one column."""
+    row = zeros(*like.center.shape)
+    row.center[0, column] = 1.0
+    return row
+
+
+def _rows(block: Affine, count: int) -> Affine:
+    """A block of the first rows, with rows of zeros below."""
+    out = zeros(count, block.center.shape[1])
+    write(out, 0, 0, block)
+    return out
+
+
+def transition(rates: Affine, apart: FloatArray, inputs: Affine, reach: Affine, whole: bool) -> tuple[Affine, Affine]:
+    """Sets of the transitions of the states and of the responses to held inputs, over the last `reach` of a sample.
+
+    The series of time-ordered products of rates A(t): its n-th term is the n-fold product of their mean, A, and terms
+    with one and more deviations E(t) from it, |E| <= `apart`. All are times T. Over a `whole` sample E has the mean 0
+    and a slope of at most 2 |E|/T, so that a term with one E counts (n - 1)/(n + 1) of its size:
+    int E t^(n-1) dt <= (2/T) int |t^n - t T^(n-1)|/n dt = (n - 1)/(n + 1) T^n/n.
+    """
+    states, count = len(rates.center), len(rates.center) + inputs.center.shape[1]
+    set_of = zeros(count, count)
+    write(set_of, 0, 0, rates)
+    write(set_of, 0, states, inputs)
+    set_of = _scaled(set_of, reach)
+    size, varies = set_of.size, np.zeros((count, count))
+    varies[:states, :states] = apart * reach.size[0, 0]
+    total, term = zeros(count, count), zeros(count, count)
+    total.center[:] = term.center[:] = np.eye(count)
+    plain, single, every = np.eye(count), np.zeros((count, count)), np.eye(count)
+    for order in range(1, TERMS + 1):
+        term = (term @ set_of) * (1.0 / order)
+        single = (single @ size + plain @ varies) / order
+        plain, every = plain @ size / order, every @ (size + varies) / order
+        total = total + term
+        counted = (order - 1.0) / (order + 1.0) if whole else 1.0
+        total.radius[:] += (counted * single + np.maximum(every - plain - single, 0.0)) * (1.0 + 1e-9) + 1e-15 * every
+    norm = float((size + varies).sum(axis=1).max())
+    total.radius[:] += norm ** (TERMS + 1) / math.factorial(TERMS + 1) / (1.0 - norm / (TERMS + 2)) * (1.0 + 1e-9)
+    return total.part(range(states), range(states)), total.part(range(states), range(states, count))
+
+
+def _scaled(matrix: Affine, number: Affine) -> Affine:
+    """Each entry times one number."""
+    diagonal = zeros(matrix.center.shape[1], matrix.center.shape[1])
+    for place in range(matrix.center.shape[1]):
+        write(diagonal, place, place, number)
+    return matrix @ diagonal

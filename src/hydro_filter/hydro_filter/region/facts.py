@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of a bench file, and of the bench that its force law believes, for a statement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hydro_core.signals import FloatArray
+from hydro_filter.model.loop import overlap_of
+from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
+from hydro_filter.region.statement import Pair
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects import catalogue, numbers
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
+from hydro_sim.model.sensors import Sensors
+
+COVERED = (
+    "valve_lag", "sensor_lag sensor=load_force", "leakage_internal", "friction_coulomb", "friction_coulomb form=directional",
+    "friction_stribeck", "friction_presliding", "valve_deadband", "valve_deadband form=lopsided", "valve_offset",
+    "force_offset", "bulk_modulus", "valve_gain", *(effect.id for effect in numbers.EFFECTS),
+)  # fmt: skip
+"""Effects that the proof has a place for: disturbances, null shifts, and wrong numbers of the bench file."""
+
+
+def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the numbers of a bench file and of the force law's bench, SI units; bandwidths in Hz.
+
+    Raises ValueError: the file has an effect, or lacks one, that the proof has no place for.
+    """
+    if model.closures:
+        raise ValueError("the proof has no place for closures")
+    record = model.constants()[0]
+    facts = {name: float(record[name]) for name in record.dtype.names}
+    found: dict[str, dict[str, float]] = {}
+    for effect in model.effects:
+        label = catalogue.label(effect)
+        kind, values = catalogue.kind_of(effect)
+        values_by_name = {one.name: value for one, value in zip(kind.parameters, values, strict=True)}
+        if label in found:
+            raise ValueError(f"the proof has no place for a second {label}")
+        found[label] = values_by_name
+    plain = model.without_effects()
+    for label in found:
+        if label not in COVERED:
+            raise ValueError(f"the proof has no place for {label}")
+    if "valve_lag" not in found:
+        raise ValueError("the proof needs a valve_lag of second order in the bench file")
+    cell = found.get("sensor_lag sensor=load_force")
+    if cell is None and not plain.load_cell_bandwidth:
+        raise ValueError("the proof needs the load cell's bandwidth in the bench file")
+    overlap = overlap_of(model)
+    dry = [n for label, n in found.items() if label.startswith(("friction_coulomb", "friction_stribeck"))]
+    facts["bulk_modulus"] *= found.get("bulk_modulus", {}).get("ratio", 1.0)
+    ours = {
+        name: facts[name]
+        for name in (
+            "bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure", "valve_gain",
+            "dead_volume_a", "dead_volume_b", "moving_mass", "viscous_friction", "spring_stiffness", "spring_rest_position",
+        )
+    }  # fmt: skip
+    ours |= {
+        "spool_bandwidth": found["valve_lag"]["bandwidth"], "spool_damping": found["valve_lag"]["damping"],
+        "cell_bandwidth": cell["bandwidth"] if cell else plain.load_cell_bandwidth,
+        "cell_damping": cell["damping"] if cell else LOAD_CELL_DAMPING,
+        "leakage": found.get("leakage_internal", {}).get("coefficient", 0.0),
+        "dry_friction": sum(max(v for k, v in one.items() if "force" in k) for one in dry),
+        "overlap": max(overlap.back, overlap.out), "dead_time": catalogue.delay(model.effects),
+        "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
+    }  # fmt: skip
+    record = believed.constants()[0]
+    law = {
+        name: float(record[name])
+        for name in ("bulk_modulus", "supply_pressure", "valve_gain", "dead_volume_a", "dead_volume_b")
+    }
+    for name in ("piston_area", "area_ratio", "stroke", "tank_pressure"):
+        if float(record[name]) != ours[name]:
+            raise ValueError(f"the proof needs the law's {name} to be the bench's")
+    return ours, law
+
+
+STATES = (
+    "position", "velocity", "pressure_a", "pressure_b", "opening", "opening_rate", "opening_error", "pressure_a_rate",
+    "pressure_b_rate", "gain_drift",
+)  # fmt: skip
+"""Columns of `region_states`: m, m/s, Pa, Pa, A, A/s, A, Pa/s, Pa/s, 1/s."""
+
+
+def region_states(of: Mapping[str, float], x: FloatArray, valve: FloatArray) -> FloatArray:
+    """States of a statement's box, shape (n, 10), columns `STATES`.
+
+    Parameters
+    ----------
+    of
+        Numbers of the bench file (`bench_numbers`).
+    x
+        Measured states, shape (n, 8).
+    valve
+        The spool's opening [A], its rate [A/s], and u_nom with the null shifts [A], shape (n, 3).
+    """
+    position, velocity, p_a, p_b = x[:, POSITION], x[:, VELOCITY], x[:, PRESSURE_A], x[:, PRESSURE_B]
+    opening, rate, nominal = valve.T
+    area, area_b = of["piston_area"], of["piston_area"] * of["area_ratio"]
+    volume_a, volume_b = of["dead_volume_a"] + area * position, of["dead_volume_b"] + area_b * (of["stroke"] - position)
+    out, side = opening >= 0.0, np.where(opening >= 0.0, 1.0, -1.0)
+    drop_a = np.where(out, of["supply_pressure"] - p_a, p_a - of["tank_pressure"])
+    drop_b = np.where(out, p_b - of["tank_pressure"], of["supply_pressure"] - p_b)
+    root_a, root_b = np.sqrt(np.maximum(drop_a, 1.0)), np.sqrt(np.maximum(drop_b, 1.0))
+    leak = of["leakage"] * (p_a - p_b)
+    rate_a = of["bulk_modulus"] / volume_a * (of["valve_gain"] * root_a * opening - area * velocity - leak)
+    rate_b = of["bulk_modulus"] / volume_b * (area_b * velocity + leak - of["valve_gain"] * root_b * opening)
+    g_a, g_b = area * root_a / volume_a, area_b * root_b / volume_b
+    drift_a = -0.5 * side * rate_a / drop_a - area * velocity / volume_a
+    drift_b = 0.5 * side * rate_b / drop_b + area_b * velocity / volume_b
+    drift = (g_a * drift_a + g_b * drift_b) / (g_a + g_b)
+    return np.column_stack((position, velocity, p_a, p_b, opening, rate, nominal - opening, rate_a, rate_b, drift))
+
+
+def share_inside(states: Mapping[str, Pair], samples: FloatArray) -> tuple[float, dict[str, float]]:
+    """Share of samples within a box, and the share that is outside of each range."""
+    left = {
+        name: (samples[:, column] < states[name][0]) | (samples[:, column] > states[name][1])
+        for column, name in enumerate(STATES)
+    }
+    return float(1.0 - np.any(list(left.values()), axis=0).mean()), {
+        name: float(out.mean()) for name, out in left.items()
+    }

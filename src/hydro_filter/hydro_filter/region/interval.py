@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arithmetic that encloses: intervals of numbers, and affine sets of matrices. Rounding errors are within both.
+
+::
+
+    Interval    [low, high]                         every operation rounds outward by `numpy.nextafter`
+    Affine      C + sum_i s_i G_i + E               |s_i| <= 1, |E| <= R entry by entry
+
+An affine set keeps its first-order dependence on each symbol s_i: it is their vertices that a convex condition is asked
+at. What is of second order, and rounding, goes into R. Source: de Figueiredo and Stolfi 2004; Rump 2010, section 9.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from hydro_core.signals import FloatArray
+
+EPS = 2.0**-52
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A closed interval; numbers mix with it."""
+
+    low: float
+    high: float
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def radius(self) -> float:
+        """Distance from `middle` that covers both ends."""
+        return _up(max(self.high - self.middle, self.middle - self.low))
+
+    @property
+    def size(self) -> float:
+        """Largest magnitude."""
+        return max(abs(self.low), abs(self.high))
+
+    def __neg__(self) -> Interval:
+        return Interval(-self.high, -self.low)
+
+    def __add__(self, other: Interval | float) -> Interval:
+        other = interval(other)
+        return Interval(_down(self.low + other.low), _up(self.high + other.high))
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Interval | float) -> Interval:
+        return self + (-interval(other))
+
+    def __rsub__(self, other: float) -> Interval:
+        return interval(other) + (-self)
+
+    def __mul__(self, other: Interval | float) -> Interval:
+        other = interval(other)
+        ends = [a * b for a, b in product((self.low, self.high), (other.low, other.high))]
+        return Interval(_down(min(ends)), _up(max(ends)))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Interval | float) -> Interval:
+        other = interval(other)
+        if other.low <= 0.0 <= other.high:
+            raise ValueError("division by an interval with zero in it")
+        return self * Interval(_down(1.0 / other.high), _up(1.0 / other.low))
+
+    def __rtruediv__(self, other: float) -> Interval:
+        return interval(other) / self
+
+    def root(self) -> Interval:
+        """Square root; ValueError: a part is negative."""
+        return Interval(max(_down(math.sqrt(self.low)), 0.0), _up(math.sqrt(self.high)))
+
+    def hull(self, other: Interval) -> Interval:
+        """Smallest interval that has both."""
+        return Interval(min(self.low, other.low), max(self.high, other.high))
+
+
+def interval(value: Interval | float | Sequence[float]) -> Interval:
+    """Interval of a number, or of a pair of ends."""
+    if isinstance(value, Interval):
+        return value
+    if isinstance(value, (int, float)):
+        return Interval(float(value), float(value))
+    return Interval(float(value[0]), float(value[1]))
+
+
+def symmetric(size: float) -> Interval:
+    """[-size, size]."""
+    return Interval(-size, size)
+
+
+def _up(value: float) -> float:
+    return float(np.nextafter(value, np.inf))
+
+
+def _down(value: float) -> float:
+    return float(np.nextafter(value, -np.inf))
+
+
+@dataclass(frozen=True)
+class Affine:
+    """A set of matrices, (n, m)."""
+
+    center: FloatArray
+    """C, shape (n, m)."""
+    slopes: FloatArray
+    """G, shape (symbols, n, m)."""
+    radius: FloatArray
+    """R, shape (n, m), 0 or more."""
+
+    @property
+    def size(self) -> FloatArray:
+        """Largest magnitude of each entry."""
+        return (np.abs(self.center) + np.abs(self.slopes).sum(axis=0)) * (1.0 + 1e-13) + self.radius
+
+    def __add__(self, other: Affine) -> Affine:
+        center, slopes = self.center + other.center, self.slopes + other.slopes
+        rounding = EPS * (len(slopes) + 2) * (self.size + other.size)
+        return Affine(center, slopes, (self.radius + other.radius + rounding) * (1.0 + 1e-12))
+
+    def __matmul__(self, other: Affine) -> Affine:
+        spread, others = np.abs(self.slopes).sum(axis=0), np.abs(other.slopes).sum(axis=0)
+        radius = (
+            self.size @ other.radius
+            + self.radius @ (np.abs(other.center) + others)
+            + spread @ others
+            + EPS * (self.center.shape[1] + len(self.slopes) + 4) * self.size @ other.size
+        ) * (1.0 + 1e-12)
+        return Affine(self.center @ other.center, self.slopes @ other.center + self.center @ other.slopes, radius)
+
+    def __mul__(self, factor: float) -> Affine:
+        size = abs(factor)
+        return Affine(self.center * factor, self.slopes * factor, (self.radius * size + EPS * 2.0 * self.size * size))
+
+    def part(self, rows: slice | Sequence[int], columns: slice | Sequence[int]) -> Affine:
+        """Rows and columns."""
+        return Affine(self.center[rows][:, columns], self.slopes[:, rows][:, :, columns], self.radius[rows][:, columns])

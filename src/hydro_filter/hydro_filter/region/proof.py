@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proof of a statement: a linear matrix inequality at the vertices of the sample's affine set.
+
+::
+
+    H = [F + G K, D]  in  C + sum_i s_i G_i + E          |s_i| <= 1, |E| <= R
+
+    H' M(K_p+) H  <=  diag( exp(-2 lambda T) M(K_p), (1 - exp(-2 lambda T)) W )
+
+The left side is convex in H, so that it holds within the set if it holds at the vertices with room for R. Its first
+block is the contraction; all of it says that disturbances w with w'Ww <= 1 do not leave v'Mv <= 1, and the tube is the
+largest f_l within. M is interpolated linearly, so that both sides are affine in K_p and K_p+ at a given H. Definiteness
+is that of a Cholesky factor found with a shift beyond its rounding (Rump, BIT 46, 2006).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.model.coordinates import Q_LOAD
+from hydro_filter.region.enclosure import coordinates, loop
+from hydro_filter.region.interval import EPS, Affine, Interval
+from hydro_filter.region.statement import Cell, Pair, Statement
+
+LEAST = 1e-7
+"""Slopes below this, of all entries together, count as radius."""
+PLAIN = 1e-8
+"""For rounding of numbers that are computed outside of intervals, 1e-15 of them, times the metric's condition."""
+PROMOTED = 2
+"""Entries of the radius that become symbols: the largest, by which f_h follows the spool."""
+
+
+class Piece(NamedTuple):
+    """One part of the gains on one side of the spool's zero."""
+
+    side: int
+    gain: Interval
+    pairs: list[tuple[FloatArray, FloatArray]]
+    """(M(K_p), M(K_p+)): the ends of what they can be."""
+    sample: Affine
+
+
+def at_gain(cell: Cell, gain: float) -> FloatArray:
+    """M(K_p), interpolated linearly, that of the ends beyond them."""
+    place = float(np.clip(np.interp(gain, cell.gains, np.arange(len(cell.gains))), 0, len(cell.gains) - 1))
+    low = min(int(place), max(len(cell.gains) - 2, 0))
+    share = place - low
+    return (1.0 - share) * cell.matrices[low] + (share * cell.matrices[low + 1] if share else 0.0)
+
+
+def pairs_of(of: Statement, cell: Cell, gain: Interval) -> list[tuple[FloatArray, FloatArray]]:
+    """Ends of M(K_p) and M(K_p+) for K_p of a part of one segment of the table."""
+    reach = of.gain_rate * SAMPLE_PERIOD
+    first, last = at_gain(cell, gain.low), at_gain(cell, gain.high)
+    if reach == 0.0:
+        return [(first, first), (last, last)]
+    step = (last - first) * (reach / (gain.high - gain.low))
+    found = [(m, m + sign * step) for m in (first, last) for sign in (1.0, -1.0)]
+    # where the next segment begins, its own slope
+    found += [
+        (m, at_gain(cell, k + sign * reach)) for m, k in ((first, gain.low), (last, gain.high)) for sign in (1, -1)
+    ]
+    return found
+
+
+def pieces(of: Statement, cell: Cell, parts: int) -> Iterator[Piece]:
+    """All parts of a cell, each segment of the table in so many."""
+    for low, high in zip(cell.gains[:-1], cell.gains[1:], strict=True):
+        ends = np.linspace(low, high, parts + 1)
+        for first, last in zip(ends[:-1], ends[1:], strict=True):
+            gain = Interval(float(first), float(last))
+            for side in (1, -1):
+                yield Piece(side, gain, pairs_of(of, cell, gain), loop(of, cell.tolerances, side, gain))
+
+
+def reduced(sample: Affine) -> tuple[Affine, FloatArray]:
+    """The set with those symbols that matter, and the largest of its radius as such; vertices, (2^symbols, symbols)."""
+    kept = np.abs(sample.slopes).sum(axis=(1, 2)) > LEAST
+    radius = sample.radius + np.abs(sample.slopes[~kept]).sum(axis=0)
+    count = len(radius)
+    largest = np.argsort(radius[:, :count], axis=None)[::-1][:PROMOTED]
+    promoted = np.zeros((PROMOTED, *radius.shape))
+    for number, place in enumerate(largest):
+        row, column = divmod(int(place), count)
+        promoted[number, row, column], radius[row, column] = radius[row, column], 0.0
+    slopes = np.concatenate((sample.slopes[kept], promoted))
+    return Affine(sample.center, slopes, radius), np.array(list(product((-1.0, 1.0), repeat=len(slopes))))
+
+
+def room(of: Statement, pair: tuple[FloatArray, FloatArray], sample: Affine, signs: FloatArray) -> FloatArray:
+    """What is left of 1 at every vertex: the norm of M+^1/2 (H + E) D^-1/2 is below 1 where this is above 0."""
+    before, after = pair
+    n, decay = len(before), math.exp(-2.0 * of.tube_rate * SAMPLE_PERIOD)
+    used = [i for i, weight in enumerate(of.weights) if weight > 0.0]
+    bound = np.zeros((n + len(used), n + len(used)))
+    bound[:n, :n] = decay * (1.0 - 4.0 * EPS) * before
+    bound[n:, n:] = np.diag([(1.0 - decay) * of.weights[i] for i in used]) * (1.0 - 1e-9)
+    columns = [*range(n), *(n + i for i in used)]
+    left, right = np.linalg.cholesky(after).T, np.linalg.inv(np.linalg.cholesky(bound).T)
+    center, slopes = sample.center[:, columns] @ right, sample.slopes[:, :, columns] @ right
+    lost = float(np.linalg.norm(np.abs(left) @ sample.radius[:, columns] @ np.abs(right)))
+    size = sample.size[:, columns]
+    rounding = 100.0 * EPS * float(
+        np.linalg.norm(np.abs(right.T) @ np.abs(bound) @ np.abs(right))
+        + np.linalg.norm(np.abs(right.T) @ size.T @ (np.abs(after) + np.abs(left.T) @ np.abs(left)) @ size @ np.abs(right))
+    )  # fmt: skip
+    whole = left @ (center + np.tensordot(signs, slopes, 1))
+    largest = np.linalg.eigvalsh(whole.transpose(0, 2, 1) @ whole)[:, -1]
+    return 1.0 - lost - rounding - PLAIN - np.sqrt(largest + rounding)
+
+
+def prove_cell(of: Statement, cell: Cell, parts: int = 1) -> float:
+    """Least `room` over a cell, each segment of its gains in so many parts; above 0: the statement holds there."""
+    least = math.inf
+    for piece in pieces(of, cell, parts):
+        sample, signs = reduced(piece.sample)
+        least = min(least, *(float(room(of, pair, sample, signs).min()) for pair in piece.pairs))
+    return least

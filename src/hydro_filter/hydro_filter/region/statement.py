@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A certified region: box of states, gains and benches over which a metric is proved to contract, and its file.
+
+The file stands beside the metric, METRIC.region.json; `benchmarks.verify_region` proves it again from its numbers alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_core.files.atomic import write_whole
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+
+Pair = tuple[float, float]
+
+TOLERANCES = (
+    "valve_gain", "bulk_modulus", "dead_volume_a", "dead_volume_b", "spring_stiffness", "supply_pressure",
+    "spool_bandwidth",
+)  # fmt: skip
+"""Numbers of a bench that have a tolerance, as ratios to those of the bench file; `dead_time` has one in s."""
+
+ASSUMED = (
+    "The bench has the structure of the bench file: two chambers of constant bulk modulus with laminar leakage, sharp "
+    "edges of the valve, a spool and a load cell of second order, a mass, a linear spring, end stops out of reach.",
+    "The states of both trajectories, and of those between them, stay within the box over the sample, and the spool "
+    "does not change its side of zero: g differs on both sides.",
+    "Both trajectories have the same sum of the pressures, A p_a c_b/c + alpha A p_b c_a/c, and the same integral term.",
+    "The force law's current is within the valve's limit, above the floor of g, and acts at the sample at which it was "
+    "computed, held for 1 ms, without jitter.",
+    "A disturbance is constant within a sample: dry friction up to its level, what an overlap takes from the opening, "
+    "noise up to four standard deviations, the encoder's step.",
+    "Piston areas, stroke, mass, viscous friction, the spool's damping, load cell and leakage are those of the file.",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """Benches of a part of the tolerances, and the metric of all of them."""
+
+    tolerances: dict[str, Pair]
+    gains: tuple[float, ...]
+    """K_p [1/s] of the matrices; M is interpolated linearly between them."""
+    matrices: FloatArray
+    """M, shape (gains, n, n); v'Mv = 1 is the boundary of the set that the disturbances do not leave."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """A region and its metric: F' M(K_p+) F <= exp(-2 lambda T) M(K_p) for all of it."""
+
+    believed: dict[str, float]
+    """Numbers of the force law's bench."""
+    bench: dict[str, float]
+    """Numbers of the bench file."""
+    tolerances: dict[str, Pair]
+    """Ratios of the bench's numbers to those of the file; of `dead_time` [s]."""
+    states: dict[str, Pair]
+    """Ranges of the states."""
+    velocity_compensation: Pair
+    """C_1."""
+    proportional_gain: Pair
+    """K_p [1/s]."""
+    gain_rate: float
+    """1/s^2, fastest change of K_p."""
+    disturbances: dict[str, float]
+    weights: tuple[float, ...]
+    """Share of each direction of the disturbance in v'Mv, summing up to 1 at most."""
+    contraction_rate: float
+    """lambda [1/s]."""
+    tube_rate: float
+    """1/s, lambda or more: the rate at which inequality and tube are proved."""
+    tube: float
+    """N, steady bound on the error of f_l that the disturbances leave."""
+    scale: tuple[float, ...]
+    """Units of the coordinates."""
+    cells: tuple[Cell, ...] = ()
+    facts: dict[str, Any] = field(default_factory=dict)
+    """Digests, command, seconds of the proof."""
+
+    def save(self, path: Path) -> None:
+        """Write the file."""
+        content = {**asdict(replace(self, cells=())), "assumed": ASSUMED, "period": SAMPLE_PERIOD}
+        content["cells"] = [
+            {"tolerances": cell.tolerances, "gains": cell.gains, "matrices": np.asarray(cell.matrices).tolist()}
+            for cell in self.cells
+        ]
+        write_whole(path, json.dumps(content, indent=1).encode())
+
+    @classmethod
+    def load(cls, path: Path) -> Statement:
+        """Read a file. Raises ValueError: it is none."""
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            return cls.from_mapping(content)
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is no statement of a region: {error}") from error
+
+    @classmethod
+    def from_mapping(cls, content: Mapping[str, Any]) -> Statement:
+        """Create a statement from what its file holds."""
+        pairs = {name: {key: tuple(value) for key, value in content[name].items()} for name in ("tolerances", "states")}
+        cells = tuple(
+            Cell(
+                tolerances={key: tuple(value) for key, value in one["tolerances"].items()},
+                gains=tuple(one["gains"]), matrices=np.asarray(one["matrices"], np.float64),
+            )
+            for one in content["cells"]
+        )  # fmt: skip
+        names = set(cls.__dataclass_fields__) - {"tolerances", "states", "cells"}
+        rest = {name: tuple(v) if isinstance(v := content[name], list) else v for name in names}
+        return cls(**rest, **pairs, cells=cells)

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Certified region of a bench file: the box that a run fills, the metric that is proved on it, and its statement.
+
+The box is the range of every state in a run that follows a sine of 1 Hz at the law's largest gains of the region,
+widened by a tenth at either end. The largest force of `FORCES` whose box has a proof gives the region. A statement that
+is not proved is not written.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from hydro_bridge.serial.protocol import BoxLaw
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, matrix
+from hydro_filter.model.coordinates import Q_LOAD
+from hydro_filter.model.loop import loop_of, memories
+from hydro_filter.model.observer import follow, settle
+from hydro_filter.region.facts import STATES, bench_numbers, region_states, share_inside
+from hydro_filter.region.proof import prove_cell
+from hydro_filter.region.statement import TOLERANCES, Cell, Pair, Statement
+from hydro_filter.training.region_metric import solve_cell
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import Sensors
+from hydro_sim.simulation.offline import Schedule, simulate
+
+FORCES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
+"""Amplitudes over the bench's force: 300, 200, 100 and 50 N on the nominal one."""
+SECONDS, SETTLED = 6.0, 1000
+WIDER = 0.1
+"""Of a range, at either end."""
+LATE = 14.0
+"""m/s^2 over the nominal bench's: what dry friction does to the piston when it changes its sign, see `_box`."""
+SPLIT = ("spool_bandwidth", "bulk_modulus")
+"""Tolerances that one quadratic form does not hold for when they are wide: they move the fast modes."""
+RESERVES = (0.9, 0.6, 1.5, 2.5, 4.0)
+"""1/s on top of lambda for what the vertices do not have, tried in turn."""
+PARTS = 6
+"""Of each segment of the gains in the proof."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What is to be proved."""
+
+    law: BoxLaw | None = None
+    """The compensated law; None: the paper's."""
+    gains: tuple[float, ...] = (15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 85.0, 90.0)
+    """K_p [1/s] of the metric's table."""
+    integral_gain: float = 15.0
+    """K_i [1/s^2] of the run."""
+    gain_rate: float = 0.0
+    """1/s^2."""
+    rate: float = 0.1
+    """lambda [1/s]."""
+    tolerance: float = 0.0
+    """Of each of `names`, to either side, as a share."""
+    names: tuple[str, ...] = TOLERANCES
+    """Numbers that have the tolerance."""
+    split: int = 1
+    """Parts of the tolerances of `SPLIT`, each with a metric of its own."""
+    dead_time: float = 0.0
+    """s, the bench has up to so much of it."""
+    forces: tuple[float, ...] = FORCES
+
+
+def samples_of(model: Bench, bench: Bench, wanted: Wanted, force: float, gain: float, seed: int = 0) -> FloatArray:
+    """States of the box in a run that follows a sine of `force` [N], 1 Hz, at K_p = `gain`: shape (n, 10)."""
+    loop, memory = loop_of(model, bench), memories()
+    plant = AnalyticPlant(model, settings=Sensors.of_size(model.size))
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=force, offset=0.0, frequency=1.0)
+    law = Law.PAPER if wanted.law is None else Law.COMPENSATED
+    config = BoxConfig().of_bench(bench)
+    if wanted.law is not None:
+        config = replace(config, compensated=wanted.law)
+    plan = Schedule(reference=signal, gains=(gain, wanted.integral_gain), seconds=SECONDS, law=law)
+    states = simulate(plant, bench, plan, config=config, seed=seed)
+    x, n, valve = matrix(states), len(loop.model.rest), np.empty((len(states), 3))
+    shift = loop.model.before + loop.model.after
+    for k, state in enumerate(states):
+        current, rate = float(state["valve_current"]), float(state["reference_force_rate"])
+        settle(loop, memory[0], x[k], current, rate)
+        hidden = memory[0]["hidden"]
+        valve[k] = hidden[n], hidden[n + 1], float(state["nominal_valve_current"]) + shift
+        follow(loop, memory[0], x[k], current, rate)
+    return region_states(bench_numbers(model, bench)[0], x, valve)[SETTLED:]
+
+
+def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Pair]:
+    """Ranges of the samples, widened."""
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    wider = WIDER * (high - low)
+    ranges = {name: (float(a), float(b)) for name, a, b in zip(STATES, low - wider, high + wider, strict=True)}
+    for name in ("velocity", "opening_rate", "opening_error", "pressure_a_rate", "pressure_b_rate"):
+        size = max(map(abs, ranges[name]))
+        ranges[name] = (-size, size)
+    # x'_box is a millisecond late; the piston's acceleration is what friction and the loop give it
+    late = 1.5 * SAMPLE_PERIOD * max(dry / mass, 0.05 * ranges["velocity"][1] / SAMPLE_PERIOD)
+    return ranges | {"velocity_error": (-late, late)}
+
+
+def certify(model: Bench, bench: Bench, wanted: Wanted, say: bool = True) -> Statement | None:
+    """Return the statement of the largest force that is proved; None: there is no proof."""
+    ours, law = bench_numbers(model, bench)
+    loop, sensors, began = loop_of(model, bench), Sensors.of_size(model.size), time.process_time()
+    band = (1.0 - wanted.tolerance, 1.0 + wanted.tolerance)
+    tolerances = {name: band if name in wanted.names else (1.0, 1.0) for name in TOLERANCES}
+    tolerances["dead_time"] = (ours["dead_time"], ours["dead_time"] + wanted.dead_time)
+    c_1 = 1.0 if wanted.law is None else wanted.law.velocity_compensation
+    memory = ours["velocity_memory"]
+    noise = {
+        "friction": ours["dry_friction"], "overlap": ours["overlap"], "force_noise": 4.0 * sensors.force_noise,
+        "pressure_noise": 4.0 * sensors.pressure_noise,
+        "velocity_noise": (1.0 - memory) * sensors.position_step / SAMPLE_PERIOD,
+    }  # fmt: skip
+    weights = (0.5, 0.25, 0.25 if c_1 > 0.0 else 0.0, 0.0)
+    if ours["overlap"] > 0.0:
+        weights = (0.35, 0.15, 0.15 if c_1 > 0.0 else 0.0, 0.35)
+    for share in wanted.forces:
+        force = share * model.size.force
+        samples = samples_of(model, bench, wanted, force, wanted.gains[-1])
+        of = Statement(
+            believed=law, bench=ours, tolerances=tolerances, states=_box(samples, ours["dry_friction"], ours["moving_mass"]),
+            velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
+            gain_rate=wanted.gain_rate, disturbances=noise, weights=weights, contraction_rate=wanted.rate, tube_rate=wanted.rate, tube=math.inf,
+            scale=tuple(map(float, _scale(loop.scale, tolerances))),
+        )  # fmt: skip
+        cells: list[Cell] = []
+        for part in _parts(tolerances, wanted.split):
+            if (cell := _proved(of, part, wanted.gains, say)) is None:
+                break
+            cells.append(cell)
+        else:
+            inverse = [np.linalg.inv(one)[Q_LOAD, Q_LOAD] for cell in cells for one in cell.matrices]
+            tubes = [of.scale[Q_LOAD] * math.sqrt(one) for one in inverse]
+            facts = {
+                "force": force, "seconds": round(time.process_time() - began, 1), "tubes": tubes,
+                "inside": share_inside(of.states, samples)[0], "model": model.digest, "box": bench.digest,
+            }  # fmt: skip
+            return replace(of, cells=tuple(cells), tube=max(tubes) * (1.0 + 1e-9), facts=facts)
+    return None
+
+
+def _parts(tolerances: dict[str, Pair], split: int) -> Iterator[dict[str, Pair]]:
+    """Parts of the tolerances, of equal size."""
+    names = [name for name in SPLIT if tolerances[name][0] < tolerances[name][1]]
+    ends = {name: np.linspace(*tolerances[name], split + 1) for name in names}
+    for places in product(range(split), repeat=len(names)):
+        parts = {n: (float(ends[n][i]), float(ends[n][i + 1])) for n, i in zip(names, places, strict=True)}
+        yield tolerances | parts
+
+
+def _proved(of: Statement, tolerances: dict[str, Pair], gains: tuple[float, ...], say: bool) -> Cell | None:
+    """Return a metric that is proved for a part of the tolerances; None: none was found."""
+    for reserve in RESERVES:
+        cell, left = None, -math.inf
+        try:
+            cell, _ = solve_cell(of, tolerances, np.array(gains), reserve=reserve)
+            left = prove_cell(of, cell, PARTS) if cell is not None else left
+        except (ValueError, np.linalg.LinAlgError) as error:
+            print(f"{error}", file=sys.stderr)
+        if say:
+            print(f"reserve {reserve:g} 1/s: room {left:.2g}", file=sys.stderr)
+        if cell is not None and left > 0.0:
+            return cell
+    return None
+
+
+PAPER_GAINS = (
+    (15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 85.0, 90.0),
+    (15.0, 25.0, 35.0, 45.0, 55.0, 60.0),
+    (15.0, 22.5, 30.0),
+)
+"""K_p [1/s], tried in turn: those that the guard passes by default, and smaller ones."""
+SHARES = (0.15, 0.2, 0.25, 0.325, 0.4, 0.5, 0.625, 0.75, 0.875, 1.0)
+"""K_p over the compensated law's base K_p: below, its loop decays slower than what the proof gives away."""
+
+
+def write(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw | None]) -> None:
+    """Prove a region for each law (None: the paper's), write it beside the metric file `out`, and say what it is."""
+    for law in laws:
+        name = "paper's law" if law is None else "compensated law"
+        tables = PAPER_GAINS if law is None else (tuple(share * law.base_kp for share in SHARES),)
+        statement = None
+        for gains in tables:
+            wanted = Wanted(gains=gains, gain_rate=5.0) if law is None else Wanted(
+                law=law, gains=gains, gain_rate=50.0, rate=0.5, integral_gain=law.base_ki
+            )  # fmt: skip
+            if (statement := certify(model, bench, wanted)) is not None:
+                break
+        if statement is None:
+            print(f"{name}: no region is proved", file=sys.stderr)
+            continue
+        path = region_path(out, law)
+        statement.save(path)
+        low, high = statement.proportional_gain
+        print(
+            f"{path}: {name}, K_p {low:g} to {high:g} 1/s, the states of a sine of {statement.facts['force']:.0f} N: "
+            f"decay at {statement.contraction_rate:g} 1/s, tube {statement.tube:.0f} N"
+        )
+
+
+def region_path(metric: Path, law: BoxLaw | None) -> Path:
+    """Return the statement's file beside a metric's: METRIC.region.json, METRIC.compensated.region.json."""
+    return metric.with_suffix(".region.json" if law is None else ".compensated.region.json")
+
+
+def _scale(scale: FloatArray, tolerances: dict[str, Pair]) -> FloatArray:
+    """Units of the coordinates, of those of a dead time too."""
+    ways = math.ceil(tolerances["dead_time"][1] / SAMPLE_PERIOD - 1e-9)
+    return np.concatenate((scale[:8], [scale[1]] * ways))
