@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Certified region: the shipped statements are proved twice, points of the region agree, and lies are refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from benchmarks.verify_region import verify
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.region.interval import Affine, Interval
+from hydro_filter.region.proof import at_gain, prove_cell
+from hydro_filter.region.statement import Statement
+
+T = SAMPLE_PERIOD
+NAMES = ("default_metric.region.json", "default_metric.compensated.region.json")
+
+
+def content_of(name: str) -> dict[str, Any]:
+    text = (resources.files("hydro_filter") / "data" / name).read_text(encoding="utf-8")
+    return json.loads(text)
+
+
+def shortened(content: dict[str, Any], segments: int = 1) -> dict[str, Any]:
+    """The statement of the last gains alone: a proof of a part, in a part of the time."""
+    part = copy.deepcopy(content)
+    for cell in part["cells"]:
+        cell["gains"], cell["matrices"] = cell["gains"][-segments - 1 :], cell["matrices"][-segments - 1 :]
+        part["proportional_gain"] = [cell["gains"][0], cell["gains"][-1]]
+    return part
+
+
+def drawn(content: dict[str, Any], count: int, seed: int = 0, tolerances: dict[str, Any] | None = None) -> FloatArray:
+    """Growth of the worst direction in 1/s at points of the region, shape (count,): 0 or less holds.
+
+    F + G K is the exponential of the rates that the bench's equations have at the point, without intervals.
+    """
+    rng, b, law = np.random.default_rng(seed), content["bench"], content["believed"]
+    state = {name: rng.uniform(*pair, count) for name, pair in content["states"].items()}
+    of = {name: rng.uniform(*pair, count) for name, pair in (tolerances or content["tolerances"]).items()}
+    area, area_b = b["piston_area"], b["piston_area"] * b["area_ratio"]
+    x, s, v, p_a, p_b = (state[name] for name in ("position", "opening", "velocity", "pressure_a", "pressure_b"))
+    out, nominal = s > 0.0, np.abs(s) + state["opening_error"] * np.sign(s)
+
+    def chambers(n: dict[str, Any], k_v: Any, velocity: Any, opening: Any) -> tuple[FloatArray, ...]:
+        volume_a, volume_b = n["dead_volume_a"] + area * x, n["dead_volume_b"] + area_b * (b["stroke"] - x)
+        drop_a = np.where(out, n["supply_pressure"] - p_a, p_a - b["tank_pressure"])
+        drop_b = np.where(out, p_b - b["tank_pressure"], n["supply_pressure"] - p_b)
+        stiff_a, stiff_b = n["bulk_modulus"] / volume_a, n["bulk_modulus"] / volume_b
+        c_a, c_b = stiff_a * area**2, stiff_b * area_b**2
+        g_a, g_b = area * stiff_a * k_v * np.sqrt(drop_a), area_b * stiff_b * k_v * np.sqrt(drop_b)
+        sigma = c_a / (c_a + c_b)
+        slope = 0.5 * k_v * (stiff_a / np.sqrt(drop_a) * sigma + stiff_b / np.sqrt(drop_b) * (1.0 - sigma))
+        leak_a, leak_b = stiff_a * b["leakage"], stiff_b * b["leakage"]
+        leak = (leak_a + leak_b * b["area_ratio"]) * sigma + (leak_b + leak_a / b["area_ratio"]) * (1.0 - sigma)
+        eta_a = (g_a * opening - c_a * velocity) * area / volume_a
+        eta_b = (c_b * velocity - g_b * opening) * area_b / volume_b
+        return c_a + c_b, g_a + g_b, slope, leak, eta_a + eta_b
+
+    own = {name: of.get(name, 1.0) * b[name] for name in (*law, "spring_stiffness", "spool_bandwidth")}
+    c, g, slope, leak, _ = chambers(own, own["valve_gain"], v, s)
+    eta = area / (own["dead_volume_a"] + area * x) * area * state["pressure_a_rate"]
+    eta += area_b / (own["dead_volume_b"] + area_b * (b["stroke"] - x)) * area_b * state["pressure_b_rate"]
+    c_law, g_law, slope_law, _, _ = chambers(law, law["valve_gain"], v, s)
+    k_p, c_1 = rng.uniform(*content["proportional_gain"], count), content["velocity_compensation"][0]
+    a, omega, m, k = g / g_law, 2.0 * math.pi * own["spool_bandwidth"], b["moving_mass"], own["spring_stiffness"]
+    cell, drift = 2.0 * math.pi * b["cell_bandwidth"], np.expm1(T * state["gain_drift"])
+    rates = np.zeros((count, 8, 8))
+    rates[:, 0, 0], rates[:, 0, 1], rates[:, 0, 5], rates[:, 0, 6] = (
+        -slope * np.abs(s) - leak,
+        1.0 + 0.5 * drift,
+        -eta,
+        -c,
+    )
+    rates[:, 1, 2], rates[:, 2, 1], rates[:, 2, 2] = 1.0, -(omega**2), -2.0 * b["spool_damping"] * omega
+    rates[:, 2, 7], rates[:, 3, 4], rates[:, 4, 3] = omega**2, 1.0, -(cell**2)
+    rates[:, 4, 4], rates[:, 4, 5], rates[:, 5, 6] = -2.0 * b["cell_damping"] * cell, k * cell**2, 1.0
+    rates[:, 6, 0], rates[:, 6, 5], rates[:, 6, 6] = 1.0 / m, -k / m, -b["viscous_friction"] / m
+    unit = np.array([*content["scale"][:7], content["scale"][1]])
+    moved = expm(T * rates * unit / unit[:, None])
+    feedback = np.zeros((count, 8))
+    feedback[:, 0], feedback[:, 3], feedback[:, 7] = a * slope_law * np.abs(nominal), -a * k_p, c_1 * a * c_law
+    sample, memory = np.zeros((count, 8, 8)), b["velocity_memory"]
+    sample[:, :7, :7] = moved[:, :7, :7]
+    sample[:, :7] += moved[:, :7, 7, None] * (feedback * content["scale"] / content["scale"][1])[:, None, :]
+    sample[:, 7] = (sample[:, 5] - np.eye(8)[5]) * (1.0 - memory) / T * content["scale"][5] / content["scale"][7]
+    sample[:, 7, 7] += memory
+    sample[:, 1:3] *= (1.0 + drift)[:, None, None]
+    statement = Statement.from_mapping(content)
+    hats = np.array([np.interp(k_p, statement.cells[0].gains, hat) for hat in np.eye(len(statement.cells[0].gains))])
+    metric = np.tensordot(hats.T, statement.cells[0].matrices, 1)
+    factor = np.linalg.cholesky(metric)
+    half = np.linalg.solve(factor, sample.transpose(0, 2, 1) @ factor)
+    largest = np.linalg.eigvalsh(half @ half.transpose(0, 2, 1))[:, -1]
+    return (largest - math.exp(-2.0 * content["contraction_rate"] * T)) / T
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_part_of_the_shipped_statement_is_proved_by_both(name: str) -> None:
+    part = shortened(content_of(name))
+    assert verify(part) == ""
+    statement = Statement.from_mapping(part)
+    assert prove_cell(statement, statement.cells[0], parts=6) > 0.0
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", NAMES)
+def test_the_shipped_statement_is_proved(name: str) -> None:
+    assert verify(content_of(name)) == ""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_point_of_the_region_violates(name: str) -> None:
+    assert drawn(content_of(name), 50_000).max() <= 0.0
+
+
+def test_a_statement_with_half_of_lambda_is_accepted() -> None:
+    part = shortened(content_of(NAMES[0]))
+    part["contraction_rate"] *= 0.5
+    assert verify(part) == ""
+
+
+def test_a_bent_metric_that_a_point_violates_is_refused() -> None:
+    part = shortened(content_of(NAMES[0]))
+    for matrix in part["cells"][0]["matrices"]:
+        matrix[3][3] *= 1.3
+    assert drawn(part, 2000).max() > 0.0
+    assert verify(part) != ""
+
+
+def test_a_tolerance_widened_until_a_point_violates_is_refused() -> None:
+    part = shortened(content_of(NAMES[0]))
+    for holder in (part, part["cells"][0]):
+        holder["tolerances"]["valve_gain"] = [1.0, 1.04]
+    assert drawn(part, 2000).max() > 0.0
+    assert verify(part) != ""
+
+
+def test_a_metric_for_a_part_of_the_tolerances_is_refused() -> None:
+    part = shortened(content_of(NAMES[0]))
+    part["tolerances"]["valve_gain"] = [1.0, 1.04]
+    assert "tolerances" in verify(part)
+
+
+def test_affine_products_enclose() -> None:
+    rng = np.random.default_rng(0)
+    first, second = (
+        Affine(rng.normal(size=(4, 4)), 0.1 * rng.normal(size=(3, 4, 4)), 0.01 * rng.random((4, 4))) for _ in range(2)
+    )
+    product = first @ second
+    for _ in range(200):
+        signs = rng.uniform(-1.0, 1.0, 3)
+        one, other = (
+            each.center + np.tensordot(signs, each.slopes, 1) + each.radius * rng.uniform(-1.0, 1.0, (4, 4))
+            for each in (first, second)
+        )
+        apart = np.abs(one @ other - product.center - np.tensordot(signs, product.slopes, 1))
+        assert (apart <= product.radius).all()
+
+
+def test_intervals_enclose_and_refuse_zero() -> None:
+    third = 1.0 / Interval(3.0, 3.0)
+    assert third.low < 1.0 / 3.0 < third.high
+    assert (Interval(-1.0, 2.0) * Interval(-3.0, 1.0)).low <= -6.0
+    with pytest.raises(ValueError, match="zero"):
+        Interval(1.0, 1.0) / Interval(-1.0, 1.0)
+
+
+def test_the_metric_between_gains_is_a_line() -> None:
+    cell = Statement.from_mapping(content_of(NAMES[0])).cells[0]
+    middle = 0.5 * (cell.gains[0] + cell.gains[1])
+    assert np.allclose(at_gain(cell, middle), 0.5 * (cell.matrices[0] + cell.matrices[1]))
