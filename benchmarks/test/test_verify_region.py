@@ -37,14 +37,14 @@ def shortened(content: dict[str, Any], segments: int = 1) -> dict[str, Any]:
     return part
 
 
-def drawn(content: dict[str, Any], count: int, seed: int = 0, tolerances: dict[str, Any] | None = None) -> FloatArray:
+def drawn(content: dict[str, Any], count: int) -> FloatArray:
     """Growth of the worst direction in 1/s at points of the region, shape (count,): 0 or less holds.
 
     F + G K is the exponential of the rates that the bench's equations have at the point, without intervals.
     """
-    rng, b, law = np.random.default_rng(seed), content["bench"], content["believed"]
-    state = {name: rng.uniform(*pair, count) for name, pair in content["states"].items()}
-    of = {name: rng.uniform(*pair, count) for name, pair in (tolerances or content["tolerances"]).items()}
+    rng, b, law = np.random.default_rng(0), content["bench"], content["believed"]
+    state = {name: rng.uniform(low, high, count) for name, (low, high) in content["states"].items()}
+    of = {name: rng.uniform(low, high, count) for name, (low, high) in content["tolerances"].items()}
     area, area_b = b["piston_area"], b["piston_area"] * b["area_ratio"]
     x, s, v, p_a, p_b = (state[name] for name in ("position", "opening", "velocity", "pressure_a", "pressure_b"))
     out, nominal = s > 0.0, np.abs(s) + state["opening_error"] * np.sign(s)
@@ -69,7 +69,8 @@ def drawn(content: dict[str, Any], count: int, seed: int = 0, tolerances: dict[s
     eta = area / (own["dead_volume_a"] + area * x) * area * state["pressure_a_rate"]
     eta += area_b / (own["dead_volume_b"] + area_b * (b["stroke"] - x)) * area_b * state["pressure_b_rate"]
     c_law, g_law, slope_law, _, _ = chambers(law, law["valve_gain"], v, s)
-    k_p, c_1 = rng.uniform(*content["proportional_gain"], count), content["velocity_compensation"][0]
+    lowest, highest = content["proportional_gain"]
+    k_p, c_1 = rng.uniform(lowest, highest, count), content["velocity_compensation"][0]
     a, omega, m, k = g / g_law, 2.0 * math.pi * own["spool_bandwidth"], b["moving_mass"], own["spring_stiffness"]
     cell, drift = 2.0 * math.pi * b["cell_bandwidth"], np.expm1(T * state["gain_drift"])
     rates = np.zeros((count, 8, 8))

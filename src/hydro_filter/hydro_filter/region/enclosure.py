@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Enclosure of one sample of the closed loop, F + G K and the disturbances' directions, over a box of states and benches.
+"""Enclosure of one sample of the closed loop over a box: F + G K, and the directions of the disturbances.
 
 The Jacobian depends on states and bench through few numbers. With P_a = A p_a, P_b = alpha A p_b, f_h = P_a - P_b and
 z = g s, s the valve's opening and g the force rate per ampere at the sample's begin::
@@ -145,11 +145,11 @@ def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers
     drift = drift.hull(interval(0.0))
     flow_apart = per_opening.high * (0.5 * T * at["opening_rate"].size + drift.size * largest)
     return Numbers(
-        c_law=c_law, zeta=zeta, chi=chi, flow=per_opening * Interval(0.0, largest),
-        flow_apart=flow_apart,
-        flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_apart)), flow_ratio=flow_ratio, leak=leak, eta=eta,
-        eta_law=eta_law, mean=0.5005 * drift,  # the mean of an exponential is within a thousandth of half its end
- drift=drift,
+        c_law=c_law, zeta=zeta, chi=chi, flow=per_opening * Interval(0.0, largest), flow_apart=flow_apart,
+        flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_apart)), flow_ratio=flow_ratio,
+        leak=leak, eta=eta, eta_law=eta_law,
+        mean=0.5005 * drift,  # the mean of an exponential is within a thousandth of half its end
+        drift=drift,
         spring=tol["spring_stiffness"] * bench["spring_stiffness"],
         spool=tol["spool_bandwidth"] * (2.0 * math.pi * bench["spool_bandwidth"]),
         dead_time=tol["dead_time"], share=compensation,
@@ -158,7 +158,7 @@ def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers
 
 
 def _weighted(phi: Interval, root_a: Interval, root_b: Interval, sigma: Interval, mu: Interval) -> Interval:
-    """(phi r_a + (1 - phi) r_b mu) / (sigma + (1 - sigma) mu): monotone in each of them, so the extremes are at ends."""
+    """(phi r_a + (1 - phi) r_b mu) / (sigma + (1 - sigma) mu): monotone in each, extremes are at ends."""
     ends = []
     for p, a, b, s, m in product(*((one.low, one.high) for one in (phi, root_a, root_b, sigma, mu))):
         above = interval(p) * a + (1.0 - interval(p)) * (interval(b) * m)
@@ -306,7 +306,8 @@ def transition(rates: Affine, apart: FloatArray, inputs: Affine, reach: Affine, 
     varies[:states, :states] = apart * reach.size[0, 0]
     total, term = zeros(count, count), zeros(count, count)
     total.center[:] = term.center[:] = np.eye(count)
-    plain, single, every = np.eye(count), np.zeros((count, count)), np.eye(count)
+    plain: FloatArray = np.eye(count)
+    every, single = plain, np.zeros_like(plain)
     for order in range(1, TERMS + 1):
         term = (term @ set_of) * (1.0 / order)
         single = (single @ size + plain @ varies) / order

@@ -33,6 +33,7 @@ class Interval:
 
     @property
     def middle(self) -> float:
+        """Middle, rounded."""
         return 0.5 * (self.low + self.high)
 
     @property

@@ -16,17 +16,16 @@ is that of a Cholesky factor found with a shift beyond its rounding (Rump, BIT 4
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from itertools import product
+from collections.abc import Iterator
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.region.enclosure import coordinates, loop
+from hydro_filter.region.enclosure import loop
 from hydro_filter.region.interval import EPS, Affine, Interval
-from hydro_filter.region.statement import Cell, Pair, Statement
+from hydro_filter.region.statement import Cell, Statement
 
 LEAST = 1e-7
 """Slopes below this, of all entries together, count as radius."""
@@ -71,9 +70,9 @@ def pairs_of(of: Statement, cell: Cell, gain: Interval) -> list[tuple[FloatArray
 
 def pieces(of: Statement, cell: Cell, parts: int) -> Iterator[Piece]:
     """All parts of a cell, each segment of the table in so many."""
-    for low, high in zip(cell.gains[:-1], cell.gains[1:], strict=True):
+    for low, high in pairwise(cell.gains):
         ends = np.linspace(low, high, parts + 1)
-        for first, last in zip(ends[:-1], ends[1:], strict=True):
+        for first, last in pairwise(ends):
             gain = Interval(float(first), float(last))
             for side in (1, -1):
                 yield Piece(side, gain, pairs_of(of, cell, gain), loop(of, cell.tolerances, side, gain))
@@ -106,10 +105,9 @@ def room(of: Statement, pair: tuple[FloatArray, FloatArray], sample: Affine, sig
     center, slopes = sample.center[:, columns] @ right, sample.slopes[:, :, columns] @ right
     lost = float(np.linalg.norm(np.abs(left) @ sample.radius[:, columns] @ np.abs(right)))
     size = sample.size[:, columns]
-    rounding = 100.0 * EPS * float(
-        np.linalg.norm(np.abs(right.T) @ np.abs(bound) @ np.abs(right))
-        + np.linalg.norm(np.abs(right.T) @ size.T @ (np.abs(after) + np.abs(left.T) @ np.abs(left)) @ size @ np.abs(right))
-    )  # fmt: skip
+    reach, weight = size @ np.abs(right), np.abs(after) + np.abs(left.T) @ np.abs(left)
+    squares = np.abs(right.T) @ np.abs(bound) @ np.abs(right), reach.T @ weight @ reach
+    rounding = 100.0 * EPS * float(sum(np.linalg.norm(one) for one in squares))
     whole = left @ (center + np.tensordot(signs, slopes, 1))
     largest = np.linalg.eigvalsh(whole.transpose(0, 2, 1) @ whole)[:, -1]
     return 1.0 - lost - rounding - PLAIN - np.sqrt(largest + rounding)

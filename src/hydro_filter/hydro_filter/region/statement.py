@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A certified region: box of states, gains and benches over which a metric is proved to contract, and its file.
 
-The file stands beside the metric, METRIC.region.json; `benchmarks.verify_region` proves it again from its numbers alone.
+The file stands beside the metric, METRIC.region.json; `benchmarks.verify_region` proves it again from its numbers.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ ASSUMED = (
     "edges of the valve, a spool and a load cell of second order, a mass, a linear spring, end stops out of reach.",
     "The states of both trajectories, and of those between them, stay within the box over the sample, and the spool "
     "does not change its side of zero: g differs on both sides.",
-    "Both trajectories have the same sum of the pressures, A p_a c_b/c + alpha A p_b c_a/c, and the same integral term.",
+    "Both trajectories have the same weighted sum of the pressures, which the loop hardly moves, and the same "
+    "integral.",
     "The force law's current is within the valve's limit, above the floor of g, and acts at the sample at which it was "
     "computed, held for 1 ms, without jitter.",
     "A disturbance is constant within a sample: dry friction up to its level, what an overlap takes from the opening, "
@@ -112,6 +113,6 @@ class Statement:
             )
             for one in content["cells"]
         )  # fmt: skip
-        names = set(cls.__dataclass_fields__) - {"tolerances", "states", "cells"}
-        rest = {name: tuple(v) if isinstance(v := content[name], list) else v for name in names}
-        return cls(**rest, **pairs, cells=cells)
+        names = set(cls.__dataclass_fields__) - {"cells"}
+        rest: dict[str, Any] = {name: tuple(v) if isinstance(v := content[name], list) else v for name in names}
+        return cls(**(rest | pairs | {"cells": cells}))

@@ -42,7 +42,7 @@ LATE = 14.0
 """m/s^2 over the nominal bench's: what dry friction does to the piston when it changes its sign, see `_box`."""
 SPLIT = TOLERANCES
 """Tolerances that are split: a bench has one value, so that parts may have metrics of their own."""
-RESERVES = (0.9, 0.6, 1.5, 2.5, 4.0)
+RESERVES = (0.9, 0.6, 1.3, 2.0, 3.0)
 """1/s on top of lambda for what the vertices do not have, tried in turn."""
 PARTS = 6
 """Of each segment of the gains in the proof."""
@@ -129,9 +129,11 @@ def certify(model: Bench, bench: Bench, wanted: Wanted, say: bool = True) -> Sta
         force = share * model.size.force
         samples = samples_of(model, bench, wanted, force, wanted.gains[-1])
         of = Statement(
-            believed=law, bench=ours, tolerances=tolerances, states=_box(samples, ours["dry_friction"], ours["moving_mass"]),
+            believed=law, bench=ours, tolerances=tolerances,
+            states=_box(samples, ours["dry_friction"], ours["moving_mass"]),
             velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
-            gain_rate=wanted.gain_rate, disturbances=noise, weights=weights, contraction_rate=wanted.rate, tube_rate=wanted.rate, tube=math.inf,
+            gain_rate=wanted.gain_rate, disturbances=noise, weights=weights, contraction_rate=wanted.rate,
+            tube_rate=wanted.rate, tube=math.inf,
             scale=tuple(map(float, _scale(loop.scale, tolerances))),
         )  # fmt: skip
         cells: list[Cell] = []
@@ -164,7 +166,7 @@ def _proved(of: Statement, tolerances: dict[str, Pair], gains: tuple[float, ...]
     for reserve in RESERVES:
         cell, left = None, -math.inf
         try:
-            cell, _ = solve_cell(of, tolerances, np.array(gains), reserve=reserve)
+            cell = solve_cell(of, tolerances, np.array(gains), reserve)
             left = prove_cell(of, cell, PARTS) if cell is not None else left
         except (ValueError, np.linalg.LinAlgError) as error:
             print(f"{error}", file=sys.stderr)
