@@ -38,12 +38,12 @@ FORCES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 SECONDS, SETTLED = 6.0, 1000
 WIDER = 0.1
 """Of a range, at either end."""
-LATE = 14.0
-"""m/s^2 over the nominal bench's: what dry friction does to the piston when it changes its sign, see `_box`."""
 SPLIT = TOLERANCES
 """Tolerances that are split: a bench has one value, so that parts may have metrics of their own."""
 RESERVES = (0.9, 0.6, 1.3, 2.0, 3.0)
 """1/s on top of lambda for what the vertices do not have, tried in turn."""
+HOPELESS = -3e-3
+"""Room at which no other reserve is tried."""
 PARTS = 6
 """Of each segment of the gains in the proof."""
 
@@ -174,6 +174,8 @@ def _proved(of: Statement, tolerances: dict[str, Pair], gains: tuple[float, ...]
             print(f"reserve {reserve:g} 1/s: room {left:.2g}", file=sys.stderr)
         if cell is not None and left > 0.0:
             return cell
+        if cell is not None and left < HOPELESS:
+            break
     return None
 
 

@@ -68,8 +68,8 @@ def solve_cell(of: Statement, tolerances: dict[str, Pair], gains: FloatArray, re
         cell = Cell(tolerances=tolerances, gains=tuple(float(gain) for gain in gains), matrices=matrices)
         added = []
         for i, one in enumerate(todo):
-            pair = np.tensordot(one.before, matrices, 1), np.tensordot(one.after, matrices, 1)
-            left = room(of, pair, one.sample, one.signs)
+            before, after = (np.asarray(np.tensordot(s, matrices, 1), np.float64) for s in (one.before, one.after))
+            left = room(of, (before, after), one.sample, one.signs)
             worst = [(i, int(v)) for v in np.argsort(left)[:ADDED] if left[v] < 0.0]
             added += [place for place in worst if place not in active]
         if not added:
