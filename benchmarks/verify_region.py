@@ -90,14 +90,13 @@ def sample(D, tolerances, side, gain):  # [F + G K, disturbances], of the file D
     phi, chis = 1 / (1 + alpha * ((known[1] / known[0]).root() * (v_law[0] / v_law[1]))), []
     for f, i, j, s, m in product(*((one.low, one.high) for one in (phi, *q, sigma_law, mu))):
         chis.append((I(f) * i + (1 - I(f)) * (I(j) * m)) / (I(s) + (1 - I(s)) * m))  # monotone in each
-    swept = T * v.size * max((area[j] / vol[j]).high for j in AB)
-    chi, zeta = kappa * hull(*chis) * I(1 - swept, 1 + swept), rho[0] * (1 + (1 - sigma_law) * (mu - 1))
-    a, same = (hull(*(u[j] * q[j] for j in AB)) for u in (rho, more))
-    a, same = kappa * a, same * hull(*(q[j] / more[j] for j in AB))
+    swept, core = T * v.size * max((area[j] / vol[j]).high for j in AB), more[0] * (1 + (1 - sigma_law) * (mu - 1))
+    chi, zeta, core = kappa * hull(*chis) * I(1 - swept, 1 + swept), ratio * core, hull(*chis) * core  # core: see a
     error, share, late = st["opening_error"].size, I(*D["velocity_compensation"]), st["velocity_error"]
     most, wrong = max(st["opening"].high if side > 0 else -st["opening"].low, 0.0), I(-error, error)
     slope, leak = [beta / vol[j] * kv / (2 * drop[j].root()) for j in AB], [beta / vol[j] * b["leakage"] for j in AB]
-    per = slope[0] * sigma + slope[1] * (1 - sigma)
+    per, back, a = slope[0] * sigma + slope[1] * (1 - sigma), [q[j] / more[j] for j in AB], kappa * ratio * core
+    same = core * (back[1] + 1 / (1 + slope[1] / slope[0] * (alpha**2 * (vol[0] / vol[1]))) * (back[0] - back[1]))
     leaks = (leak[0] + leak[1] * alpha) * sigma + (leak[1] + leak[0] / alpha) * (1 - sigma)
     across, told, g = b["leakage"] * (p[0] - p[1]), I(0), [beta * area[j] / vol[j] * kv * drop[j].root() for j in AB]
     for j, s in ((0, 1), (1, -1)):  # what the law takes for the chamber's share of f_h', by x

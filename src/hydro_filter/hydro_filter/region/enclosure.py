@@ -110,11 +110,12 @@ def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers
     root_a, root_b = ((1.0 + w / k).root() for w, k in ((wrong_a, known_a), (wrong_b, known_b)))
     phi = 1.0 / (1.0 + alpha * (known_b / known_a).root() * (law_a / law_b))
     kappa = tol["valve_gain"] * (bench["valve_gain"] / law["valve_gain"])
-    chi = kappa * _weighted(phi, root_a, root_b, sigma_law, mu)
+    weighted = _weighted(phi, root_a, root_b, sigma_law, mu)
+    # g over the law's, but for valve gain and bulk modulus
+    core = weighted * bulge_a * (1.0 + (1.0 - sigma_law) * (mu - 1.0))
     # within a sample c moves by the velocity
     swept = T * v.size * max((area / volume_a).high, (alpha * area / volume_b).high)
-    chi = chi * interval((1.0 - swept, 1.0 + swept))
-    gain_ratio = kappa * (rho_a * root_a).hull(rho_b * root_b)
+    chi, gain_ratio = kappa * weighted * interval((1.0 - swept, 1.0 + swept)), kappa * modulus * core
     opening, error = at["opening"], at["opening_error"].size
     largest = max(opening.high, 0.0) if side > 0 else max(-opening.low, 0.0)
     stiff_a, stiff_b = (tol["bulk_modulus"] * bench["bulk_modulus"] / volume for volume in (volume_a, volume_b))
@@ -123,8 +124,9 @@ def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers
     c_a, c_b = stiff_a * area**2, stiff_b * (alpha * area) ** 2
     sigma = 1.0 / (1.0 + alpha**2 * (volume_a / volume_b))
     per_opening = slope_a * sigma + slope_b * (1.0 - sigma)
-    # of valve gain and bulk modulus nothing is left in it
-    flow_ratio = (bulge_a * root_a).hull(bulge_b * root_b) * (root_a / bulge_a).hull(root_b / bulge_b)
+    # nu of the law over the bench's, times a: of valve gain and bulk modulus nothing is left in it
+    part_a = 1.0 / (1.0 + slope_b / slope_a * (alpha**2 * (volume_a / volume_b)))
+    flow_ratio = core * (root_b / bulge_b + part_a * (root_a / bulge_a - root_b / bulge_b))
     leak_a, leak_b = stiff_a * bench["leakage"], stiff_b * bench["leakage"]
     leak = leak_a * sigma + leak_b * (1.0 - sigma) + leak_a / alpha * (1.0 - sigma) + alpha * leak_b * sigma
     rate_a, rate_b = area * at["pressure_a_rate"], alpha * area * at["pressure_b_rate"]

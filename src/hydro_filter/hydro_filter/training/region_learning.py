@@ -38,7 +38,7 @@ FORCES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 SECONDS, SETTLED = 6.0, 1000
 WIDER = 0.1
 """Of a range, at either end."""
-SPLIT = TOLERANCES
+SPLIT = (*TOLERANCES, "dead_time")
 """Tolerances that are split: a bench has one value, so that parts may have metrics of their own."""
 RESERVES = (0.9, 0.6, 1.3, 2.0, 3.0)
 """1/s on top of lambda for what the vertices do not have, tried in turn."""

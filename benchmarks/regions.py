@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tolerances, gains and forces have a proof: python -m benchmarks.regions --numbers valve_gain --tolerance 0.05.
+
+For a bench file and a law, one region: the box of a sine of --force, the gains, and a tolerance of the numbers to
+either side, in --split parts with a metric each. Says lambda, tubes, the room left and the CPU it took, and of runs at
+the same gains the share of samples inside.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from hydro_filter.region.facts import share_inside
+from hydro_filter.region.statement import TOLERANCES
+from hydro_filter.training.region_learning import Wanted, certify, samples_of
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.files import learned_bench
+from hydro_sim.model.bench import Bench
+
+
+def main() -> None:
+    """Entry point."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--model", metavar="FILE", help="bench file; the shipped learned bench by default")
+    options.add_argument("--law", choices=("paper", "compensated"), default="paper")
+    options.add_argument("--gains", type=float, nargs="+", default=[89.0, 90.0], metavar="KP", help="table of K_p, 1/s")
+    options.add_argument("--gain-rate", type=float, default=0.0, help="fastest change of K_p, 1/s^2")
+    options.add_argument("--rate", type=float, default=0.1, help="lambda, 1/s")
+    options.add_argument("--force", type=float, default=1.0 / 3.0, help="amplitude of the box over the bench's force")
+    options.add_argument("--numbers", nargs="*", default=[], choices=TOLERANCES, help="numbers with the tolerance")
+    options.add_argument("--tolerance", type=float, default=0.0, help="to either side, as a share")
+    options.add_argument("--split", type=int, default=1, help="parts of each tolerance and of the dead time")
+    options.add_argument("--dead-time", type=float, default=0.0, help="the bench has up to so much of it, s")
+    options.add_argument("--out", type=Path, metavar="FILE", help="statement to write")
+    asked = options.parse_args()
+    model, bench = learned_bench.load_model(asked.model), Bench.nominal()
+    wanted = Wanted(
+        law=BoxConfig().of_bench(bench).compensated if asked.law == "compensated" else None,
+        gains=tuple(asked.gains), gain_rate=asked.gain_rate, rate=asked.rate, tolerance=asked.tolerance,
+        names=tuple(asked.numbers), split=asked.split, dead_time=asked.dead_time, forces=(asked.force,),
+    )  # fmt: skip
+    statement = certify(model, bench, wanted)
+    if statement is None:
+        print("no proof")
+        return
+    tubes = ", ".join(f"{tube:.0f}" for tube in statement.facts["tubes"])
+    print(f"proved at {asked.rate:g} 1/s in {statement.facts['seconds']:g} s of CPU; tubes {tubes} N")
+    for force in (1.0 / 3.0, 2.0 / 3.0, 1.0):
+        run = samples_of(model, bench, wanted, force * model.size.force, asked.gains[-1], seed=7)
+        print(f"{force * model.size.force:.0f} N: {100.0 * share_inside(statement.states, run)[0]:.1f} % inside")
+    if asked.out:
+        statement.save(asked.out)
+
+
+if __name__ == "__main__":
+    main()
