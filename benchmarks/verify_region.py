@@ -24,7 +24,7 @@ class I:  # an interval
         found = [i * j for i, j in product((self.low, self.high), (of(other).low, of(other).high))]
         return I(down(min(found)), up(max(found)))
     def __rtruediv__(self, other):
-        assert not self.low <= 0.0 <= self.high, "a divisor in the bench's equations can be 0"
+        if self.low <= 0.0 <= self.high: raise ZeroDivisionError("a divisor in the bench's equations can be 0")
         return I(down(1.0 / self.high), up(1.0 / self.low)) * other
     __add__ = __radd__ = lambda self, other: I(down(self.low + of(other).low), up(self.high + of(other).high))
     __rmul__, size = __mul__, property(lambda self: max(abs(self.low), abs(self.high)))
@@ -122,16 +122,16 @@ def sample(D, tolerances, side, gain):  # [F + G K, disturbances], of the file D
         rates.put(i, j, entry * (T * unit[j] / unit[i]))
         apart[i, j] = far * T * unit[j] / unit[i]
     full, K, out, body, ways = series(rates, apart, one, True), M(1, width), M(n, width), M(7, width), n - 8
-    K.put(0, 0, (num(same) @ flow + num(same * (per * wrong + I(-far_nu, far_nu)), FLOW_ERROR)) * (S[0] / S[1]))
+    mid, other_nu = 0.5 * (same.low + same.high), same * (per * wrong + I(-far_nu, far_nu))
+    K.put(0, 0, (flow * mid + num((same - mid) * (per * I(0, most)) + other_nu, FLOW_ERROR)) * (S[0] / S[1]))
     K.put(0, 3, num(chi, CHI) @ num(zeta, ZETA) @ num(gain, GAIN) * (-S[3] / S[1]))
-    K.put(0, 5, num(a * told, ETA_LAW) * (S[5] / S[1]))
-    K.put(0, 7, num(share, SHARE) @ num(chi, CHI) @ stiff * (S[7] / S[1]))
+    for j, entry in {5: num(a * told, ETA_LAW), 7: num(share, SHARE) @ num(chi, CHI) @ stiff}.items():
+        K.put(0, j, entry * (S[j] / S[1]))
     noise = a * (gain.size * w["force_noise"]) + (most + error * same) * per * (2 * w["pressure_noise"] * area[0])
-    K.put(0, n + 1, num(noise.size / S[1]))
+    K.s[0, 0, n + 1] = noise.size / S[1]
     rows, pushed = [K, *(M(1, width) for _ in range(ways))], full.cut(range(7), [7])
     body.put(0, 0, full.cut(range(7), range(7)))
-    for i, row in enumerate(rows[1:]):
-        row.s[0, 0, 8 + i] = 1
+    for i in range(ways): rows[i + 1].s[0, 0, 8 + i] = 1
     drive = pushed @ K
     if ways:
         fresh = series(rates, apart, num((T * ways - t["dead_time"]) / T, DELAY), False).cut(range(7), [7])

@@ -240,7 +240,8 @@ def loop(of: Statement, tolerances: Mapping[str, Pair], side: int, gain: Interva
     moved, pushed = transition(rates, varies, inputs, one, whole=True)
     # the law's current, as the opening that it will be, by the coordinates; then the sample's rows
     law, out = zeros(1, count + len(DIRECTIONS)), zeros(count, count + len(DIRECTIONS))
-    write(law, 0, F, (bounded(n.flow_ratio) @ flow + symbol("flow_error", n.flow_error)) * (scale[F] / scale[Z]))
+    ratio, apart_of_ratio = n.flow_ratio.middle, n.flow_error + symmetric(n.flow_ratio.radius * n.flow.high)
+    write(law, 0, F, (flow * ratio + symbol("flow_error", apart_of_ratio)) * (scale[F] / scale[Z]))
     write(law, 0, L, chi @ zeta @ symbol("gain", gain) * (-scale[L] / scale[Z]))
     write(law, 0, X, symbol("eta_law", n.eta_law) * (scale[X] / scale[Z]))
     write(law, 0, BOX_VELOCITY, symbol("share", n.share) @ chi @ c * (scale[BOX_VELOCITY] / scale[Z]))
