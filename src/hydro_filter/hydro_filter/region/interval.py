@@ -79,6 +79,8 @@ class Interval:
 
     def root(self) -> Interval:
         """Square root; ValueError: a part is negative."""
+        if self.low < 0.0:
+            raise ValueError("a pressure of the box is beyond the supply or the tank")
         return Interval(max(_down(math.sqrt(self.low)), 0.0), _up(math.sqrt(self.high)))
 
     def hull(self, other: Interval) -> Interval:

@@ -9,8 +9,8 @@
 
 The left side is convex in H, so that it holds within the set if it holds at the vertices with room for R. Its first
 block is the contraction; all of it says that disturbances w with w'Ww <= 1 do not leave v'Mv <= 1, and the tube is the
-largest f_l within. M is interpolated linearly, so that both sides are affine in K_p and K_p+ at a given H. Definiteness
-is that of a Cholesky factor found with a shift beyond its rounding (Rump, BIT 46, 2006).
+largest f_l within. M is interpolated linearly, so that both sides are affine in K_p and K_p+ at a given H. The norm
+is from LAPACK's eigenvalues, with `PLAIN` and a bound of the products' rounding to spare.
 """
 
 from __future__ import annotations
