@@ -43,5 +43,6 @@ setup(
             "export_c = hydro_core.process.start:main_of.hydro_policy.sac.header",
             "override = hydro_core.process.start:main_of.hydro_policy.nodes.override",
         ],
+        "gymnasium.envs": ["__root__ = hydro_policy.env:register"],
     },
 )

@@ -209,9 +209,16 @@ class ForceControl(gymnasium.Env[Values, Values]):
         self.benches.save_policy(learner, path)
 
 
-gymnasium.register(
-    ID,
-    f"{__name__}:{ForceControl.__name__}",
-    vector_entry_point=f"{__name__}:{ForceControlVector.__name__}",
-    max_episode_steps=TaskSettings().steps_per_episode,
-)
+def register() -> None:
+    """Register the environment, once; entry point of the group `gymnasium.envs`, which some gymnasium versions call."""
+    if ID in gymnasium.registry:
+        return
+    gymnasium.register(
+        ID,
+        f"{__name__}:{ForceControl.__name__}",
+        vector_entry_point=f"{__name__}:{ForceControlVector.__name__}",
+        max_episode_steps=TaskSettings().steps_per_episode,
+    )
+
+
+register()
