@@ -26,8 +26,8 @@ KEYS = {name: f"python3-{name}" for name in (
 )} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
 WITHOUT_KEY = {
-    "asammdf", "dask", "distributed", "gymnasium", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pint", "pyarrow",
-    "ruptures", "safetensors", "skrl", "stable_baselines3", "tensorboardX", "threadpoolctl",
+    "asammdf", "clarabel", "dask", "distributed", "gymnasium", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pint",
+    "pyarrow", "ruptures", "safetensors", "skrl", "stable_baselines3", "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}

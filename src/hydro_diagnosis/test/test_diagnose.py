@@ -68,7 +68,7 @@ def test_recordings_of_one_name_are_whole_recordings(worn: list[Path], tmp_path:
         copy.parent.mkdir()
         shutil.copyfile(path, copy)
     used = diagnose(same).used
-    assert used.startswith("fitted on run (") and "last third" not in used
+    assert used.startswith(f"fitted on {same[0]} (") and "last third" not in used
 
 
 def test_numbers_of_the_bench_file_are_confirmed_if_they_are_right(problem: Problem) -> None:

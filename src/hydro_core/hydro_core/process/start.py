@@ -6,8 +6,10 @@ In a package's setup.py: "trainer = hydro_core.process.start:main_of.hydro_polic
 
 from __future__ import annotations
 
+import io
 import os
 import signal
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -66,6 +68,8 @@ class MainOf:
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         endings.answer(endings.leave)  # importing takes seconds, and a traceback would not help the user
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
         if trouble := missing_folder() or foreign_code() or missing_middleware():
             endings.complain(trouble)
             return 2
