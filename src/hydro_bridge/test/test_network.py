@@ -20,7 +20,7 @@ from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.node import PROFILES, RANGE, running_ros
 from hydro_core.settings import SettingsError
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.graph  # not beside graphs that reach the network: memberships are the machine's
 
 
 @contextmanager
