@@ -45,9 +45,13 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Where tests are shared out, the graph's begin at once, on one worker, and what computes for long comes next."""
+    """Where tests are shared out, the graph's begin at once, on one worker, and what computes for long comes next.
+
+    Those that need the machine for themselves are the first, one after the other: nobody else has to stop for them.
+    """
     if WORKER in os.environ:
-        items.sort(key=lambda item: (not item.get_closest_marker("graph"), not item.get_closest_marker("slow")))
+        first = ("graph", "realtime", "slow")
+        items.sort(key=lambda item: [not item.get_closest_marker(marker) for marker in first])
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

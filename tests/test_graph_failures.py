@@ -169,16 +169,16 @@ def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Tr
 
 def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
     for _ in range(3):  # again where the machine stood still: waiting for a learner takes seconds each time
-        during = gains_while_the_learner_restarts(training)
-        if len(during) >= 270 and np.diff(during["time"]).max() < 0.5:
+        during, samples = gains_while_the_learner_restarts(training)
+        if np.diff(during["time"]).max() < 0.5:
             break
-    assert len(during) == pytest.approx(300, rel=0.1)
+    assert len(during) == pytest.approx(samples / 10, rel=0.1)
     assert np.diff(during["time"]).max() < 0.5
     assert np.median(np.diff(during["step"].astype(int))) == 1
 
 
-def gains_while_the_learner_restarts(training: Training) -> np.ndarray:
-    """Kill the learner: the recorded gains of the 3 s from then on."""
+def gains_while_the_learner_restarts(training: Training) -> tuple[np.ndarray, int]:
+    """Kill the learner: the recorded gains of the 3 s from then on, and the number of samples in that time."""
     probe, process = training.probe, training.process
     begun = probe.last(TRAINING).updates
     probe.spin(1.5)
@@ -194,8 +194,11 @@ def gains_while_the_learner_restarts(training: Training) -> np.ndarray:
     assert before - min(after) <= (before - begun) / 1.5 + 128, "less than the last second is learnt again"
     # A disk may keep the recorder waiting for seconds.
     probe.wait(lambda: read_bag(training.run.bag)[GAINS]["time"].max() > killed + 3.0)
-    gains = read_bag(training.run.bag)[GAINS]
-    return gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)]
+    bag = read_bag(training.run.bag)
+    gains, times = bag[GAINS], bag.state["time"]
+    return gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)], int(
+        ((times > killed) & (times < killed + 3.0)).sum()
+    )
 
 
 def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:
@@ -204,13 +207,9 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
     sequence = probe.last(STATE).sequence
     os.kill(process.child("/recorder "), signal.SIGKILL)
     probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text, 5.0)
-    for _ in range(5):  # again where the machine stood still
-        probe.forget()
-        probe.spin(2.0)
-        if training.phase() == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150:
-            break
-    else:
-        pytest.fail("training does not go on at its pace")
+    probe.forget()
+    probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150, 60.0)
+    assert np.median(np.diff([gains.step for _, gains in probe.heard[GAINS]])) == 1
     states = read_bag(training.run.bag).state
     assert len(states) > 1000
     assert sequence - int(states["sequence"][-1]) < 1000, "more than a second is missing"

@@ -213,6 +213,7 @@ def test_a_box_that_differs_from_its_bench_file_is_told_with_both_numbers(cable,
     assert heard[0].bench_digest not in ("", bench_file.digest(bench_file.read_numbers(bench_file.shipped())))
 
 
+@pytest.mark.realtime
 def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, start, tmp_path):
     small_box()
     bridged(cable.path, probe, start, "--realtime")

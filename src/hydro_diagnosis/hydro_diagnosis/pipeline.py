@@ -17,6 +17,7 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
 from hydro_diagnosis.selection.search import NAMES, Search, SearchSettings
+from hydro_diagnosis.stage_bar import SIMULATOR
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
 from hydro_diagnosis.stages.reading import Case, Progress, Question
@@ -91,7 +92,7 @@ def diagnose(
         return _answered(_read(question, progress), settings, progress)
 
     def told(text: str) -> None:
-        progress(f"simulator: {text}")
+        progress(SIMULATOR + text)
 
     beside = replace(
         question, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)

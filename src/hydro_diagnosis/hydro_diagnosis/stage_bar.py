@@ -18,8 +18,11 @@ MODELLING = "modelling what has no name"
 FORECASTING = "forecasting control"
 STAGES = (READING, CURVES, SEARCHING, JUDGING, CHECKING, MODELLING, FORECASTING)
 """In order; the last but one is passed over where names explain everything."""
+LABEL = "diagnosing"
 LINES = 10.0
 """s between the lines that stand for the bar where there is no terminal."""
+SIMULATOR = "simulator: "
+"""Begins what is told of the simulator's recordings, which have a bar of their own."""
 SHOWN = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
 
 
@@ -27,9 +30,9 @@ class StageBar:
     """A bar of `STAGES`, to be called with each stage as it begins, and with what is tried in it."""
 
     def __init__(self) -> None:
-        self._bar: tqdm[Any] = progress(
-            total=len(STAGES), label="diagnosing", every=LINES, bar_format=SHOWN, delay=LINES
-        )
+        self._bar: tqdm[Any] = progress(total=len(STAGES), label=LABEL, every=LINES, bar_format=SHOWN, delay=LINES)
+
+        self._simulator = False
 
     def __enter__(self) -> StageBar:
         return self
@@ -43,8 +46,13 @@ class StageBar:
 
     def __call__(self, text: str) -> None:
         """Show a text; one of `STAGES` moves the bar, never back: a stage may be repeated (`stages.hypotheses`)."""
-        done = max(STAGES.index(text) if text in STAGES else 0, int(self._bar.n))
-        self._bar.set_postfix_str(text, refresh=False)
+        simulator, stage = text.startswith(SIMULATOR), text.removeprefix(SIMULATOR)
+        if simulator != self._simulator:
+            self._simulator = simulator
+            self._bar.n = 0
+            self._bar.set_description_str("diagnosing the simulator" if simulator else LABEL, refresh=False)
+        done = max(STAGES.index(stage) if stage in STAGES else 0, int(self._bar.n))
+        self._bar.set_postfix_str(stage, refresh=False)
         self._bar.update(done - self._bar.n)
         if self._bar.mininterval < LINES:
             self._bar.refresh()

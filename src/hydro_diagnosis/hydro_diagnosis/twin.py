@@ -8,13 +8,21 @@ where one side's cause would explain the other's recordings as well as the cause
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import display_unit
-from hydro_diagnosis.report_json import Difference, EffectReport, NumberDifference, ParameterEstimate, Report
+from hydro_diagnosis.report_json import (
+    Difference,
+    EffectReport,
+    NumberDifference,
+    NumberEstimate,
+    ParameterEstimate,
+    Report,
+)
 
 
 def compared(bench: Report, simulator: Report) -> Report:
@@ -27,12 +35,20 @@ def compared(bench: Report, simulator: Report) -> Report:
             f"; not all is explained on the {' and in the '.join(doubtful)}: a cause may be there that was not found"
         )
     alike = [
-        f"{one.id} on the bench and {two.id} in the simulator are not compared: one in place of the other would "
+        f"{cause.id} on the bench and {two.id} in the simulator are not compared: one in place of the other would "
         "explain these recordings as well"
-        for one, two in indistinct(bench.effects, simulator.effects)
+        for cause, two in indistinct(bench.effects, simulator.effects)
     ]
     if unnamed := [name for name, one in open_.items() if one.closures]:
         alike.append(f"terms without a name were found on the {' and in the '.join(unnamed)}: they are not compared")
+    estimates = {one.name: one for one in simulator.estimated}
+    for one in bench.estimated:
+        if (number := _number(one, estimates.get(one.name))).tells and number.simulated is not None:
+            unit, factor = display_unit(one.unit)
+            alike.append(
+                f"{one.name} is estimated as {factor * one.value:.5g} {unit} from the bench's recordings and "
+                f"{factor * number.simulated:.5g} {unit} from the simulator's"
+            )
     return replace(
         bench,
         simulated=differences(bench.effects, simulator.effects),
@@ -43,11 +59,11 @@ def compared(bench: Report, simulator: Report) -> Report:
 
 def differences(real: Sequence[EffectReport], simulated: Sequence[EffectReport]) -> list[Difference]:
     """Causes that one of the two lacks, then those whose numbers differ; none that cannot be told apart."""
-    own, other = _by_place(real), _by_place(simulated)
-    pairs = {_place(effect) for pair in indistinct(real, simulated) for effect in pair}
+    own, other = _by_place(real, simulated), _by_place(simulated, real)
+    same = [effect for pair in indistinct(real, simulated) for effect in pair]
     found = []
     for place, effect in (other | own).items():
-        if place in pairs:
+        if any(effect is one for one in same):
             continue
         one, two = (side[place].parameters if place in side else {} for side in (own, other))
         numbers = {name: _number(one.get(name), two.get(name)) for name in one | two}
@@ -66,22 +82,28 @@ def indistinct(
     def rivals(effect: EffectReport) -> set[str]:
         return {rival.id for rival in effect.rivals if not rival.distinguishable}
 
-    own, other = _by_place(real), _by_place(simulated)
+    own, other = _by_place(real, simulated), _by_place(simulated, real)
     alone = [effect for place, effect in own.items() if place not in other]
     beside = [effect for place, effect in other.items() if place not in own]
     return [(one, two) for one in alone for two in beside if two.id in rivals(one) or one.id in rivals(two)]
 
 
-def _by_place(effects: Sequence[EffectReport]) -> dict[tuple[str, ...], EffectReport]:
-    return {_place(effect): effect for effect in effects}
+def _by_place(effects: Sequence[EffectReport], others: Sequence[EffectReport]) -> dict[tuple[str, ...], EffectReport]:
+    """By id and chamber, cell or sensor. Two forms are one cause, unless one of the two sides has both."""
+
+    def place(effect: EffectReport) -> tuple[str, ...]:
+        return (effect.id, *(value for key, value in effect.options.items() if key != "form"))
+
+    several = {one for side in (effects, others) for one, count in Counter(map(place, side)).items() if count > 1}
+    return {
+        (*place(effect), effect.options.get("form", "")) if place(effect) in several else place(effect): effect
+        for effect in effects
+    }
 
 
-def _place(effect: EffectReport) -> tuple[str, ...]:
-    """Its id and its chamber, cell or sensor: two forms are one cause."""
-    return (effect.id, *(value for key, value in effect.options.items() if key != "form"))
-
-
-def _number(one: ParameterEstimate | None, two: ParameterEstimate | None) -> NumberDifference:
+def _number(
+    one: ParameterEstimate | NumberEstimate | None, two: ParameterEstimate | NumberEstimate | None
+) -> NumberDifference:
     if one is None or two is None:
         there = one or two
         assert there is not None

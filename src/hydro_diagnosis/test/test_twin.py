@@ -82,6 +82,9 @@ def test_numbers_within_each_other_s_doubt_are_no_difference() -> None:
     assert [(one.id, one.only_in) for one in found] == [
         ("load_cell_bias", "real"), ("friction_coulomb", None), ("load_cell_bias", "simulated")
     ]  # fmt: skip
+    both = [effect("friction_viscous", 10.0, 0.3, form=form) for form in ("linear", "directional")]
+    (missing,) = differences(both, both[:1])
+    assert missing.options == {"form": "directional"} and missing.only_in == "real"
     number = found[1].parameters["force"]
     assert number.difference == pytest.approx(-0.5) and number.ci95 == pytest.approx([-0.924, -0.076], abs=1e-3)
     assert "force is 10 N on the bench and 10.5 N in the simulator, -0.5 N" in sentences(found)[1]

@@ -27,6 +27,7 @@ from tqdm import tqdm
 
 from hydro_bridge.ros.topics import DIAGNOSTICS, STATE, create_subscription
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
+from hydro_core.process.endings import SIGNALS
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
@@ -144,6 +145,7 @@ def _die_with(parent: int) -> None:
     signal.signal(
         signal.SIGTERM, signal.SIG_DFL
     )  # the parent's handler would only record the signal, and vanish at exec
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it answers them (hydro_core.process.start)
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)

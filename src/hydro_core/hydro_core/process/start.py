@@ -68,6 +68,7 @@ class MainOf:
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         endings.answer(endings.leave)  # importing takes seconds, and a traceback would not help the user
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, endings.SIGNALS)  # a companion's are held back until here
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
         if trouble := missing_folder() or foreign_code() or missing_middleware():

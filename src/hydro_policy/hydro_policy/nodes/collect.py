@@ -37,6 +37,8 @@ from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_sched
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
+SECONDS = 600.0
+"""s of a schedule, by default."""
 REST = 1.0
 """s recorded before arming: the still bench."""
 TRIPS_IN_A_ROW = 3
@@ -59,8 +61,8 @@ class SchedulePlan:
             for one in schedule
         ]  # fmt: skip
         self.seconds = sum(one.seconds for one in schedule)
-        self.played = 0.0
-        """s of the trials that are over."""
+        self.played = self.past = 0.0
+        """s of the segments that were played to their end, and of all that are over."""
         self.trips = self.in_a_row = 0
 
     @property
@@ -78,7 +80,9 @@ class SchedulePlan:
         """See `hydro_policy.evaluation.trial.Plan`."""
         self.trips += bool(score.stopped)
         self.in_a_row = self.in_a_row + 1 if score.stopped else 0
-        self.played += self._left.pop(0).measure
+        seconds = self._left.pop(0).measure
+        self.past += seconds
+        self.played += 0.0 if score.stopped else seconds
 
 
 def parser() -> argparse.ArgumentParser:
@@ -89,8 +93,8 @@ def parser() -> argparse.ArgumentParser:
         epilog=f"It ends with status {TRIPPED} after {TRIPS_IN_A_ROW} trips in a row, and leaves the plant disarmed.",
     )
     made.add_argument("--out", type=writable_folder, metavar="BAG", help="recording to make")
-    made.add_argument("--seconds", type=number(1.0, 36000.0), default=600.0, help="length of the schedule")
-    made.add_argument("--seed", type=number(0), default=1, help="of the schedule")
+    made.add_argument("--seconds", type=number(1.0, 36000.0), help=f"length of the schedule (default: {SECONDS:g})")
+    made.add_argument("--seed", type=number(0), help="of the schedule (default: 1)")
     made.add_argument(
         "--schedule", metavar="FILE", help="play this one instead of drawing one (docs/manual/reference/schedule.md)"
     )
@@ -116,6 +120,9 @@ def main() -> int:
     options = parser().parse_args(own)
     if not (options.out or options.write_schedule):
         parser().error("give --out, --write-schedule, or both")
+    if options.schedule and (options.seconds, options.seed) != (None, None):
+        parser().error("--seconds and --seed draw a schedule: --schedule FILE has its own")
+    options.seconds, options.seed = options.seconds or SECONDS, 1 if options.seed is None else options.seed
     bench = Bench.load(options.bench) if options.bench else None
     schedule = playable(options, (bench.size if bench else NOMINAL).force)
     if options.write_schedule:
@@ -132,7 +139,7 @@ def main() -> int:
         return TRIPPED
     if plan.trips:
         print(f"the plant tripped {plan.trips} times; the schedule went on with the next segment")
-    print(f"{options.out}: {plan.played:g} s played")
+    print(f"{options.out}: {plan.played:g} s played" + (" to their end" if plan.trips else ""))
     return 0
 
 
@@ -172,14 +179,14 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         )
         start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
         recorder = start_recorder(stack, options, schedule, believed, plant)
-        node.watch_companions([recorder], options.out)
+        node.watch_companions([recorder], options.out, "the plant is disarmed")
         stack.callback(node.disarm, still=True)
         stack.callback(quiet.enter_context, undisturbed())  # a second Ctrl-C waits
         runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
         bar: tqdm[None] = stack.enter_context(progress(total=round(plan.seconds), label="collecting", unit="s"))
 
         def tick() -> None:
-            bar.update(int(plan.played) - bar.n)
+            bar.update(int(plan.past) - bar.n)
             if not recorder.running:  # nothing moves unrecorded
                 why = why_ended(recorder, options.out)
                 node.fail(UserError(f"the recorder has ended, so the plant was disarmed: {why}"))

@@ -57,6 +57,8 @@ def main() -> None:
         raise UserError(f"{out}: a file of --{kind} ends in {FORMATS[kind][0]}")
     if kind != "box" and (options.name, options.integral) != (NAME, "bumpless"):
         raise UserError(f"--name and --integral go with --box, not with --{kind}")
+    if not re.fullmatch(r"[\w .-]+", options.name, flags=re.ASCII):
+        raise UserError(f"--name {options.name!r}: a box is named by letters, digits, spaces, _, . and -")
     name = re.sub(r"\W|^(?=\d)", "_", out.stem, flags=re.ASCII)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     exported = Exported(bench, intervals_beside(options.bench) if options.bench else ())

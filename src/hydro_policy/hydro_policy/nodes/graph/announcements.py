@@ -89,11 +89,14 @@ def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
 _REFUSED = 2  # exit status of all our commands for invalid input
 
 
-class CompanionWatch:
-    """Reports a companion that ended by itself, once."""
+UNRECORDED = "acting goes on unrecorded"
 
-    def __init__(self, companions: list[Companion]) -> None:
-        self._running = list(companions)
+
+class CompanionWatch:
+    """Reports a companion that ended by itself, once. `unrecorded`: what the end of a recorder means."""
+
+    def __init__(self, companions: list[Companion], unrecorded: str = UNRECORDED) -> None:
+        self._running, self._unrecorded = list(companions), unrecorded
         self.refused = ""
         """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
         self.lost = ""
@@ -108,19 +111,12 @@ class CompanionWatch:
                 said = companion.last_line.removeprefix("error: ").removeprefix(f"{companion.name}: ")
                 self.refused = self.refused or f"{companion.name}: {said}"
             elif companion.name != "recorder":
-                self.lost = self.lost or _sentence(companion)
-        return [_sentence(companion) for companion in gone]
+                self.lost = self.lost or self._sentence(companion)
+        return [self._sentence(companion) for companion in gone]
 
-
-def _sentence(gone: Companion) -> str:
-    return f"{gone.name} ended by itself ({_status(gone.process.returncode)}){_outcome(gone.name)}"
-
-
-def _status(code: int) -> str:
-    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-
-
-def _outcome(name: str) -> str:
-    if name == "recorder":
-        return ": what it had written stays readable, acting goes on unrecorded"
-    return ": no samples come from then on, and the box disarms itself"
+    def _sentence(self, gone: Companion) -> str:
+        code, outcome = gone.process.returncode, "no samples come from then on, and the box disarms itself"
+        if gone.name == "recorder":
+            outcome = f"what it had written stays readable, {self._unrecorded}"
+        status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+        return f"{gone.name} ended by itself ({status}): {outcome}"

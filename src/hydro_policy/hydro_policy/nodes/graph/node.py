@@ -49,7 +49,7 @@ from hydro_core.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import Gains, PolicyStep
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.nodes.graph.announcements import Announcer, CompanionWatch
+from hydro_policy.nodes.graph.announcements import UNRECORDED, Announcer, CompanionWatch
 from hydro_policy.nodes.graph.services import FreezeService, OverrideService
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
@@ -219,9 +219,14 @@ class GraphNode(Node):
             made.take_over(after)
         return made
 
-    def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
-        """Watch these companions; arming requires that the recorder of `recording` receives samples."""
-        self.companions = CompanionWatch(companions)
+    def watch_companions(
+        self, companions: list[Companion], recording: Path | None, unrecorded: str = UNRECORDED
+    ) -> None:
+        """Watch these companions; arming requires that the recorder of `recording` receives samples.
+
+        `unrecorded`: what the end of the recorder means.
+        """
+        self.companions = CompanionWatch(companions, unrecorded)
         for companion in companions:
             if recording is not None and companion.name == "recorder":
                 self.requirements.append(RecorderWatch(self, recording, companion).requirement)
